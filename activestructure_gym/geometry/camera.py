@@ -1,0 +1,62 @@
+"""The pinhole camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"an image needs at least one pixel, got {self.width} x {self.height}")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"focal lengths must be above 0, got fx={self.fx}, fy={self.fy}")
+
+    @classmethod
+    def from_size(cls, width: int, height: int, horizontal_fov_deg: float = 90.0) -> PinholeCamera:
+        """Square pixels, principal point in the middle; 90 deg makes f = width / 2 (the paper's 60 x 90 deg)."""
+        if not 0.0 < horizontal_fov_deg < 180.0:
+            raise ValueError(f"horizontal_fov_deg must lie in (0, 180), got {horizontal_fov_deg}")
+        focal = 0.5 * width / np.tan(np.radians(horizontal_fov_deg) / 2.0)
+        return cls(width, height, float(focal), float(focal), width / 2.0, height / 2.0)
+
+    def resized(self, width: int, height: int) -> PinholeCamera:
+        """The same camera sampled with another number of pixels."""
+        sx, sy = width / self.width, height / self.height
+        return PinholeCamera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
+
+    @property
+    def matrix(self) -> np.ndarray:  # [3, 3]
+        """K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def rays(self, supersample: int = 1) -> np.ndarray:  # [H * s, W * s, 3] float32
+        """Camera-frame directions through the (sub)pixel centres with z = 1, so that a ray parameter is a depth."""
+        u = (np.arange(self.width * supersample) + 0.5) / supersample
+        v = (np.arange(self.height * supersample) + 0.5) / supersample
+        rays = np.empty((len(v), len(u), 3), dtype=np.float32)
+        rays[..., 0] = (u[None, :] - self.cx) / self.fx
+        rays[..., 1] = (v[:, None] - self.cy) / self.fy
+        rays[..., 2] = 1.0
+        return rays
+
+    def backproject(self, depth: np.ndarray) -> np.ndarray:  # depth [H, W] -> [H, W, 3] camera frame
+        """The camera-frame point of every pixel (the origin where depth is 0)."""
+        return self.rays() * depth[..., None]
+
+    def project(self, points: np.ndarray) -> np.ndarray:  # [..., 3] camera frame -> [..., 2] pixels
+        """Image position; the caller keeps points with z > 0 only."""
+        z = points[..., 2]
+        return np.stack([self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1)

@@ -1,0 +1,61 @@
+"""Names for things that plug in: policies, gains, scenes.
+
+A name is found in three places, in this order: what was registered in this process, ``"package.module:attribute"``
+(works in every worker process without registering), and the entry points of installed packages in the group
+``activestructure_gym.<kind>`` (so ``pip install`` alone makes a plug-in known).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from typing import Generic, TypeVar
+
+from activestructure_gym.errors import InputError, unknown_name
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """A mapping from name to object of one kind (``kind`` is the plural used for the entry-point group)."""
+
+    def __init__(self, kind: str, plural: str) -> None:
+        self.kind = kind
+        self.group = f"activestructure_gym.{plural}"
+        self._entries: dict[str, T] = {}
+
+    def register(self, name: str) -> Callable[[T], T]:
+        """Decorator: ``@POLICIES.register("mine")``. Registering the same name again replaces it."""
+
+        def remember(entry: T) -> T:
+            self._entries[name] = entry
+            return entry
+
+        return remember
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._entries.keys() | {point.name for point in entry_points(group=self.group)}))
+
+    def __contains__(self, name: object) -> bool:
+        return name in set(self)
+
+    def get(self, name: str) -> T:
+        """The object called ``name``; raises `InputError` naming the nearest known name."""
+        if name in self._entries:
+            return self._entries[name]
+        if ":" in name:
+            return self._import(name)
+        for point in entry_points(group=self.group):
+            if point.name == name:
+                return self._entries.setdefault(name, point.load())
+        raise unknown_name(self.kind, name, self)
+
+    def _import(self, path: str) -> T:
+        module_name, _, attribute = path.partition(":")
+        try:
+            return getattr(importlib.import_module(module_name), attribute)
+        except ModuleNotFoundError as error:
+            raise InputError(f"{self.kind} '{path}': there is no module called '{error.name}' on sys.path") from error
+        except AttributeError as error:
+            raise InputError(f"{self.kind} '{path}': module '{module_name}' has no '{attribute}'") from error

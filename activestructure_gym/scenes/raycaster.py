@@ -1,0 +1,100 @@
+"""Rays against a triangle mesh through embreex, called directly (trimesh's layer on top is 1.8 to 9 times slower)."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+# Below this many rays a second thread costs more than it brings.
+_RAYS_PER_THREAD = 8192
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What each ray met first."""
+
+    distance: np.ndarray  # [N] float32, in units of the direction's length; inf where nothing was hit
+    face: np.ndarray  # [N] int32, -1 where nothing was hit
+    u: np.ndarray  # [N] float32 barycentric: hit = (1 - u - v) A + u B + v C
+    v: np.ndarray  # [N] float32
+
+
+class RayCaster:
+    """A bounding volume hierarchy over one mesh; read-only, shared by all sensors of a process.
+
+    Embree keeps its own copy of the triangles and cannot be pickled: a copy in another process rebuilds it.
+    embreex lets go of the GIL while it casts, so two Python threads share the work.
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2) -> None:
+        self._vertices = np.ascontiguousarray(vertices, dtype=np.float32)  # [V, 3]
+        self._faces = np.ascontiguousarray(faces, dtype=np.int32)  # [F, 3]
+        self._threads = threads
+        self._build()
+
+    def _build(self) -> None:
+        from embreex import mesh_construction, rtcore_scene
+
+        self._scene = rtcore_scene.EmbreeScene(robust=True)
+        self._geometry = mesh_construction.TriangleMesh(self._scene, self._vertices, self._faces)
+        self._pool: ThreadPoolExecutor | None = None
+        # Embree commits on the first query; do it here, before two threads can race for it.
+        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="DISTANCE")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_vertices": self._vertices, "_faces": self._faces, "_threads": self._threads}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._build()
+
+    def _chunks(self, count: int) -> list[slice]:
+        parts = max(1, min(self._threads, count // _RAYS_PER_THREAD))
+        edges = np.linspace(0, count, parts + 1).astype(int)
+        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:])]
+
+    def _run(self, function: Any, count: int) -> list[Any]:
+        chunks = self._chunks(count)
+        if len(chunks) == 1:
+            return [function(chunks[0])]
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads)
+        return list(self._pool.map(function, chunks))
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """First hit of every ray; ``origins`` and ``directions`` are [N, 3] (directions of any length).
+
+        With camera rays of z = 1 (`PinholeCamera.rays`) the returned distance is the depth, with nothing to divide.
+        """
+        origins = np.ascontiguousarray(np.broadcast_to(origins, np.shape(directions)), dtype=np.float32)
+        directions = np.ascontiguousarray(directions, dtype=np.float32)
+        if not len(directions):
+            nothing = np.zeros(0, np.float32)
+            return Hits(nothing, np.zeros(0, np.int32), nothing, nothing)
+
+        def part(chunk: slice) -> dict[str, np.ndarray]:
+            return self._scene.run(origins[chunk], directions[chunk], query="INTERSECT", output=True)
+
+        results = self._run(part, len(directions))
+        face = np.concatenate([r["primID"] for r in results]).astype(np.int32)
+        distance = np.concatenate([r["tfar"] for r in results]).astype(np.float32)
+        distance[face < 0] = np.inf
+        return Hits(
+            distance=distance,
+            face=face,
+            u=np.concatenate([r["u"] for r in results]),
+            v=np.concatenate([r["v"] for r in results]),
+        )
+
+    def occluded(self, starts: np.ndarray, ends: np.ndarray, *, margin: float = 1e-3) -> np.ndarray:  # [N] bool
+        """Whether the mesh crosses the segment from start to end [N, 3]; ``margin`` metres before the end are spared.
+
+        The margin lets a segment end on a surface without being blocked by that surface.
+        """
+        starts = np.ascontiguousarray(np.broadcast_to(starts, np.shape(ends)), dtype=np.float32)
+        directions = np.asarray(ends, dtype=np.float32) - starts
+        length = np.linalg.norm(directions, axis=1)
+        return self.cast(starts, directions / np.maximum(length, 1e-12)[:, None]).distance < length - margin

@@ -1,0 +1,96 @@
+"""What a scene is: a coloured triangle mesh with a name and a source, and what can be derived from it.
+
+Everything derived (free space, start poses, observable surface) is ground truth: the sensor, the reward, the metrics
+and the choice of start poses may use it; gains, observations and policies never do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.scenes.raycaster import RayCaster
+
+if TYPE_CHECKING:
+    from activestructure_gym.scenes.free_space import FreeSpace
+    from activestructure_gym.scenes.observable import ObservableSurface
+    from activestructure_gym.scenes.sequence import PosedSequence
+
+
+@dataclass(frozen=True)
+class SceneMesh:
+    """Triangles with colour: texture (where a face has one) times vertex colour, clipped to [0, 1].
+
+    Vertices are repeated along texture seams (the layout of glTF), so one uv per vertex is enough. Colours and
+    textures are display-referred (sRGB); vertex colours may exceed 1 where baked light does.
+    """
+
+    vertices: np.ndarray  # [V, 3] float32 metres, world (z up)
+    faces: np.ndarray  # [F, 3] int32
+    colors: np.ndarray  # [V, 3] float32
+    uv: np.ndarray  # [V, 2] float32, v down from the image's top row; 0 where unused
+    face_texture: np.ndarray  # [F] int32 index into textures, -1 = none
+    textures: tuple[np.ndarray, ...] = ()  # each [h, w, 3] uint8, wrapping around
+
+
+@dataclass(frozen=True)
+class PartLabels:
+    """Ground truth for tests only: which part of the scene each face belongs to."""
+
+    face_part: np.ndarray  # [F] int32
+    names: tuple[str, ...]  # one per part
+    structural: np.ndarray  # [P] bool: wall, floor, ceiling, jamb; False = object
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A mesh an agent can be put into. Immutable; derived data are computed once and cached by content."""
+
+    name: str
+    mesh: SceneMesh
+    source: str  # where it comes from: a file, or a generator with its arguments
+    labels: PartLabels | None = None
+    evaluation_views: PosedSequence | None = None  # recorded views that came with the scene, for evaluation
+    notes: tuple[str, ...] = field(default=())  # what the loader wants the user to read (scale check, dropped parts)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The ray caster is rebuilt where it is needed; the small caches travel along.
+        return {key: value for key, value in self.__dict__.items() if key != "raycaster"}
+
+    @cached_property
+    def raycaster(self) -> RayCaster:
+        """The mesh as seen by rays."""
+        return RayCaster(self.mesh.vertices, self.mesh.faces)
+
+    @cached_property
+    def bounds(self) -> np.ndarray:  # [2, 3] float64 metres
+        """Axis-aligned box of the mesh. Public: the workspace every planner is told about."""
+        return np.stack([self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)]).astype(np.float64)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 over geometry and appearance: the key of every cache and of every result."""
+        digest = hashlib.sha256()
+        mesh = self.mesh
+        for array in (mesh.vertices, mesh.faces, mesh.colors, mesh.uv, mesh.face_texture, *mesh.textures):
+            digest.update(str((array.shape, array.dtype.str)).encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def free_space(self) -> FreeSpace:
+        """Where the agent could be (ground truth)."""
+        from activestructure_gym.scenes.free_space import free_space_of
+
+        return free_space_of(self)
+
+    @cached_property
+    def observable_surface(self) -> ObservableSurface:
+        """The part of the surface that some free pose can see (ground truth)."""
+        from activestructure_gym.scenes.observable import observable_surface_of
+
+        return observable_surface_of(self)

@@ -1,0 +1,30 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# Before torch or numba load: spinning OpenMP threads of two test workers cost each other a factor of 35.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = Path(os.environ.get("ASG_SHARED", ROOT.parent / "shared"))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A fresh generator with a fixed seed."""
+    return np.random.default_rng(7)
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of real scenes and frames beside the checkout; the test is skipped where it is absent."""
+    if not (SHARED / "scenes").is_dir():
+        pytest.skip(f"{SHARED} is not here")
+    return SHARED

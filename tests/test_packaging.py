@@ -1,0 +1,83 @@
+"""The package list equals the folders, every module has one name, and imports go one way only."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TOP = ("activestructure_gym", "envs", "policies", "evaluation")
+
+
+def modules() -> list[Path]:
+    return [path for top in TOP for path in sorted((ROOT / top).rglob("*.py")) if "__pycache__" not in path.parts]
+
+
+def test_package_list_equals_the_folders() -> None:
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    listed = set(config["options"]["packages"].split())
+    found = set()
+    for top in TOP:
+        for init in (ROOT / top).rglob("__init__.py"):
+            dotted = ".".join(init.parent.relative_to(ROOT).parts)
+            found.add(dotted if top == "activestructure_gym" else f"activestructure_gym.{dotted}")
+    assert listed == found
+
+
+def test_no_module_goes_by_its_short_name() -> None:
+    import activestructure_gym.envs.reconstruction_env
+    import activestructure_gym.evaluation.jobs
+    import activestructure_gym.policies  # noqa: F401
+
+    assert not {"envs", "policies", "evaluation"} & set(sys.modules)
+
+
+def imported(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return names
+
+
+ABOVE = {
+    "activestructure_gym": ("envs", "policies", "evaluation"),
+    "envs": ("policies", "evaluation"),
+    "policies": ("evaluation",),
+    "evaluation": (),
+}
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(ROOT)))
+def test_nothing_walks_back(path: Path) -> None:
+    top = path.relative_to(ROOT).parts[0]
+    names = imported(path)
+    if path == ROOT / "activestructure_gym" / "__init__.py":
+        names -= {"activestructure_gym.envs.registration"}  # string entry points only
+    for above in ABOVE[top]:
+        assert not [name for name in names if name.startswith(f"activestructure_gym.{above}")], path
+    if top == "policies":
+        world = [n for n in names if n.startswith("activestructure_gym.")]
+        allowed = ("activestructure_gym.policies", "activestructure_gym.envs.observation",
+                   "activestructure_gym.registry", "activestructure_gym.errors")
+        assert all(name.startswith(allowed) for name in world), f"{path}: a policy sees the observation only"
+    if "gains" in path.parts:
+        assert not [n for n in names if n.startswith("activestructure_gym.scenes")], "no ground truth in a gain"
+
+
+def test_importing_the_package_loads_no_heavy_library() -> None:
+    code = (
+        "import sys, activestructure_gym, activestructure_gym.policies, activestructure_gym.evaluation.cli;"
+        "heavy = ('torch', 'trimesh', 'numba', 'cv2', 'matplotlib', 'pyrender', 'scipy');"
+        "print([m for m in heavy if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert out.stdout.strip() == "[]"

@@ -1,0 +1,41 @@
+"""Names that plug in."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+import pytest
+
+from activestructure_gym import registry
+from activestructure_gym.errors import InputError
+from activestructure_gym.registry import Registry
+
+
+def test_registered_imported_and_installed_names_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    things: Registry[object] = Registry("thing", "things")
+    assert things.register("mine")(42) == 42
+    assert things.get("mine") == 42
+    import math
+
+    assert things.get("math:pi") == math.pi
+    point = importlib.metadata.EntryPoint("installed", "math:e", "activestructure_gym.things")
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == point.group else [])
+    assert things.get("installed") == math.e
+    assert list(things) == ["installed", "mine"]
+    assert "mine" in things and "other" not in things
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("mien", "unknown thing 'mien'; did you mean 'mine'? Known: mine"),
+        ("nowhere.at_all:x", "thing 'nowhere.at_all:x': there is no module called 'nowhere' on sys.path"),
+        ("math:tau_and_a_half", "thing 'math:tau_and_a_half': module 'math' has no 'tau_and_a_half'"),
+    ],
+)
+def test_a_wrong_name_gets_one_sentence(name: str, message: str) -> None:
+    things: Registry[object] = Registry("thing", "things")
+    things.register("mine")(1)
+    with pytest.raises(InputError) as error:
+        things.get(name)
+    assert str(error.value) == message

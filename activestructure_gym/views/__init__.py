@@ -1,1 +1,20 @@
-""""""
+"""Where to look next: the pool of candidate views, what each would see, and what each is worth.
+
+The pool is the same for every policy; a gain turns the current map into one number per candidate. Nothing in this
+room may look at ground truth.
+"""
+
+from activestructure_gym.views.candidates import CandidatePool, CandidateTable, ViewConfig
+from activestructure_gym.views.gains import GAINS, Gain, GainContext, evaluate_gains
+from activestructure_gym.views.visibility import visible_planes
+
+__all__ = [
+    "GAINS",
+    "CandidatePool",
+    "CandidateTable",
+    "Gain",
+    "GainContext",
+    "ViewConfig",
+    "evaluate_gains",
+    "visible_planes",
+]

@@ -1,1 +1,17 @@
-""""""
+"""Gains: one number per candidate view, computed from the current reconstruction only.
+
+A gain is a function ``gain(context) -> [K]`` registered by name, one file each::
+
+    @GAINS.register("mine")
+    def mine(context):
+        return (1 - context.alpha).mean(axis=(1, 2))
+
+The env evaluates the gains it is asked for (``gains=("pixel", "mine")``); ``"package.module:function"`` works as a
+name without registering, in every worker process.
+"""
+
+from activestructure_gym.views.gains.base import GAINS, Gain, GainContext, evaluate_gains
+from activestructure_gym.views.gains.hole_area import hole_area
+from activestructure_gym.views.gains.pixel import pixel
+
+__all__ = ["GAINS", "Gain", "GainContext", "evaluate_gains", "hole_area", "pixel"]

@@ -1,0 +1,115 @@
+"""The configuration of an episode: one frozen dataclass per room, presets by name, overrides by field."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.mapping import MapperConfig
+from activestructure_gym.motion import MotionConfig
+from activestructure_gym.planes import PlaneGraphConfig
+from activestructure_gym.sensors import SensorConfig
+from activestructure_gym.views import GAINS, ViewConfig
+from activestructure_gym.volume import VolumeConfig
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ReconstructionConfig:
+    """Everything that decides an episode besides the scene, the seed and the policy."""
+
+    frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
+    keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
+    gains: tuple[str, ...] = ("pixel",)  # evaluated for every candidate, in this order
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    mapper: MapperConfig = field(default_factory=MapperConfig)
+    volume: VolumeConfig = field(default_factory=VolumeConfig)
+    planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    views: ViewConfig = field(default_factory=ViewConfig)
+
+    def __post_init__(self) -> None:
+        if self.frame_budget < 1:
+            raise InputError(
+                f"the frame budget must be at least 1, got {self.frame_budget}: every frame the camera moves costs one"
+            )
+        if self.keyframe_every < 1:
+            raise InputError(f"keyframe_every must be at least 1, got {self.keyframe_every}")
+        for name in self.gains:
+            GAINS.get(name)
+        if self.views.clearance_m < self.motion.min_clearance:
+            raise InputError(
+                f"views.clearance_m ({self.views.clearance_m}) must not be below motion.min_clearance "
+                f"({self.motion.min_clearance}): such a view could never be reached"
+            )
+
+
+# Overrides of the defaults above, by field.
+PRESETS: dict[str, dict[str, Any]] = {
+    # For learning and for tests: small images, few iterations, few candidates.
+    "fast": {
+        "frame_budget": 100,
+        "sensor": {"width": 96, "height": 54},
+        "mapper": {"iterations": 2},
+        "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,)},
+    },
+    # What comparisons on a CPU use.
+    "default": {},
+    # The paper's sensor and budget (Sec. 4.1); meant for a GPU or for patience.
+    "paper": {
+        "frame_budget": 2000,
+        "sensor": {"width": 1200, "height": 680},
+        "mapper": {"iterations": 15},
+    },
+}
+
+
+def configure(preset: str = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
+    """The preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
+
+    Raises `InputError` naming the nearest valid preset or field, and for values a config refuses.
+    """
+    if preset not in PRESETS:
+        raise unknown_name("preset", preset, PRESETS)
+    try:
+        config = replaced(ReconstructionConfig(), PRESETS[preset])
+        return replaced(config, _nested(overrides or {}))
+    except InputError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f"this configuration cannot be used: {error}") from error
+
+
+def replaced(config: T, overrides: Mapping[str, Any]) -> T:
+    """A copy of a (nested) frozen dataclass with the named fields replaced."""
+    names = {f.name for f in dataclasses.fields(config)}  # type: ignore[arg-type]
+    changes = {}
+    for name, value in overrides.items():
+        if name not in names:
+            raise unknown_name(f"field of {type(config).__name__}", name, names)
+        current = getattr(config, name)
+        if dataclasses.is_dataclass(current) and isinstance(value, Mapping):
+            value = replaced(current, value)
+        elif isinstance(current, tuple) and isinstance(value, list):
+            value = tuple(value)  # JSON and TOML have no tuples
+        changes[name] = value
+    return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """``{"sensor.width": 96}`` as ``{"sensor": {"width": 96}}``; nested mappings pass through."""
+    result: dict[str, Any] = {}
+    for key, value in overrides.items():
+        *path, last = key.split(".")
+        target = result
+        for part in path:
+            target = target.setdefault(part, {})
+        if isinstance(value, Mapping) and isinstance(target.get(last), dict):
+            target[last].update(value)
+        else:
+            target[last] = dict(value) if isinstance(value, Mapping) else value
+    return result

@@ -1,0 +1,221 @@
+"""The conductor: one episode of active reconstruction, from the first frame to the last. No Gymnasium in here.
+
+Scene -> sensor -> map, volume, planes -> candidate views -> gains; then a view is chosen from outside, and the agent
+walks there (`Reconstruction.visit`). Every frame costs 1 of the budget; every fifth frame and the last of a path is a
+keyframe, which is rendered, integrated and mapped (method.md, section 1).
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.config import ReconstructionConfig
+from activestructure_gym.errors import InputError
+from activestructure_gym.mapping import Mapper, MappingReport
+from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
+from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.sensors import Frame, RGBDSensor
+from activestructure_gym.views import CandidatePool, CandidateTable, GainContext, evaluate_gains
+from activestructure_gym.volume import VoxelVolume
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What happened on the way to a chosen view."""
+
+    reached: bool  # False: unreachable, blocked on the way, or the budget ended first
+    frames: int  # frames paid
+    metres: float
+    keyframes: tuple[Frame, ...]  # the frames that were integrated
+
+
+class Reconstruction:
+    """State of one episode. `start` begins it, `visit` moves it on; everything else is there to be read."""
+
+    scene: Scene
+    sensor: RGBDSensor
+    mapper: Mapper
+    volume: VoxelVolume
+    planes: PlaneSceneGraph
+    pool: CandidatePool
+    candidates: CandidateTable
+    gains: np.ndarray  # [n, G] one column per name in config.gains
+
+    def __init__(self, config: ReconstructionConfig) -> None:
+        self.config = config
+        self.scoring_camera = config.sensor.camera.resized(
+            max(1, round(config.sensor.width * config.views.scoring_scale)),
+            max(1, round(config.sensor.height * config.views.scoring_scale)),
+        )
+
+    def start(self, scene: Scene, seed: int, start_pose: np.ndarray | None = None) -> Frame:
+        """Begin an episode and return its first keyframe.
+
+        ``start_pose`` is ``world_from_camera`` [4, 4]; without one, one of the scene's own is drawn from the seed.
+        Raises `InputError` if the pose stands inside something or outside the scene.
+        """
+        from activestructure_gym.scenes.free_space import check_start_pose
+
+        config = self.config
+        # One child per consumer: a policy's choices cannot shift the noise, nor the noise the paths.
+        choice, noise, mapping, planning, pool = np.random.SeedSequence(seed).spawn(5)
+        if start_pose is None:
+            poses = scene.free_space.start_poses
+            start_pose = poses[np.random.default_rng(choice).integers(len(poses))]
+        start_pose = np.array(start_pose, dtype=np.float64)
+        if start_pose.shape != (4, 4):
+            raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
+        check_start_pose(scene, start_pose, config.motion.body_radius)
+
+        self.scene = scene
+        self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
+        self.mapper = Mapper(config.mapper, np.random.default_rng(mapping))
+        self.volume = VoxelVolume(scene.bounds, config.volume)
+        self.planes = PlaneSceneGraph(config.planes)
+        self.pool = CandidatePool(start_pose[:3, 3], scene.bounds, config.views, int(pool.generate_state(1)[0]))
+        self._planning_rng = np.random.default_rng(planning)
+        self.pose = start_pose
+        self.trajectory = [start_pose]  # every executed pose
+        self.keyframe_indices: list[int] = []  # into trajectory
+        self.frames = 0
+        self.metres = 0.0
+        self.decisions = 0
+        self.mapping_report: MappingReport | None = None
+        self.seconds: defaultdict[str, float] = defaultdict(float)  # wall-clock by stage; never observed
+
+        # The agent stands there, so its own body's place is free.
+        self.volume.mark_free_sphere(start_pose[:3, 3], config.motion.body_radius)
+        frame = self._keyframe()
+        self.frames = 1
+        self._refresh()
+        return frame
+
+    @property
+    def frame_budget(self) -> int:
+        """Frames the episode may use, the first one included."""
+        return self.config.frame_budget
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the frame budget is used up."""
+        return self.frames >= self.config.frame_budget
+
+    def visit(self, index: int) -> Visit:
+        """Walk to candidate ``index`` of the current table and map on the way.
+
+        An index beyond the table, and a view to which no path is found, cost one frame and leave the agent in place;
+        the unreachable view leaves the pool. A path that newly seen space blocks ends before the obstacle.
+        """
+        self.decisions += 1
+        frames_before, metres_before = self.frames, self.metres
+        reached, keyframes = False, list[Frame]()
+        if not 0 <= index < len(self.candidates):
+            self.frames += 1
+        else:
+            goal = self.candidates.world_from_camera[index]
+            poses = self._plan(goal)
+            if poses is None:
+                self.pool.drop(int(self.candidates.ids[index]))
+                self.frames += 1
+            else:
+                reached, keyframes = self._walk(poses)
+                if not reached and not self.exhausted:
+                    # Blocked: the volume now knows better, and the same view is not tried a second time.
+                    self.pool.drop(int(self.candidates.ids[index]))
+            self.pool.mark_visited(self.pose)
+        self._refresh()
+        return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
+
+    def refine(self, iterations: int) -> None:
+        """More map iterations over all keyframes, without moving (post-refinement)."""
+        with self._timed("mapping"):
+            self.mapper.refine(iterations)
+
+    def _plan(self, goal: np.ndarray) -> np.ndarray | None:  # [T, 4, 4]
+        motion = self.config.motion
+        with self._timed("planning"):
+            path = plan_path(
+                self.volume,
+                self.pose[:3, 3],
+                goal[:3, 3],
+                min_clearance=motion.min_clearance,
+                rng=self._planning_rng,
+            )
+            if path is None:
+                return None
+            poses = interpolate(path, self.pose, goal, motion)
+            blocked = first_blocked(self.volume, poses, motion.min_clearance)
+            return None if blocked is not None else poses
+
+    def _walk(self, poses: np.ndarray) -> tuple[bool, list[Frame]]:
+        """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached."""
+        keyframes: list[Frame] = []
+        index, end = 0, len(poses)  # poses[:end] is free as far as the volume knows
+        while index < end and not self.exhausted:
+            self.metres += float(np.linalg.norm(poses[index][:3, 3] - self.pose[:3, 3]))
+            self.pose = poses[index]
+            self.trajectory.append(self.pose)
+            self.frames += 1
+            index += 1
+            if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
+                keyframes.append(self._keyframe())
+                with self._timed("planning"):
+                    blocked = first_blocked(self.volume, poses[index:end], self.config.motion.min_clearance)
+                end = end if blocked is None else index + blocked
+        return index == len(poses), keyframes
+
+    def _keyframe(self) -> Frame:
+        with self._timed("sensor"):
+            frame = self.sensor.capture(self.pose)
+        with self._timed("volume"):
+            self.volume.integrate(frame)
+        with self._timed("mapping"):
+            self.mapping_report = self.mapper.observe(frame)
+        with self._timed("planes"):
+            self.planes.update(frame)
+        self.keyframe_indices.append(len(self.trajectory) - 1)
+        return frame
+
+    def _refresh(self) -> None:
+        """Offer the candidates of the next decision and evaluate their gains."""
+        config = self.config
+        with self._timed("planning"):
+            self.distances: DistanceMap = path_lengths(
+                self.volume, self.pose[:3, 3], min_clearance=config.motion.min_clearance
+            )
+            self.candidates = self.pool.offer(self.volume, self.distances, self.decisions, self._revisits())
+        with self._timed("gains"):
+            context = GainContext(
+                mapper=self.mapper,
+                volume=self.volume,
+                planes=self.planes,
+                camera=self.scoring_camera,
+                bounds=self.scene.bounds,
+                coverage_alpha=config.views.coverage_alpha,
+                max_range=config.sensor.max_range,
+                world_from_camera=self.candidates.world_from_camera,
+            )
+            self.gains = evaluate_gains(config.gains, context)
+
+    def _revisits(self) -> np.ndarray:  # [R, 4, 4]
+        """Keyframe poses, worst rendered first."""
+        if not self.config.views.max_revisits:
+            return np.zeros((0, 4, 4))
+        order = np.argsort(self.mapper.keyframe_psnr(), kind="stable")
+        poses = np.stack([self.trajectory[index] for index in self.keyframe_indices])
+        return poses[order[: self.config.views.max_revisits]]
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - began

@@ -1,0 +1,158 @@
+"""The candidate pool (Sec. 3.4): free voxels on a lattice times Fibonacci directions, persistent, with ids.
+
+The lattice is anchored at the start position, so turning on the spot is possible from the first step. A view enters
+when its position becomes free with enough clearance; it leaves for good once it was visited or found unreachable.
+Each step offers at most `ViewConfig.max_candidates` of the pool: all of it when it fits, else a neutral draw that
+spreads over positions and depends on seed and step only, never on any score.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import fibonacci_directions, look_along
+from activestructure_gym.motion import DistanceMap
+from activestructure_gym.volume import VoxelVolume
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """How candidate views are laid out and offered."""
+
+    lattice_step_m: float = 0.5  # horizontal distance of lattice positions (ActiveGAMER's fine stage)
+    heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # above the start camera; a flying camera uses them all
+    directions: int = 15  # K of the Fibonacci lattice (ActiveGAMER's fine stage)
+    clearance_m: float = 0.3  # least distance of a candidate to anything not known to be free (method.md 5)
+    max_candidates: int = 256  # rows of the candidate table
+    max_revisits: int = 4  # stored keyframe poses offered on top, worst rendered first (method.md 5)
+    visited_distance_m: float = 0.3  # a candidate this near to a visited pose ...
+    visited_angle_deg: float = 10.0  # ... and turned this little from it counts as visited (GauSS-MI's rule)
+    scoring_scale: float = 0.5  # gains render at this share of the sensor's size; half is rank-safe (dossier A0)
+    coverage_alpha: float = 0.5  # a pixel is covered where the map's alpha exceeds this (M_c of Sec. 3.4)
+
+    def __post_init__(self) -> None:
+        if not self.lattice_step_m > 0:
+            raise ValueError(f"lattice_step_m must be above 0, got {self.lattice_step_m}")
+        if not self.heights_m:
+            raise ValueError("heights_m needs at least one height")
+        if self.directions < 1 or self.max_candidates < 1 or self.max_revisits < 0:
+            raise ValueError(
+                "directions and max_candidates must be at least 1 and max_revisits at least 0, got "
+                f"{self.directions}, {self.max_candidates}, {self.max_revisits}"
+            )
+        if self.max_revisits >= self.max_candidates:
+            raise ValueError(f"max_revisits ({self.max_revisits}) must stay below max_candidates")
+        if not 0 < self.scoring_scale <= 1:
+            raise ValueError(f"scoring_scale must lie in (0, 1], got {self.scoring_scale}")
+        if not 0 < self.coverage_alpha < 1:
+            raise ValueError(f"coverage_alpha must lie in (0, 1), got {self.coverage_alpha}")
+
+
+@dataclass(frozen=True)
+class CandidateTable:
+    """The views offered in one step, all reachable as far as the volume knows."""
+
+    ids: np.ndarray  # [n] int64, the pool's id; -1 for a revisit
+    world_from_camera: np.ndarray  # [n, 4, 4] float64
+    path_length: np.ndarray  # [n] float32 metres from the agent
+    revisit: np.ndarray  # [n] bool: a stored keyframe's pose
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class CandidatePool:
+    """All views that can still be chosen. An entry is one (lattice position, direction) pair."""
+
+    def __init__(self, anchor: np.ndarray, bounds: np.ndarray, config: ViewConfig, seed: int) -> None:
+        """``anchor`` [3] is the start position, ``bounds`` [2, 3] the workspace, both in metres, world."""
+        self.config = config
+        self._seed = seed
+        step = config.lattice_step_m
+        # Whole lattice steps from the anchor that stay inside the workspace.
+        first = np.ceil((bounds[0, :2] - anchor[:2]) / step).astype(int)
+        last = np.floor((bounds[1, :2] - anchor[:2]) / step).astype(int)
+        heights = [z for z in config.heights_m if bounds[0, 2] <= anchor[2] + z <= bounds[1, 2]]
+        grid = np.stack(
+            np.meshgrid(
+                np.arange(first[0], last[0] + 1) * step,
+                np.arange(first[1], last[1] + 1) * step,
+                np.asarray(heights),
+                indexing="ij",
+            ),
+            axis=-1,
+        )
+        self.positions = anchor + grid.reshape(-1, 3)  # [P, 3]
+        self.directions = fibonacci_directions(config.directions)  # [K, 3]
+        # look_along depends on the direction only; the position is filled in per candidate.
+        self._rotations = np.stack([look_along(np.zeros(3), d)[:3, :3] for d in self.directions])  # [K, 3, 3]
+        self._open = np.ones((len(self.positions), config.directions), dtype=bool)  # not visited, not dropped
+
+    def __len__(self) -> int:
+        """Views that were neither visited nor dropped, whether or not they can be reached yet."""
+        return int(self._open.sum())
+
+    def mark_visited(self, world_from_camera: np.ndarray) -> None:
+        """Take out every view within the visited distance and angle of a pose the camera has been at."""
+        near = np.linalg.norm(self.positions - world_from_camera[:3, 3], axis=1) <= self.config.visited_distance_m
+        cosine = self.directions @ world_from_camera[:3, 2]
+        similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg))
+        self._open[np.ix_(near, similar)] = False
+
+    def drop(self, candidate_id: int) -> None:
+        """Take out one view that turned out to be unreachable."""
+        if candidate_id >= 0:
+            self._open[np.unravel_index(candidate_id, self._open.shape)] = False
+
+    def offer(
+        self,
+        volume: VoxelVolume,
+        distances: DistanceMap,
+        step: int,
+        revisit_poses: np.ndarray,  # [R, 4, 4] keyframe poses, worst rendered first
+    ) -> CandidateTable:
+        """The table of this step: reachable open views (a neutral draw if they are too many), then revisits."""
+        lengths = np.full(len(self.positions), np.inf, dtype=np.float32)
+        clear = volume.clearance_at(self.positions) >= self.config.clearance_m
+        clear &= self._open.any(axis=1)
+        if clear.any():
+            lengths[clear] = distances.at(self.positions[clear])
+        reachable = np.isfinite(lengths)
+
+        revisits = revisit_poses[: self.config.max_revisits]
+        revisit_length = distances.at(revisits[:, :3, 3]) if len(revisits) else np.zeros(0, np.float32)
+        revisits, revisit_length = revisits[np.isfinite(revisit_length)], revisit_length[np.isfinite(revisit_length)]
+
+        position, direction = np.nonzero(self._open & reachable[:, None])
+        room = self.config.max_candidates - len(revisits)
+        if len(position) > room:
+            chosen = self._draw(position, room, step)
+            position, direction = position[chosen], direction[chosen]
+
+        poses = np.tile(np.eye(4), (len(position) + len(revisits), 1, 1))
+        poses[: len(position), :3, :3] = self._rotations[direction]
+        poses[: len(position), :3, 3] = self.positions[position]
+        poses[len(position) :] = revisits
+        return CandidateTable(
+            ids=np.concatenate(
+                [np.ravel_multi_index((position, direction), self._open.shape), np.full(len(revisits), -1)]
+            ).astype(np.int64),
+            world_from_camera=poses,
+            path_length=np.concatenate([lengths[position], revisit_length]).astype(np.float32),
+            revisit=np.arange(len(poses)) >= len(position),
+        )
+
+    def _draw(self, position: np.ndarray, count: int, step: int) -> np.ndarray:
+        """``count`` indices, sorted, that take one view of every position before a second of any."""
+        rng = np.random.default_rng([self._seed, step])
+        order = rng.permutation(len(position))  # random view order within a position
+        # Rank of each view among those of its position, in that random order.
+        by_position = order[np.argsort(position[order], kind="stable")]
+        _, start = np.unique(position[by_position], return_index=True)
+        counts = np.diff(np.append(start, len(position)))
+        rank = np.empty(len(position), dtype=np.int64)
+        rank[by_position] = np.arange(len(position)) - np.repeat(start, counts)
+        tie = rng.random(len(self.positions))[position]  # random order of positions
+        return np.sort(np.lexsort((tie, rank))[:count])

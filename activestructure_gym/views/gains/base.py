@@ -1,0 +1,64 @@
+"""What a gain may look at, and the registry of gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.mapping import Mapper
+from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.registry import Registry
+from activestructure_gym.volume import VoxelVolume
+
+
+@dataclass(frozen=True)
+class GainContext:
+    """The reconstruction and the candidates of one step. There is no scene in here: no gain can reach ground truth."""
+
+    mapper: Mapper
+    volume: VoxelVolume
+    planes: PlaneSceneGraph
+    camera: PinholeCamera  # the sensor's camera at the reduced size of `ViewConfig.scoring_scale`
+    bounds: np.ndarray  # [2, 3] metres, the workspace
+    coverage_alpha: float  # a pixel is covered where alpha exceeds this
+    max_range: float  # metres, the sensor's
+    world_from_camera: np.ndarray  # [K, 4, 4] the candidates
+
+    @cached_property
+    def _rendered(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.mapper.render_depth_alpha(self.camera, self.world_from_camera)
+
+    @property
+    def depth(self) -> np.ndarray:  # [K, h, w] metres, accumulated (sum of weight x depth)
+        """The map's depth from every candidate; rendered once, shared by all gains."""
+        return self._rendered[0]
+
+    @property
+    def alpha(self) -> np.ndarray:  # [K, h, w] in 0..1
+        """The map's accumulated opacity from every candidate."""
+        return self._rendered[1]
+
+
+Gain = Callable[[GainContext], np.ndarray]
+GAINS: Registry[Gain] = Registry("gain", "gains")
+
+
+def evaluate_gains(names: tuple[str, ...], context: GainContext) -> np.ndarray:  # [K, len(names)] float32
+    """The columns named by ``names``, in that order. Raises ValueError if a gain returns another shape or NaN."""
+    count = len(context.world_from_camera)
+    columns = np.zeros((count, len(names)), dtype=np.float32)
+    if not count:
+        return columns
+    for column, name in enumerate(names):
+        values = np.asarray(GAINS.get(name)(context), dtype=np.float32)
+        if values.shape != (count,) or not np.isfinite(values).all():
+            raise ValueError(
+                f"gain '{name}' must return {count} finite numbers, got shape {values.shape} with "
+                f"{int((~np.isfinite(values)).sum())} not finite"
+            )
+        columns[:, column] = values
+    return columns

@@ -16,3 +16,7 @@ if not (_package / "envs").is_dir():
     __path__.append(str(_package.parent))
 
 __all__ = ["__version__"]
+
+from activestructure_gym.envs.registration import register_envs  # noqa: E402  (needs the bridge above)
+
+register_envs()

@@ -1,0 +1,124 @@
+"""The observation, described once: keys, shapes, units, meanings. Spaces, docs table and encoder all come from here.
+
+Light to import (numpy and gymnasium only): policies take the names of features from this module.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import ReconstructionConfig
+    from activestructure_gym.reconstruction import Reconstruction
+    from activestructure_gym.sensors import Frame
+
+CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "revisit")
+FARTHEST_M = 1000.0  # bound of every position and length in the observation
+LARGEST_GAIN = 1e6  # bound of every gain
+
+
+@dataclass(frozen=True)
+class Key:
+    """One entry of the observation."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+    low: Any  # scalar, or an array that broadcasts to the shape
+    high: Any
+    unit: str
+    meaning: str
+
+    def space(self) -> spaces.Box:
+        """The Box of this entry."""
+        low = np.broadcast_to(np.asarray(self.low, self.dtype), self.shape)
+        high = np.broadcast_to(np.asarray(self.high, self.dtype), self.shape)
+        return spaces.Box(low.copy(), high.copy(), self.shape, self.dtype)
+
+
+def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str, Key]:
+    """All entries for one configuration. K candidates, G gains, P planes, F plane features."""
+    from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW, PLANE_FEATURES
+
+    height, width = config.sensor.height, config.sensor.width
+    K, G, P, F = config.views.max_candidates, len(config.gains), max_planes, len(PLANE_FEATURES)
+    far = FARTHEST_M
+    columns_low = np.array([-far, -far, -far, -1, -1, -1, 0, 0], np.float32)
+    columns_high = np.array([far, far, far, 1, 1, 1, far, 1], np.float32)
+    f32, u8, i8 = np.float32, np.uint8, np.int8
+    return {
+        "rgb": Key((height, width, 3), u8, 0, 255, "sRGB", "colour image of the last keyframe"),
+        "depth": Key((height, width), f32, 0, config.sensor.max_range, "m", "its depth along the axis; 0 = no return"),
+        "pose": Key(
+            (7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"
+        ),
+        "budget": Key((1,), f32, 0, 1, "share", "frames left of the budget"),
+        "candidates": Key((K, len(columns_low)), f32, columns_low, columns_high, "m", ", ".join(CANDIDATE_FEATURES)),
+        "candidate_gains": Key((K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for"),
+        "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
+        "plane_features": Key((P, F), f32, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH, "-", "PLANE_FEATURES of the nodes"),
+        "plane_mask": Key((P,), i8, 0, 1, "-", "1 where the row holds a plane"),
+        "plane_edges": Key((P, P), f32, 0, 1, "-", "edge weight w_ij (Eq. 4); 1 where there is no edge"),
+        "plane_tree": Key((P, P), i8, 0, 1, "-", "1 where the edge is in the minimum spanning forest"),
+        "candidate_planes": Key((K, P), i8, 0, 1, "-", "1 where the candidate would see the plane"),
+    }
+
+
+def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.Dict:
+    """One flat Dict of fixed-size arrays, as stable-baselines3 wants it."""
+    return spaces.Dict({name: key.space() for name, key in observation_keys(config, max_planes).items()})
+
+
+def observation_table(config: ReconstructionConfig, max_planes: int) -> str:
+    """The Markdown table of the docs."""
+    rows = ["| key | shape | dtype | unit | meaning |", "|---|---|---|---|---|"]
+    for name, key in observation_keys(config, max_planes).items():
+        rows.append(f"| `{name}` | {key.shape} | {np.dtype(key.dtype).name} | {key.unit} | {key.meaning} |")
+    return "\n".join(rows)
+
+
+def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
+    """The observation of the current state. Every array is new: nothing is shared with another observation."""
+    from scipy.spatial.transform import Rotation
+
+    from activestructure_gym.views import visible_planes
+
+    config, table = reconstruction.config, reconstruction.candidates
+    size, count = config.views.max_candidates, len(table)
+    candidates = np.zeros((size, len(CANDIDATE_FEATURES)), np.float32)
+    candidates[:count, 0:3] = np.clip(table.world_from_camera[:, :3, 3], -FARTHEST_M, FARTHEST_M)
+    candidates[:count, 3:6] = np.clip(table.world_from_camera[:, :3, 2], -1.0, 1.0)
+    candidates[:count, 6] = np.minimum(table.path_length, FARTHEST_M)
+    candidates[:count, 7] = table.revisit
+    gains = np.zeros((size, len(config.gains)), np.float32)
+    gains[:count] = np.clip(reconstruction.gains, -LARGEST_GAIN, LARGEST_GAIN)
+    mask = np.zeros(size, np.int8)
+    mask[:count] = 1
+
+    planes = reconstruction.planes.arrays(max_planes)
+    seen = np.zeros((size, max_planes), np.int8)
+    rows = int(planes.mask.sum())
+    seen[:count, :rows] = visible_planes(
+        planes.sample_points[:rows], planes.normals[:rows], config.sensor.camera, table.world_from_camera
+    )
+
+    quaternion = Rotation.from_matrix(frame.world_from_camera[:3, :3]).as_quat(scalar_first=True, canonical=True)
+    pose = np.concatenate([np.clip(frame.world_from_camera[:3, 3], -FARTHEST_M, FARTHEST_M), quaternion])
+    left = max(0, config.frame_budget - reconstruction.frames) / config.frame_budget
+    return {
+        "rgb": frame.rgb.copy(),
+        "depth": frame.depth.copy(),
+        "pose": np.clip(pose, [-FARTHEST_M] * 3 + [-1] * 4, [FARTHEST_M] * 3 + [1] * 4).astype(np.float32),
+        "budget": np.array([left], np.float32),
+        "candidates": candidates,
+        "candidate_gains": gains,
+        "action_mask": mask,
+        "plane_features": planes.features.copy(),
+        "plane_mask": planes.mask.copy(),
+        "plane_edges": planes.edge_weights.copy(),
+        "plane_tree": planes.tree.copy(),
+        "candidate_planes": seen,
+    }

@@ -1,0 +1,232 @@
+"""The environment: a thin shell over `activestructure_gym.reconstruction.Reconstruction`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from activestructure_gym.config import ReconstructionConfig, configure, replaced
+from activestructure_gym.envs.observation import encode, observation_space
+from activestructure_gym.envs.panel import draw_panel
+from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import look_along
+from activestructure_gym.reconstruction import Reconstruction
+from activestructure_gym.scenes import Scene, load_scene
+from activestructure_gym.sensors import Frame
+
+SceneSpec = str | Scene
+
+
+class ReconstructionEnv(gym.Env[dict[str, np.ndarray], np.int64]):
+    """## Description
+    An RGB-D camera explores an unknown indoor scene and reconstructs it online as a 3D Gaussian map. Each step the
+    agent picks one of K candidate views; it walks there along a collision-free path through space it knows to be
+    free, mapping every fifth frame on the way. The reward is newly seen surface.
+
+    ## Action Space
+    `Discrete(K)`: a row of the candidate table. `info["action_mask"]`, `observation["action_mask"]` and the method
+    `action_masks()` say which rows hold a candidate. A masked action raises nothing: the agent stays, one frame is
+    paid, and `info["invalid_action"]` is True.
+
+    ## Observation Space
+    One flat `Dict` of arrays, listed in `docs/observation.md` (from `activestructure_gym.envs.observation`): the last
+    keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their gains and mask, the Plane Scene Graph
+    (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
+    arrays are zero (edges: one) where no plane exists yet. Nothing in it comes from ground truth.
+
+    ## Rewards
+    The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,
+    `reward/path` = -0.01 x metres travelled, `reward/invalid` = -0.05 for a masked action.
+
+    ## Starting State
+    One of the scene's start poses, drawn from the seed (or `start_pose`); the first frame is mapped.
+
+    ## Episode End
+    1. Termination: the observed share of the surface reaches `coverage_target` (`info["is_success"]` is True).
+    2. Termination: no candidate is left.
+    3. Truncation: the frame budget is used up.
+
+    ## Arguments
+    | parameter | type | default | meaning |
+    |---|---|---|---|
+    | `scene` | str, Scene, or a sequence of them | per task | what to explore; of a sequence one is drawn per episode |
+    | `preset` | str | `"default"` | `fast`, `default` or `paper` |
+    | `frame_budget` | int | from the preset | frames per episode |
+    | `gains` | tuple of str | `("pixel",)` | gains to evaluate for every candidate |
+    | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
+    | `reward` | mapping | none | overrides of `RewardConfig` |
+    | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done |
+    | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
+    | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | where every episode starts |
+    | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side |
+
+    ## Reset options
+    | option | meaning |
+    |---|---|
+    | `scene` | the scene of this episode only |
+    | `start_pose` | the start of this episode only |
+
+    ## Info
+    `action_mask`, `frames`, `metres`, `keyframes`, `gaussians`, `planes`, `reached`, `invalid_action`, `is_success`
+    and the reward's terms. No wall-clock times and no ground truth beyond what the reward itself tells.
+
+    ## Version History
+    * v0: first version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+
+    def __init__(
+        self,
+        scene: SceneSpec | Sequence[SceneSpec],
+        *,
+        preset: str = "default",
+        frame_budget: int | None = None,
+        gains: Sequence[str] | None = None,
+        config: ReconstructionConfig | Mapping[str, Any] | None = None,
+        reward: RewardConfig | Mapping[str, Any] | None = None,
+        coverage_target: float = 0.99,
+        max_planes: int = 64,
+        start_pose: Sequence[float] | np.ndarray | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(f"render_mode must be one of {self.metadata['render_modes']} or None, got {render_mode!r}")
+        if not 0 < coverage_target <= 1:
+            raise InputError(f"coverage_target is a share in (0, 1], got {coverage_target}")
+        if max_planes < 1:
+            raise InputError(f"max_planes must be at least 1, got {max_planes}")
+        if not isinstance(config, ReconstructionConfig):
+            config = configure(preset, config)
+        changes: dict[str, Any] = {}
+        if frame_budget is not None:
+            changes["frame_budget"] = frame_budget
+        if gains is not None:
+            changes["gains"] = tuple(gains)
+        self.config = replaced(config, changes)
+        self.reward_config = reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), reward or {})
+        self.render_mode = render_mode
+        self.coverage_target = coverage_target
+        self.max_planes = max_planes
+        self.reconstruction = Reconstruction(self.config)
+        self.observation_space = observation_space(self.config, max_planes)
+        self.action_space = spaces.Discrete(self.config.views.max_candidates)
+        self._scenes = [scene] if isinstance(scene, str | Scene) else list(scene)
+        if not self._scenes:
+            raise InputError("scene must name at least one scene, got an empty sequence")
+        self._start_pose = None if start_pose is None else as_pose(start_pose)
+        self._loaded: dict[int, Scene] = {}
+        self._frame: Frame | None = None
+        self._ended = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode. ``options`` may hold ``scene`` and ``start_pose`` for this episode only."""
+        super().reset(seed=seed)
+        options = options or {}
+        unknown = sorted(options.keys() - {"scene", "start_pose"})
+        if unknown:
+            raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
+        scene = load_scene(options["scene"]) if "scene" in options else self._draw_scene()
+        start_pose = as_pose(options["start_pose"]) if "start_pose" in options else self._start_pose
+        episode_seed = int(self.np_random.integers(2**31))
+        self._frame = self.reconstruction.start(scene, episode_seed, start_pose)
+        self._coverage = SurfaceCoverage(scene.observable_surface.points, self.reward_config)
+        self._coverage.add(self._frame.depth, self._frame.camera, self.reconstruction.pose)
+        self._ended = False
+        terms = reward_terms(self.reward_config, share_gained=0.0, metres=0.0, invalid=False)
+        return self._observe(), self._info(terms, reached=True, invalid=False)
+
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Walk to row ``action`` of the candidate table."""
+        if self._ended:
+            raise gym.error.ResetNeeded("this episode has ended (or never began): call reset() before step()")
+        if not self.action_space.contains(action):
+            raise gym.error.InvalidAction(f"expected an integer in [0, {self.action_space.n}), got {action!r}")
+        episode = self.reconstruction
+        share_before = self._coverage.share
+        invalid = not int(action) < len(episode.candidates)
+        visit = episode.visit(int(action))
+        known = len(episode.keyframe_indices) - len(visit.keyframes)
+        for frame, index in zip(visit.keyframes, episode.keyframe_indices[known:]):
+            # The true pose: a frame carries the one the sensor reports.
+            self._coverage.add(frame.depth, frame.camera, episode.trajectory[index])
+            self._frame = frame
+        terms = reward_terms(
+            self.reward_config,
+            share_gained=self._coverage.share - share_before,
+            metres=visit.metres,
+            invalid=invalid,
+        )
+        terminated = self._covered or not len(episode.candidates)
+        truncated = episode.exhausted
+        self._ended = terminated or truncated
+        info = self._info(terms, reached=visit.reached, invalid=invalid)
+        return self._observe(), float(sum(terms.values())), terminated, truncated, info
+
+    def action_masks(self) -> np.ndarray:  # [K] bool
+        """The mask as sb3-contrib's MaskablePPO asks for it."""
+        return np.arange(self.action_space.n) < len(self.reconstruction.candidates)
+
+    def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
+        """What the camera sees, what the map renders there, and the plan with the path so far."""
+        if self.render_mode is None:
+            gym.logger.warn('render() shows nothing without a render mode: make the env with render_mode="rgb_array"')
+            return None
+        if self._frame is None:
+            raise gym.error.ResetNeeded("there is nothing to render before reset()")
+        return draw_panel(self.reconstruction, self._frame)
+
+    def close(self) -> None:
+        """Let go of the sensor; calling it twice does no harm."""
+        if self._frame is not None:
+            self.reconstruction.sensor.close()
+
+    @property
+    def _covered(self) -> bool:
+        return self._coverage.share >= self.coverage_target
+
+    def _draw_scene(self) -> Scene:
+        index = int(self.np_random.integers(len(self._scenes))) if len(self._scenes) > 1 else 0
+        if index not in self._loaded:
+            # One scene is kept: a long list of layouts must not fill the memory of every worker.
+            self._loaded = {index: load_scene(self._scenes[index])}
+        return self._loaded[index]
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        assert self._frame is not None
+        return encode(self.reconstruction, self._frame, self.max_planes)
+
+    def _info(self, terms: dict[str, float], *, reached: bool, invalid: bool) -> dict[str, Any]:
+        episode = self.reconstruction
+        return {
+            "action_mask": self.action_masks().astype(np.int8),
+            "frames": episode.frames,
+            "metres": float(episode.metres),
+            "keyframes": len(episode.keyframe_indices),
+            "gaussians": int(episode.mapper.map.count),
+            "planes": len(episode.planes.nodes),
+            "reached": reached,
+            "invalid_action": invalid,
+            "is_success": self._covered,
+            **terms,
+        }
+
+
+def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
+    """A ``world_from_camera`` matrix from one, or from (x, y, z, yaw in degrees) looking horizontally (0 = +x)."""
+    array = np.asarray(value, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise InputError(f"a start pose must be finite numbers, got {value}")
+    if array.shape == (4, 4):
+        return array
+    if array.shape == (4,):
+        yaw = np.radians(array[3])
+        return look_along(array[:3], np.array([np.cos(yaw), np.sin(yaw), 0.0]))
+    raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got shape {array.shape}")

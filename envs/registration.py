@@ -1,0 +1,23 @@
+"""The environment IDs. Entry points are strings, so registering loads nothing and specs survive JSON."""
+
+from __future__ import annotations
+
+import gymnasium
+
+NAMESPACE = "ActiveStructure"
+TASKS = {
+    "Room-v0": "RoomEnv",
+    "Apartment-v0": "ApartmentEnv",
+    "Mesh-v0": "MeshEnv",
+    "Replica-v0": "ReplicaEnv",
+    "Matterport3D-v0": "Matterport3DEnv",
+}
+ENV_IDS = tuple(f"{NAMESPACE}/{task}" for task in TASKS)
+
+
+def register_envs() -> None:
+    """Make ``ActiveStructure/...`` known to Gymnasium; calling it again changes nothing."""
+    for task, class_name in TASKS.items():
+        env_id = f"{NAMESPACE}/{task}"
+        if env_id not in gymnasium.registry:
+            gymnasium.register(env_id, entry_point=f"activestructure_gym.envs.tasks:{class_name}")

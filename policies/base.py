@@ -1,0 +1,69 @@
+"""What every policy is: it names the gains it needs, is seeded at the start of an episode, and picks a row."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.registry import Registry
+
+Observation = dict[str, np.ndarray]
+
+PATH_LENGTH = CANDIDATE_FEATURES.index("path_length")
+
+
+class Policy(ABC):
+    """Chooses one row of the candidate table per step.
+
+    A policy sees the observation and nothing else: no map, no scene, no env. So it runs unchanged in any vector env,
+    and pickles. Its gains stand in the columns of ``observation["candidate_gains"]``, in the order the env was asked
+    for; `bind` tells the policy that order.
+    """
+
+    required_gains: ClassVar[tuple[str, ...]] = ()  # evaluated by the env for every candidate
+
+    def __init__(self) -> None:
+        self._columns: dict[str, int] = {name: i for i, name in enumerate(self.required_gains)}
+        self.rng = np.random.default_rng(0)
+
+    def bind(self, gains: tuple[str, ...]) -> None:
+        """Learn which gains the env offers, in order. Raises ValueError if a required one is missing."""
+        missing = [name for name in self.required_gains if name not in gains]
+        if missing:
+            raise ValueError(f"{type(self).__name__} needs the gains {missing}; the env was built with {list(gains)}")
+        self._columns = {name: i for i, name in enumerate(gains)}
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode; every random choice of the policy comes from this seed."""
+        self.rng = np.random.default_rng(seed)
+
+    @abstractmethod
+    def act(self, observation: Observation) -> int:
+        """The row to go to; must be one where ``observation["action_mask"]`` is 1."""
+
+    def trace(self) -> dict[str, Any]:
+        """What decided the last choice, for the run's log; JSON-able."""
+        return {}
+
+    def gain(self, observation: Observation, name: str) -> np.ndarray:  # [K]
+        """The column of gain ``name``."""
+        return observation["candidate_gains"][:, self._columns[name]]
+
+
+POLICIES: Registry[type[Policy]] = Registry("policy", "policies")
+
+
+def travel_discount(observation: Observation, scale_m: float = 4.0) -> np.ndarray:  # [K] in (0, 1]
+    """g(T_c, T_cur) of Eq. 15 as exp(-path length / scale), shared by all policies (the paper leaves g open)."""
+    return np.exp(-observation["candidates"][:, PATH_LENGTH] / scale_m)
+
+
+def best_valid(scores: np.ndarray, observation: Observation) -> int:
+    """The row with the highest score among the valid ones; the first of equals."""
+    valid = observation["action_mask"].astype(bool)
+    if not valid.any():
+        raise ValueError("no candidate is valid: the episode has ended, call reset()")
+    return int(np.argmax(np.where(valid, scores, -np.inf)))

@@ -1,0 +1,19 @@
+"""The reference at the bottom: any reachable view."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.policies.base import POLICIES, Observation, Policy
+
+
+@POLICIES.register("random")
+class Random(Policy):
+    """Uniform over the valid candidates."""
+
+    def act(self, observation: Observation) -> int:
+        """A valid row, each equally likely."""
+        valid = np.flatnonzero(observation["action_mask"])
+        if not len(valid):
+            raise ValueError("no candidate is valid: the episode has ended, call reset()")
+        return int(self.rng.choice(valid))

@@ -1,0 +1,107 @@
+"""The rasteriser in plain torch: every pixel against every Gaussian. Slow, any dtype, the oracle of the tests.
+
+Formulas and numerics follow gsplat 1.5 (``../shared/research/backbones.md`` 2.4 and 4): near plane 0.01 m, 0.3 px^2
+added to the projected covariance, contributions below 1/255 skipped, a pixel stops *before* the Gaussian that would
+take its transmittance to 1e-4 or below.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from activestructure_gym.geometry import PinholeCamera
+
+NEAR_PLANE = 0.01  # metres
+BLUR_VARIANCE = 0.3  # px^2, the low-pass filter of EWA splatting
+MIN_ALPHA = 1.0 / 255.0
+MIN_TRANSMITTANCE = 1e-4
+CLAMP_MARGIN = 0.3  # of half the image: how far outside the Jacobian of the projection still follows the mean
+_PAIRS_AT_ONCE = 4_000_000
+
+
+def rasterize_reference(
+    means: torch.Tensor,  # [N, 3] metres, world
+    quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
+    log_scales: torch.Tensor,  # [N, 3] log of metres
+    opacity_logits: torch.Tensor,  # [N]
+    colors: torch.Tensor,  # [N, 3] used as they are
+    camera_from_world: torch.Tensor,  # [4, 4]
+    camera: PinholeCamera,
+    *,
+    max_alpha: float = 0.999,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # colour [H, W, 3], accumulated depth [H, W], alpha [H, W]
+    """Render one camera; gradients of everything by autograd."""
+    position, inverse_covariance, depth = project_gaussians(means, quaternions, log_scales, camera_from_world, camera)
+    opacity = torch.sigmoid(opacity_logits)
+    kept = torch.nonzero((depth.detach() >= NEAR_PLANE) & (opacity.detach() >= MIN_ALPHA))[:, 0]
+    order = kept[torch.argsort(depth.detach()[kept], stable=True)]
+    position, inverse_covariance, depth = position[order], inverse_covariance[order], depth[order]
+    opacity, features = opacity[order], torch.cat([colors[order], depth[:, None]], dim=1)  # [M, 4]
+
+    rows, columns = torch.meshgrid(
+        torch.arange(camera.height, dtype=means.dtype, device=means.device) + 0.5,
+        torch.arange(camera.width, dtype=means.dtype, device=means.device) + 0.5,
+        indexing="ij",
+    )
+    pixels = torch.stack([columns.reshape(-1), rows.reshape(-1)], dim=1)  # [P, 2]
+    at_once = max(1, _PAIRS_AT_ONCE // max(1, len(order)))
+    outputs, alphas = [], []
+    for start in range(0, len(pixels), at_once):
+        offset = pixels[start : start + at_once, None, :] - position[None]  # [p, M, 2]
+        power = (
+            -0.5
+            * (inverse_covariance[:, 0] * offset[..., 0] ** 2 + inverse_covariance[:, 2] * offset[..., 1] ** 2)
+            - inverse_covariance[:, 1] * offset[..., 0] * offset[..., 1]
+        )
+        alpha = torch.clamp(opacity * torch.exp(power), max=max_alpha)
+        alpha = torch.where(alpha.detach() < MIN_ALPHA, torch.zeros_like(alpha), alpha)
+        after = torch.cumprod(1.0 - alpha, dim=1)
+        before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
+        # The product only falls, so "stop before the one that takes it to 1e-4" is a test on every factor.
+        weight = alpha * before * (after.detach() > MIN_TRANSMITTANCE)
+        outputs.append(weight @ features)
+        alphas.append(weight.sum(dim=1))
+    output = torch.cat(outputs).reshape(camera.height, camera.width, 4)
+    return output[..., :3], output[..., 3], torch.cat(alphas).reshape(camera.height, camera.width)
+
+
+def project_gaussians(
+    means: torch.Tensor,  # [N, 3]
+    quaternions: torch.Tensor,  # [N, 4]
+    log_scales: torch.Tensor,  # [N, 3]
+    camera_from_world: torch.Tensor,  # [4, 4]
+    camera: PinholeCamera,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx xy yy, depth [N]
+    """EWA projection with the Jacobian taken at the mean, clamped near the image border."""
+    rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
+    points = means @ rotation.T + translation
+    z = points[:, 2]
+    # What lies in front of the near plane is dropped later; a harmless depth keeps its gradient finite (and zero).
+    z = torch.where(z.detach() >= NEAR_PLANE, z, torch.ones_like(z))
+    slope_x, slope_y = points[:, 0] / z, points[:, 1] / z
+    margin_x = CLAMP_MARGIN * 0.5 * camera.width / camera.fx
+    margin_y = CLAMP_MARGIN * 0.5 * camera.height / camera.fy
+    clamped_x = slope_x.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
+    clamped_y = slope_y.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack(
+        [camera.fx / z, zero, -camera.fx * clamped_x / z, zero, camera.fy / z, -camera.fy * clamped_y / z], dim=1
+    ).reshape(-1, 2, 3)
+    factor = jacobian @ (rotation @ rotation_matrices(quaternions)) * torch.exp(log_scales)[:, None, :]  # [N, 2, 3]
+    covariance = factor @ factor.transpose(1, 2)
+    xx, xy, yy = covariance[:, 0, 0] + BLUR_VARIANCE, covariance[:, 0, 1], covariance[:, 1, 1] + BLUR_VARIANCE
+    determinant = xx * yy - xy**2
+    inverse = torch.stack([yy, -xy, xx], dim=1) / determinant[:, None]
+    position = torch.stack([camera.fx * slope_x + camera.cx, camera.fy * slope_y + camera.cy], dim=1)
+    return position, inverse, points[:, 2]
+
+
+def rotation_matrices(quaternions: torch.Tensor) -> torch.Tensor:  # [N, 4] wxyz -> [N, 3, 3]
+    """Rotation of (unnormalised) quaternions."""
+    w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=1, keepdim=True), dim=1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, dim=1).reshape(-1, 3, 3)

@@ -1,0 +1,162 @@
+import numpy as np
+import pytest
+import torch
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting import LossWeights, mapping_step, render, render_depth_alpha
+from activestructure_gym.splatting.reference import rasterize_reference
+
+KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "empty", "pixel")
+RATES = np.array([2e-4] * 3 + [2e-3] * 4 + [2e-3] * 3 + [0.1] + [5e-3] * 3, np.float32)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_image_agrees_with_the_reference(kind, splats_of, settled):
+    splats = splats_of(kind)
+    sure = settled(splats).numpy()
+    assert sure.mean() > 0.8  # the comparison must not be about nothing
+    color, depth, alpha = (t.detach().numpy() for t in rasterize_reference(
+        *splats.tensors, splats.camera_from_world, splats.camera))  # fmt: skip
+    parameters = splats.parameters(capacity=splats.means.shape[0] + 5)
+    parameters[:, splats.means.shape[0] :] = np.nan  # what lies beyond count is never read
+    rendering = render(parameters, splats.means.shape[0], splats.camera, splats.world_from_camera)
+    assert rendering.color.dtype == np.float32 and rendering.color.shape == color.shape
+    assert np.abs(rendering.color - color)[sure].max() <= 1e-5
+    assert np.abs(rendering.alpha - alpha)[sure].max() <= 1e-5
+    assert np.abs(rendering.depth - depth)[sure].max() <= 1e-5 * max(1.0, depth.max())
+    if kind != "empty":
+        assert alpha.max() > 0.3
+
+
+def test_render_depth_alpha_is_render_for_each_camera(splats_of):
+    splats = splats_of("random")
+    turn = np.eye(4)
+    turn[0, 3] = 0.3
+    poses = np.stack([splats.world_from_camera, splats.world_from_camera @ turn])
+    depth, alpha = render_depth_alpha(splats.parameters(), 200, splats.camera, poses)
+    for index, pose in enumerate(poses):
+        rendering = render(splats.parameters(), 200, splats.camera, pose)
+        assert np.abs(depth[index] - rendering.depth).max() <= 1e-5
+        assert np.abs(alpha[index] - rendering.alpha).max() <= 1e-5
+    assert np.abs(alpha[0] - alpha[1]).max() > 0.1
+    none, _ = render_depth_alpha(splats.parameters(), 200, splats.camera, poses[:0])
+    assert none.shape == (0, 50, 70)
+
+
+def _targets(splats, seed=5):
+    rng = np.random.default_rng(seed)
+    camera = splats.camera
+    target = rng.random((camera.height, camera.width, 3), dtype=np.float32)
+    depth = rng.uniform(0.5, 4.0, (camera.height, camera.width)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.2] = 0.0
+    return target, depth
+
+
+def ssim_torch(x, y):
+    """Independent SSIM: dense 11 x 11 window, float64."""
+    taps = torch.exp(-0.5 * ((torch.arange(11, dtype=torch.float64) - 5) / 1.5) ** 2)
+    taps = taps / taps.sum()
+    window = (taps[:, None] * taps[None]).expand(3, 1, 11, 11)
+
+    def blur(values):
+        return torch.nn.functional.conv2d(values.permute(2, 0, 1)[None], window, padding=5, groups=3)
+
+    mx, my = blur(x), blur(y)
+    vx, vy, cxy = blur(x * x) - mx**2, blur(y * y) - my**2, blur(x * y) - mx * my
+    return ((2 * mx * my + 1e-4) * (2 * cxy + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))).mean()
+
+
+@pytest.mark.parametrize("kind", ["random", "border", "flat", "clamped"])
+def test_mapping_step_is_autograd_plus_visible_only_adam(kind, splats_of):
+    splats = splats_of(kind, seed=2)
+    count, weights = splats.means.shape[0], LossWeights(image=0.7, l1_share=0.6, depth=0.4)
+    target, target_depth = _targets(splats)
+    color, depth, alpha = rasterize_reference(*splats.tensors, splats.camera_from_world, splats.camera)
+    y, d = torch.tensor(target, dtype=torch.float64), torch.tensor(target_depth, dtype=torch.float64)
+    l1, ssim = (color - y).abs().mean(), ssim_torch(color, y)
+    mask = (d > 0) & (alpha.detach() > 0.5)
+    depth_error = (depth[mask] / alpha[mask] - d[mask]).abs().mean()
+    loss = weights.image * (weights.l1_share * l1 + (1 - weights.l1_share) * (1 - ssim)) + weights.depth * depth_error
+    gradients = torch.autograd.grad(loss, splats.tensors, retain_graph=True)
+    gradient = torch.cat([g if g.dim() > 1 else g[:, None] for g in gradients], dim=1).T.numpy()
+    (weight_sums,) = torch.autograd.grad(color[..., 0].sum(), splats.colors)
+    visible = (weight_sums[:, 0] > 0).numpy()
+    assert 0.2 * count < visible.sum() <= count
+
+    rng = np.random.default_rng(1)
+    before = splats.parameters(capacity=count + 8)
+    scale = np.abs(gradient).mean(axis=1, keepdims=True)  # moments of the size of the gradient make a firm test
+    first, second = np.zeros_like(before), np.zeros_like(before)
+    first[:, :count] = rng.normal(size=(14, count)) * scale
+    second[:, :count] = (rng.uniform(0.5, 2.0, (14, count)) * scale) ** 2
+    m = np.where(visible, 0.9 * first[:, :count] + 0.1 * gradient, first[:, :count])
+    s = np.where(visible, 0.999 * second[:, :count] + 0.001 * gradient**2, second[:, :count])
+    move = np.where(visible, RATES[:, None] * m / (np.sqrt(s) + 1e-15), 0.0)
+
+    after = before.copy()
+    losses = mapping_step(
+        after, first, second, count, splats.camera, splats.world_from_camera, target, target_depth, weights, RATES
+    )
+    assert losses.color == pytest.approx(l1.item(), rel=1e-5)
+    assert losses.ssim == pytest.approx(ssim.item(), rel=1e-4)
+    assert losses.depth == pytest.approx(depth_error.item(), rel=1e-4)
+    for row in range(14):
+        assert np.linalg.norm(first[row, :count] - m[row]) <= 1e-4 * np.linalg.norm(m[row])
+        assert np.linalg.norm(second[row, :count] - s[row]) <= 1e-4 * np.linalg.norm(s[row])
+        moved = before[row, :count].astype(np.float64) - after[row, :count]
+        rounding = np.abs(before[row, :count]).max() * 1.2e-7 * np.sqrt(count)
+        assert np.linalg.norm(moved - move[row]) <= 1e-4 * np.linalg.norm(move[row]) + rounding
+    assert np.array_equal(after[:, count:], before[:, count:])
+    assert np.array_equal(after[:, :count][:, ~visible], before[:, :count][:, ~visible])
+
+
+@pytest.mark.parametrize("shape", [(64, 48), (70, 50), (1, 1), (33, 5)])
+def test_same_bits_for_any_number_of_threads(shape, splats_of):
+    splats = splats_of("random", seed=4)
+    splats.camera = PinholeCamera.from_size(*shape)
+    target, target_depth = _targets(splats)
+    results = []
+    for threads in (1, 2, 3):
+        state = [splats.parameters(), np.zeros((14, 200), np.float32), np.zeros((14, 200), np.float32)]
+        losses = [
+            mapping_step(
+                *state, 200, splats.camera, splats.world_from_camera, target, target_depth, LossWeights(), RATES,
+                threads=threads,
+            )
+            for _ in range(3)
+        ]  # fmt: skip
+        picture = render(state[0], 200, splats.camera, splats.world_from_camera, threads=threads)
+        results.append((losses, *state, picture.color, picture.depth, picture.alpha))
+    for other in results[1:]:
+        assert other[0] == results[0][0]
+        assert all(np.array_equal(a, b) for a, b in zip(other[1:], results[0][1:]))
+
+
+def test_fitting_lowers_the_loss(splats_of):
+    splats = splats_of("flat", seed=6)
+    picture = render(splats.parameters(), 200, splats.camera, splats.world_from_camera)
+    depth = np.where(picture.alpha > 0.5, picture.depth / np.maximum(picture.alpha, 1e-6), 0).astype(np.float32)
+    moved = splats.parameters()
+    rng = np.random.default_rng(0)
+    moved[:3] += rng.normal(0, 0.01, (3, 200))
+    moved[11:] += rng.normal(0, 0.2, (3, 200))
+    first, second = np.zeros_like(moved), np.zeros_like(moved)
+    history = [
+        mapping_step(
+            moved, first, second, 200, splats.camera, splats.world_from_camera, picture.color, depth, LossWeights(),
+            RATES,
+        )  # fmt: skip
+        for _ in range(60)
+    ]
+    assert history[-1].color < 0.35 * history[0].color
+    assert history[-1].ssim > history[0].ssim
+
+
+def test_wrong_arrays_are_refused(splats_of):
+    splats = splats_of("random")
+    with pytest.raises(ValueError, match="float32"):
+        render(splats.parameters().astype(np.float64), 200, splats.camera, np.eye(4))
+    with pytest.raises(ValueError, match="count"):
+        render(splats.parameters(), 201, splats.camera, np.eye(4))
+    with pytest.raises(ValueError, match="l1_share"):
+        LossWeights(l1_share=1.5)

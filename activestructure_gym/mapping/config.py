@@ -1,0 +1,99 @@
+"""The constants of the default mapper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
+
+_COUNTS = ("seed_stride", "window", "overlap_pixels", "max_gaussians", "max_seed_stride")
+_POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon")
+_NOT_NEGATIVE = ("iterations", "psnr_refresh", "global_psnr", "in_front_factor", "in_front_floor",
+                 "image_weight", "depth_weight")  # fmt: skip
+_SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "global_share", "l1_share",
+           "prune_opacity", "room_share")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MapperConfig:
+    """Default mapper: posed RGB-D on a CPU budget.
+
+    "Ablation" in a comment is the own ablation of the backbones dossier, section 5.2; its recipe is 5.3.
+    """
+
+    # Seeding
+    seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode, 3 the fast one (ablation B8, C16)
+    seed_footprint: float = 0.6  # in-plane sigma / (stride * depth / focal length) (ablation B1)
+    seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (ablation B18, B19: irrelevant in .02 .. .3)
+    seed_opacity: float = 0.9  # 0..1 (ablation A9, A10, B13, B14: irrelevant in .5 .. .99)
+    min_incidence_cosine: float = 0.1  # below it a depth normal is a depth edge: seed a ball (own choice, 84 degrees)
+    covered_alpha: float = 0.5  # accumulated alpha from which a pixel counts as mapped (SplaTAM; ablation B20)
+    in_front_factor: float = 50.0  # times the median depth error: the map lies behind what is measured (SplaTAM)
+    in_front_floor: float = 0.03  # metres, least of that tolerance (dossier 5.3; keeps sensor noise from being seeded)
+
+    # Optimisation
+    iterations: int = 5  # per observed frame (ablation C15; 15 for quality)
+    image_weight: float = 0.5  # of the image term (SplaTAM)
+    l1_share: float = 0.8  # of L1 in the image term; the rest is 1 - SSIM (3DGS)
+    depth_weight: float = 1.0  # of the depth term; .3 favours appearance (ablation C8, C9)
+    mean_rate: float = 2e-4  # metres per step in a room of scene radius 2 m (2 x SplaTAM: ablation C6)
+    quaternion_rate: float = 2e-3  # per step (as above)
+    log_scale_rate: float = 2e-3  # per step (as above)
+    opacity_rate: float = 0.1  # logit per step (as above)
+    color_rate: float = 5e-3  # of the 0..1 range per step (as above)
+    adam_beta1: float = 0.9  # (Adam)
+    adam_beta2: float = 0.999  # (Adam)
+    adam_epsilon: float = 1e-15  # (3DGS)
+
+    # View selection
+    window: int = 24  # local keyframes an event draws from, the current and the last one included (SplaTAM, Replica)
+    overlap_pixels: int = 1600  # of the current frame, projected into the others (SplaTAM)
+    overlap_border: float = 1.0 / 60.0  # of the image width, not counted as seen (SplaTAM: 20 of 1200 pixels)
+    global_psnr: float = 34.0  # decibel; keyframes below are worth a global visit (ActiveGAMER)
+    global_new_share: float = 0.1  # as are those that opened more new pixels than this (ActiveGAMER)
+    global_share: float = 0.5  # of these keyframes that are visited, worst PSNR first (ActiveGAMER ranks on MP3D)
+    psnr_refresh: int = 2  # keyframes whose PSNR is measured anew per event, in turn (own choice)
+
+    # Pruning and the cap
+    prune_opacity: float = 0.005  # Gaussians below go (SplaTAM)
+    prune_scale: float = 0.1  # of the scene radius; larger ones go (SplaTAM)
+    scene_radius: float | None = None  # metres; None = a third of the largest depth measured so far (SplaTAM)
+    max_gaussians: int = 150_000  # (dossier 5.3)
+    max_seed_stride: int = 8  # pixels; the coarsest seeding before Gaussians are dropped (own choice)
+    room_share: float = 0.25  # of the room below the cap that one frame may take (own choice)
+
+    def __post_init__(self) -> None:
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        for name in _COUNTS:
+            if values[name] < 1:
+                raise ValueError(f"{name} must be at least 1, got {values[name]}")
+        for name in (*_POSITIVE, *(name for name in values if name.endswith("_rate"))):
+            if not values[name] > 0:
+                raise ValueError(f"{name} must be above 0, got {values[name]}")
+        for name in _NOT_NEGATIVE:
+            if not values[name] >= 0:
+                raise ValueError(f"{name} must be at least 0, got {values[name]}")
+        for name in _SHARES:
+            if not 0 <= values[name] <= 1:
+                raise ValueError(f"{name} must lie in [0, 1], got {values[name]}")
+        for name in ("seed_opacity", "adam_beta1", "adam_beta2"):
+            if not 0 < values[name] < 1:
+                raise ValueError(f"{name} must lie in (0, 1), got {values[name]}")
+        if self.scene_radius is not None and not self.scene_radius > 0:
+            raise ValueError(f"scene_radius must be above 0 or None, got {self.scene_radius}")
+        if self.max_seed_stride < self.seed_stride:
+            raise ValueError(
+                f"max_seed_stride must be at least seed_stride ({self.seed_stride}), got {self.max_seed_stride}"
+            )
+
+    def learning_rates(self, scene_radius: float) -> np.ndarray:  # [14] float32
+        """Step size of every parameter row; the means' grows with the scene, of which 2 m is the reference radius."""
+        rates = np.empty(ROWS, dtype=np.float32)
+        rates[MEAN] = self.mean_rate * scene_radius / 2.0
+        rates[QUATERNION] = self.quaternion_rate
+        rates[LOG_SCALE] = self.log_scale_rate
+        rates[OPACITY_LOGIT] = self.opacity_rate
+        rates[COLOR] = self.color_rate
+        return rates

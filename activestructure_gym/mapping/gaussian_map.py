@@ -1,0 +1,165 @@
+"""The Gaussian map: what the world looks like so far, as a growing array of coloured ellipsoids."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+
+# Rows of the parameter array. One row per quantity (structure of arrays) lets the kernels load 16 Gaussians at once.
+MEAN = slice(0, 3)  # metres, world
+QUATERNION = slice(3, 7)  # wxyz, need not be unit
+LOG_SCALE = slice(7, 10)  # natural logarithm of the standard deviation in metres, along the ellipsoid's own axes
+OPACITY_LOGIT = 10
+COLOR = slice(11, 14)  # raw RGB, 0..1 where converged, never clamped
+ROWS = 14
+
+_LANES = 16  # the kernels' vector width: the capacity is a multiple of it
+_FORMAT_VERSION = 1
+
+
+class GaussianMap:
+    """Gaussians and their Adam moments, stored side by side so that insertions and removals keep them together.
+
+    The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
+    are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
+    """
+
+    def __init__(self, capacity: int = 4096) -> None:
+        shape = (ROWS, _rounded_up(capacity))
+        self.parameters = np.zeros(shape, dtype=np.float32)
+        self.first_moment = np.zeros(shape, dtype=np.float32)
+        self.second_moment = np.zeros(shape, dtype=np.float32)
+        self.count = 0
+
+    def __len__(self) -> int:
+        return self.count
+
+    @property
+    def capacity(self) -> int:
+        """How many Gaussians fit before the arrays have to grow."""
+        return self.parameters.shape[1]
+
+    @property
+    def means(self) -> np.ndarray:  # [N, 3] metres, world
+        """Centres, a copy."""
+        return self.parameters[MEAN, : self.count].T.copy()
+
+    @property
+    def quaternions(self) -> np.ndarray:  # [N, 4] wxyz, unit
+        """Orientations, normalised (zero quaternions become the identity)."""
+        raw = self.parameters[QUATERNION, : self.count].T
+        length = np.linalg.norm(raw, axis=1, keepdims=True)
+        identity = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
+        return np.where(length > 0, raw / np.maximum(length, 1e-30), identity)
+
+    @property
+    def scales(self) -> np.ndarray:  # [N, 3] metres
+        """Standard deviations along the axes of `quaternions`."""
+        return np.exp(self.parameters[LOG_SCALE, : self.count].T)
+
+    @property
+    def opacities(self) -> np.ndarray:  # [N] 0..1
+        """Peak opacity of every Gaussian."""
+        return _sigmoid(self.parameters[OPACITY_LOGIT, : self.count])
+
+    @property
+    def colors(self) -> np.ndarray:  # [N, 3]
+        """RGB, a copy; clip to 0..1 for display."""
+        return self.parameters[COLOR, : self.count].T.copy()
+
+    def append(self, block: np.ndarray) -> None:
+        """Insert Gaussians (``block`` [14, n]) behind the existing ones, with zero moments."""
+        block = np.asarray(block)
+        if block.ndim != 2 or block.shape[0] != ROWS:
+            raise ValueError(f"a block of Gaussians has the shape (14, n), got {block.shape}")
+        start, stop = self.count, self.count + block.shape[1]
+        if stop > self.capacity:
+            # Half as much again: the copies stay a constant cost per Gaussian without doubling the memory of a big map.
+            self._resize(_rounded_up(max(stop, self.capacity + self.capacity // 2)))
+        self.parameters[:, start:stop] = block
+        self.first_moment[:, start:stop] = 0.0
+        self.second_moment[:, start:stop] = 0.0
+        self.count = stop
+
+    def keep(self, mask: np.ndarray) -> int:
+        """Remove the Gaussians whose entry in ``mask`` ([count] bool) is False; returns how many went.
+
+        The survivors keep their order and their moments.
+        """
+        mask = np.asarray(mask)
+        if mask.dtype != bool or mask.shape != (self.count,):
+            raise ValueError(f"mask must be bool of shape ({self.count},), got {mask.dtype} of shape {mask.shape}")
+        kept = int(np.count_nonzero(mask))
+        removed = self.count - kept
+        if removed:
+            # What stands before the first removed column does not move.
+            first = int(np.argmin(mask))
+            source = np.flatnonzero(mask[first:]) + first
+            for array in (self.parameters, self.first_moment, self.second_moment):
+                array[:, first:kept] = array[:, source]
+            self.count = kept
+        return removed
+
+    def _resize(self, capacity: int) -> None:
+        for name in ("parameters", "first_moment", "second_moment"):
+            old = getattr(self, name)
+            new = np.zeros((ROWS, capacity), dtype=np.float32)
+            new[:, : self.count] = old[:, : self.count]
+            setattr(self, name, new)
+
+    def save_npz(self, path: str | os.PathLike[str]) -> None:
+        """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        try:
+            with open(temporary, "wb") as file:
+                np.savez(
+                    file,
+                    format_version=np.int64(_FORMAT_VERSION),
+                    parameters=self.parameters[:, : self.count],
+                    first_moment=self.first_moment[:, : self.count],
+                    second_moment=self.second_moment[:, : self.count],
+                )
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @classmethod
+    def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:
+        """Read what `save_npz` wrote. Never unpickles; anything else raises `InputError`."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                content = {name: file[name] for name in file.files}
+        except FileNotFoundError:
+            raise InputError(f"expected a saved Gaussian map, but there is no file '{path}'") from None
+        except (OSError, ValueError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"'{path}' is not a Gaussian map saved as npz ({error})") from error
+        version = content.get("format_version")
+        if version is None or version.shape != () or int(version) != _FORMAT_VERSION:
+            raise InputError(
+                f"'{path}' has the map format {version}, this version reads format {_FORMAT_VERSION}; "
+                "save the map again or export it as PLY"
+            )
+        blocks = [content.get(name) for name in ("parameters", "first_moment", "second_moment")]
+        shapes = [None if block is None else block.shape for block in blocks]
+        if shapes[0] is None or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != ROWS:
+            raise InputError(f"'{path}' should hold three arrays of one shape (14, n), but their shapes are {shapes}")
+        loaded = cls(shapes[0][1])
+        loaded.append(content["parameters"])
+        loaded.first_moment[:, : loaded.count] = content["first_moment"]
+        loaded.second_moment[:, : loaded.count] = content["second_moment"]
+        return loaded
+
+
+def _rounded_up(capacity: int) -> int:
+    return max(_LANES, -(-capacity // _LANES) * _LANES)
+
+
+def _sigmoid(x: np.ndarray) -> np.ndarray:
+    # Through tanh: no overflow for any finite logit.
+    return 0.5 * (1.0 + np.tanh(0.5 * x))

@@ -1,0 +1,146 @@
+"""The frames a map is made from, and which of them an optimisation step looks at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.sensors.frame import Frame
+
+# Keyframes tested for overlap at once: keeps the intermediate array in the processor's cache.
+_CHUNK = 16
+
+
+class KeyframeStore:
+    """All keyframes with what view selection needs to know about each of them.
+
+    A frame costs 7 bytes a pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe,
+    ``new_share`` the share of its pixels the map did not cover when it came.
+    """
+
+    def __init__(self, *, border_share: float) -> None:
+        self.frames: list[Frame] = []
+        self.psnr: list[float] = []  # decibel
+        self.new_share: list[float] = []  # 0..1
+        self._border_share = border_share
+        self._sides: list[np.ndarray] = []  # per keyframe [4, 4], see `viewing_sides`
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def append(self, frame: Frame, *, new_share: float) -> int:
+        """Store a frame (arrays copied, since sensors may reuse theirs); returns its index."""
+        stored = Frame(
+            rgb=np.array(frame.rgb, dtype=np.uint8, order="C"),
+            depth=np.array(frame.depth, dtype=np.float32, order="C"),
+            world_from_camera=np.array(frame.world_from_camera, dtype=np.float64),
+            camera=frame.camera,
+        )
+        self.frames.append(stored)
+        self.psnr.append(0.0)
+        self.new_share.append(new_share)
+        self._sides.append(viewing_sides(frame.camera, frame.world_from_camera, border_share=self._border_share))
+        return len(self.frames) - 1
+
+    def overlapping(
+        self,
+        index: int,
+        rng: np.random.Generator,
+        *,
+        pixels: int,  # drawn from the frame's pixels with a return
+        limit: int,
+    ) -> list[int]:
+        """At most ``limit`` other keyframes, drawn uniformly from those that see a point which keyframe ``index`` sees.
+
+        Seeing means that the point projects into the image (occlusion is not tested). The rule is SplaTAM's, whose
+        ranking by share is undone by the random choice that follows it.
+        """
+        frame = self.frames[index]
+        measured = np.flatnonzero(frame.depth)
+        order = rng.permutation(len(self.frames))
+        if not len(measured) or limit < 1:
+            return []
+        drawn = measured[rng.integers(len(measured), size=pixels)]
+        points = np.ones((4, len(drawn)), dtype=np.float32)
+        points[:3] = _world_points(frame, drawn).T
+        found: list[int] = []
+        # In random order and only until enough are found: with many keyframes around, most are never tested.
+        order = order[order != index]
+        for start in range(0, len(order), _CHUNK):
+            chunk = order[start : start + _CHUNK]
+            sides = np.concatenate([self._sides[k] for k in chunk])
+            inside = (sides @ points).reshape(len(chunk), 4, -1).min(axis=1) > 0
+            found += [int(k) for k in chunk[inside.any(axis=1)]]
+            if len(found) >= limit:
+                break
+        return found[:limit]
+
+    def poorest(
+        self,
+        *,
+        psnr_threshold: float,  # decibel
+        new_share_threshold: float,
+        share: float,  # of the candidates, worst first
+    ) -> list[int]:
+        """The global keyframes: those that opened new space or are rendered badly, the worst of them.
+
+        The two conditions are ActiveGAMER's; ranking by PSNR is its Matterport3D variant.
+        """
+        candidates = [
+            k
+            for k in range(len(self.frames))
+            if self.psnr[k] < psnr_threshold or self.new_share[k] > new_share_threshold
+        ]
+        candidates.sort(key=lambda k: (self.psnr[k], k))
+        return candidates[: int(np.ceil(share * len(candidates)))]
+
+
+def viewing_sides(
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [4, 4]
+    *,
+    border_share: float = 0.0,  # of the image width, not counted as seen on every side
+) -> np.ndarray:  # [4, 4] float32
+    """The four sides of the viewing pyramid: a world point (x, y, z, 1) is inside iff all four products are above 0.
+
+    Being left of the right side and right of the left side already implies a depth above 0.
+    """
+    border = min(border_share * camera.width, 0.49 * min(camera.width, camera.height))
+    sides = np.array(
+        [
+            [camera.fx, 0.0, camera.cx - border, 0.0],
+            [-camera.fx, 0.0, camera.width - border - camera.cx, 0.0],
+            [0.0, camera.fy, camera.cy - border, 0.0],
+            [0.0, -camera.fy, camera.height - border - camera.cy, 0.0],
+        ]
+    )
+    return (sides @ invert_rigid(world_from_camera)).astype(np.float32)
+
+
+def draw_views(
+    iterations: int,
+    local: list[int],
+    remote: list[int],
+    rng: np.random.Generator,
+) -> list[int]:
+    """Which keyframe each iteration looks at: the first half ``local``, the second half ``remote`` (if there is any).
+
+    ``local[0]`` is the current frame; it comes first, since nobody else has seen its new Gaussians yet.
+    """
+    half = iterations if not remote else (iterations + 1) // 2
+    views = [local[k] for k in rng.integers(len(local), size=half)] if local else []
+    if views:
+        views[0] = local[0]
+    if half < iterations:
+        views += [remote[k] for k in rng.integers(len(remote), size=iterations - half)]
+    return views
+
+
+def _world_points(frame: Frame, pixels: np.ndarray) -> np.ndarray:  # flat indices [n] -> [n, 3]
+    camera = frame.camera
+    rows, columns = np.divmod(pixels, camera.width)
+    depth = frame.depth.ravel()[pixels].astype(np.float64)
+    x = (columns + 0.5 - camera.cx) / camera.fx * depth
+    y = (rows + 0.5 - camera.cy) / camera.fy * depth
+    points = np.stack([x, y, depth], axis=1)
+    return points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]

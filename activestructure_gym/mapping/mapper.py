@@ -1,0 +1,282 @@
+"""The default mapper: seed where the map is empty, take a few sparse Adam steps, prune.
+
+Posed RGB-D frames in, Gaussians out. The recipe and the numbers behind it: backbones dossier 5.2, 5.3. Rendering and
+the fused optimisation step are `activestructure_gym.splatting.cpu`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.mapping.config import MapperConfig
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, GaussianMap
+from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks
+from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.splatting import cpu
+
+
+@dataclass(frozen=True)
+class MappingReport:
+    """What one mapping event did."""
+
+    added: int  # Gaussians seeded
+    pruned: int  # Gaussians removed: transparent, too large or not finite
+    dropped: int  # Gaussians removed to stay below the cap
+    count: int  # Gaussians afterwards
+    seed_stride: int  # pixels; 0 for a refinement
+    new_share: float  # share of the image's pixels that the map lacked
+    views: tuple[int, ...]  # keyframe of every iteration
+    color_loss: float  # mean over the iterations; nan without any
+    depth_loss: float  # metres, as above
+    ssim: float  # as above
+    psnr: float  # decibel, of the observed frame afterwards; nan for a refinement
+
+
+class Mapper:
+    """Online mapping with known poses. Deterministic: same configuration, generator and frames, same parameters.
+
+    **The cap.** A frame's seeds should take at most ``room_share`` of the room left below ``max_gaussians``. The frame
+    is seeded at the smallest stride from ``seed_stride`` to ``max_seed_stride`` pixels that keeps to this: new parts
+    of the map get coarser as it fills, and nothing is lost. If even the coarsest does not, the frame may take all the
+    room that is left, and what is still missing is made by dropping the Gaussians with the smallest opacity.
+    """
+
+    def __init__(self, config: MapperConfig, rng: np.random.Generator) -> None:
+        self.config = config
+        self.map = GaussianMap()
+        self._rng = rng
+        self._store = KeyframeStore(border_share=config.overlap_border)
+        self._largest_seed = 0.0  # metres, sigma
+        self._largest_depth = 0.0  # metres
+        self._refresh_next = 0
+        self._weights = cpu.LossWeights(
+            image=config.image_weight, l1_share=config.l1_share, depth=config.depth_weight
+        )
+
+    @property
+    def keyframes(self) -> list[Frame]:
+        """Every observed frame, in order."""
+        return self._store.frames
+
+    @property
+    def scene_radius(self) -> float:
+        """Half the size of the scene in metres, roughly: what lengths are compared with."""
+        if self.config.scene_radius is not None:
+            return self.config.scene_radius
+        # The largest so far and not the first frame's: that one may look at a wall from close by.
+        return self._largest_depth / 3.0 if self._largest_depth > 0 else 2.0
+
+    def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
+        """Make ``frame`` a keyframe, seed what the map lacks there and optimise (default: ``config.iterations``)."""
+        shape = (frame.camera.height, frame.camera.width)
+        if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
+            raise ValueError(
+                f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
+            )
+        iterations = self.config.iterations if iterations is None else iterations
+        self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
+        stride, added, dropped, new_share = self._seed(frame)
+        index = self._store.append(frame, new_share=new_share)
+        views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
+        losses = self._optimize(views)
+        pruned = self._prune()
+        self._measure_psnr(index)
+        for _ in range(min(self.config.psnr_refresh, index)):
+            self._refresh_next = (self._refresh_next + 1) % index
+            self._measure_psnr(self._refresh_next)
+        return _report(
+            self.map.count,
+            views,
+            losses,
+            pruned,
+            added=added,
+            dropped=dropped,
+            seed_stride=stride,
+            new_share=new_share,
+            psnr=self._store.psnr[index],
+        )
+
+    def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
+        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; prune at the end."""
+        indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
+        if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
+            raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
+        views: list[int] = []
+        while len(indices) and len(views) < iterations:
+            views += self._rng.permutation(indices).tolist()
+        del views[iterations:]
+        losses = self._optimize(views)
+        pruned = self._prune()
+        return _report(self.map.count, views, losses, pruned)
+
+    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> cpu.Rendering:
+        """What the map shows from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
+        return cpu.render(self.map.parameters, self.map.count, camera, world_from_camera)
+
+    def render_depth_alpha(
+        self,
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [C, 4, 4]
+    ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
+        """Depth and alpha from many poses at once, for scoring candidate views."""
+        return cpu.render_depth_alpha(self.map.parameters, self.map.count, camera, world_from_camera)
+
+    def keyframe_psnr(self) -> np.ndarray:  # [T] float64 decibel
+        """PSNR of every keyframe, rendered from the map as it is now (one render each)."""
+        for index in range(len(self.keyframes)):
+            self._measure_psnr(index)
+        return np.array(self._store.psnr, dtype=np.float64)
+
+    def _seed(self, frame: Frame) -> tuple[int, int, int, float]:
+        """Insert Gaussians where the map lacks them; returns seed stride, added, dropped, share of new pixels."""
+        config = self.config
+        if self.map.count:
+            rendering = self.render(frame.camera, frame.world_from_camera)
+            missing = missing_pixels(
+                frame.depth,
+                rendering.depth,
+                rendering.alpha,
+                covered_alpha=config.covered_alpha,
+                error_factor=config.in_front_factor,
+                error_floor=config.in_front_floor,
+            )
+        else:
+            missing = frame.depth > 0
+        new_share = float(np.count_nonzero(missing)) / missing.size
+        stride, rows, columns = self._grid_within_room(missing)
+        dropped = 0
+        excess = self.map.count + len(rows) - config.max_gaussians
+        if excess > 0:
+            dropped = self._drop_weakest(min(excess, self.map.count))
+            if len(rows) > config.max_gaussians:  # one frame alone exceeds the cap: an even choice of its seeds
+                chosen = np.linspace(0, len(rows), config.max_gaussians, endpoint=False, dtype=int)
+                rows, columns = rows[chosen], columns[chosen]
+        block = seed_disks(
+            frame,
+            rows,
+            columns,
+            stride=stride,
+            footprint=config.seed_footprint,
+            thickness=config.seed_thickness,
+            opacity=config.seed_opacity,
+            min_cosine=config.min_incidence_cosine,
+        )
+        if len(rows):
+            self._largest_seed = max(self._largest_seed, float(np.exp(block[LOG_SCALE].max())))
+            self.map.append(block)
+        return stride, len(rows), dropped, new_share
+
+    def _grid_within_room(self, missing: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+        """Stride and seed pixels (rows, columns) as the cap allows them (see the class)."""
+        config = self.config
+        allowed = config.room_share * (config.max_gaussians - self.map.count)
+        for stride in range(config.seed_stride, config.max_seed_stride + 1):
+            rows, columns = grid_pixels(missing, stride)
+            if len(rows) <= allowed:
+                break
+        return stride, rows, columns
+
+    def _drop_weakest(self, number: int) -> int:
+        """Remove the ``number`` Gaussians with the smallest opacity (of equal ones the older go)."""
+        logits = self.map.parameters[10, : self.map.count]
+        mask = np.ones(self.map.count, dtype=bool)
+        mask[np.argsort(logits, kind="stable")[:number]] = False
+        return self.map.keep(mask)
+
+    def _local_views(self, index: int) -> list[int]:
+        """The current keyframe, the one before it, and keyframes that overlap with the current one."""
+        local = [index] if index == 0 else [index, index - 1]
+        overlapping = self._store.overlapping(
+            index, self._rng, pixels=self.config.overlap_pixels, limit=self.config.window - 1
+        )
+        return (local + [k for k in overlapping if k not in local])[: self.config.window]
+
+    def _global_views(self, index: int) -> list[int]:
+        config = self.config
+        poorest = self._store.poorest(
+            psnr_threshold=config.global_psnr,
+            new_share_threshold=config.global_new_share,
+            share=config.global_share,
+        )
+        return [k for k in poorest if k != index]
+
+    def _optimize(self, views: Sequence[int]) -> np.ndarray:  # [iterations, 3] colour, depth, ssim
+        losses = np.full((len(views), 3), np.nan)
+        if not self.map.count:
+            return losses
+        config = self.config
+        rates = config.learning_rates(self.scene_radius)
+        for step, view in enumerate(views):
+            frame = self._store.frames[view]
+            result = cpu.mapping_step(
+                self.map.parameters,
+                self.map.first_moment,
+                self.map.second_moment,
+                self.map.count,
+                frame.camera,
+                frame.world_from_camera,
+                _unit_rgb(frame),
+                frame.depth,
+                self._weights,
+                rates,
+                beta1=config.adam_beta1,
+                beta2=config.adam_beta2,
+                epsilon=config.adam_epsilon,
+            )
+            losses[step] = result.color, result.depth, result.ssim
+        return losses
+
+    def _prune(self) -> int:
+        """Remove Gaussians that are transparent, too large, or were driven to values that are not finite."""
+        live = self.map.parameters[:, : self.map.count]
+        threshold = self.config.prune_opacity
+        # At coarse resolution the seeds themselves can be larger than the scene's share; they must survive.
+        limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            keep = live[10] >= np.log(threshold) - np.log1p(-threshold)
+            keep &= live[LOG_SCALE].max(axis=0) <= np.log(limit)
+            keep &= np.isfinite(live.sum(axis=0))
+        return self.map.keep(keep)
+
+    def _measure_psnr(self, index: int) -> None:
+        frame = self._store.frames[index]
+        shown = np.clip(self.render(frame.camera, frame.world_from_camera).color, 0.0, 1.0)
+        error = float(np.mean(np.square(shown - _unit_rgb(frame)), dtype=np.float64))
+        self._store.psnr[index] = -10.0 * np.log10(max(error, 1e-10))
+
+
+def _report(
+    count: int,
+    views: list[int],
+    losses: np.ndarray,
+    pruned: int,
+    *,
+    added: int = 0,
+    dropped: int = 0,
+    seed_stride: int = 0,
+    new_share: float = 0.0,
+    psnr: float = float("nan"),
+) -> MappingReport:
+    means = losses.mean(axis=0) if len(losses) else np.full(3, np.nan)
+    return MappingReport(
+        added=added,
+        pruned=pruned,
+        dropped=dropped,
+        count=count,
+        seed_stride=seed_stride,
+        new_share=new_share,
+        views=tuple(views),
+        color_loss=float(means[0]),
+        depth_loss=float(means[1]),
+        ssim=float(means[2]),
+        psnr=psnr,
+    )
+
+
+def _unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
+    return frame.rgb * np.float32(1.0 / 255.0)

@@ -1,0 +1,186 @@
+"""Gaussian maps as 3DGS PLY files, the format every splat viewer and converter reads.
+
+Written: binary little endian, one ``vertex`` element of 17 float properties (SH degree 0), normals zero. Axes are the
+map's own: world, z up, metres (viewers that expect y down show it lying on its back; the format has no field for it).
+Layout as other exporters write it: backbones dossier 6.1.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.mapping.gaussian_map import (
+    COLOR,
+    LOG_SCALE,
+    MEAN,
+    OPACITY_LOGIT,
+    QUATERNION,
+    ROWS,
+    GaussianMap,
+)
+
+# The order other tools write; readers go by name.
+PLY_PROPERTIES = (
+    *("x", "y", "z"),
+    *("nx", "ny", "nz"),
+    *("f_dc_0", "f_dc_1", "f_dc_2"),
+    "opacity",
+    *("scale_0", "scale_1", "scale_2"),
+    *("rot_0", "rot_1", "rot_2", "rot_3"),
+)
+
+_SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmonic
+_FLAT = np.log(0.1)  # thickness given to a file's two-axis (2D) Gaussians, as in seeding
+_MAX_HEADER = 1 << 20  # bytes; a file without an end_header must not be read to its end
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+
+
+def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str]) -> None:
+    """Write the live Gaussians (no moments). Writing what was read back from the file gives the same bytes."""
+    live = gaussians.parameters[:, : gaussians.count]
+    rows = np.zeros((gaussians.count, len(PLY_PROPERTIES)), dtype="<f4")
+    rows[:, 0:3] = live[MEAN].T
+    # In double precision: then the way to the file and back gives the same colour in the file again.
+    rows[:, 6:9] = (live[COLOR].T.astype(np.float64) - 0.5) / _SH_C0
+    rows[:, 9] = live[OPACITY_LOGIT]
+    rows[:, 10:13] = live[LOG_SCALE].T
+    rows[:, 13:17] = live[QUATERNION].T
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment world frame, z up, metres",
+        f"element vertex {gaussians.count}",
+        *(f"property float {name}" for name in PLY_PROPERTIES),
+        "end_header",
+    ]
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write("\n".join(header).encode() + b"\n")
+            file.write(rows.tobytes())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
+    """Read a 3DGS PLY (binary, either byte order), by property name and in any order.
+
+    Unknown properties are ignored, among them normals and the view-dependent colour ``f_rest_*`` (the map holds SH
+    degree 0). A single ``scale_0`` makes balls, ``scale_0`` and ``scale_1`` make thin disks; without ``rot_*`` the
+    axes are the world's. Rows with a value that is not finite are dropped, with a warning that tells how many.
+    Anything that is no such file raises `InputError`.
+    """
+    table = _read_vertices(path)
+    names = set(table.dtype.names or ())
+
+    def columns(*wanted: str) -> np.ndarray:  # [n, len(wanted)] float64
+        missing = [name for name in wanted if name not in names]
+        if missing:
+            raise InputError(
+                f"'{path}' is not a Gaussian splatting PLY: expected the vertex property '{missing[0]}', "
+                f"found {', '.join(sorted(names)) or 'none'}"
+            )
+        return np.stack([table[name].astype(np.float64) for name in wanted], axis=1)
+
+    block = np.empty((len(table), ROWS))
+    block[:, MEAN] = columns("x", "y", "z")
+    block[:, COLOR] = 0.5 + _SH_C0 * columns("f_dc_0", "f_dc_1", "f_dc_2")
+    block[:, OPACITY_LOGIT] = columns("opacity")[:, 0]
+    block[:, LOG_SCALE] = _log_scales(columns, names)
+    if "rot_0" in names:
+        block[:, QUATERNION] = columns("rot_0", "rot_1", "rot_2", "rot_3")
+    else:
+        block[:, QUATERNION] = (1.0, 0.0, 0.0, 0.0)
+    with np.errstate(over="ignore"):  # a double beyond float32's range becomes infinite and is dropped below
+        block32 = block.astype(np.float32)
+    usable = np.isfinite(block32).all(axis=1)
+    if not usable.all():
+        dropped = f"dropped {len(usable) - int(usable.sum())} of {len(usable)} Gaussians"
+        warnings.warn(f"{path}: {dropped} with values that are not finite", stacklevel=2)
+    gaussians = GaussianMap(int(usable.sum()))
+    gaussians.append(block32[usable].T)
+    return gaussians
+
+
+def _log_scales(columns, names: set[str]) -> np.ndarray:  # [n, 3]
+    if "scale_1" not in names:
+        return np.repeat(columns("scale_0"), 3, axis=1)
+    if "scale_2" not in names:
+        plane = columns("scale_0", "scale_1")
+        return np.concatenate([plane, plane.min(axis=1, keepdims=True) + _FLAT], axis=1)
+    return columns("scale_0", "scale_1", "scale_2")
+
+
+def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, one record per vertex
+    try:
+        with open(path, "rb") as file:
+            count, dtype = _read_header(file, path)
+            # Compared before reading: a damaged count must not ask for more memory than the file is long.
+            announced, present = count * dtype.itemsize, os.fstat(file.fileno()).st_size - file.tell()
+            payload = file.read(announced) if announced <= present else b""
+    except FileNotFoundError:
+        raise InputError(f"expected a Gaussian splatting PLY, but there is no file '{path}'") from None
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
+    if announced > present:
+        raise InputError(
+            f"'{path}' is cut off: its header announces {count} vertices ({announced} bytes), "
+            f"{present} bytes follow; copy the file again"
+        )
+    return np.frombuffer(payload, dtype=dtype, count=count)
+
+
+def _read_header(file, path: str | os.PathLike[str]) -> tuple[int, np.dtype]:  # vertex count and record type
+    if file.readline(8).strip() != b"ply":
+        raise InputError(f"'{path}' is not a PLY file: it does not begin with 'ply'")
+    order, count, fields = "", -1, []
+    element = ""
+    consumed = 0
+    while True:
+        line = file.readline(4096)
+        consumed += len(line)
+        words = line.decode("ascii", errors="replace").split()
+        if not line or consumed > _MAX_HEADER:
+            raise InputError(f"'{path}' is not a usable PLY file: its header has no 'end_header'")
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "end_header":
+            break
+        if words[0] == "format" and len(words) >= 2:
+            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1], "")
+            if not order:
+                raise InputError(f"'{path}' is a PLY in '{words[1]}' format; save it as binary PLY")
+        elif words[0] == "element" and len(words) == 3 and words[2].isdigit():
+            if count < 0 and words[1] != "vertex":
+                raise InputError(f"'{path}': expected the element 'vertex' first, found '{words[1]}'")
+            element = words[1]
+            if element == "vertex":
+                count = int(words[2])
+        elif words[0] == "property" and element == "vertex":
+            if len(words) != 3 or words[1] not in _TYPES:
+                raise InputError(f"'{path}' is not a Gaussian splatting PLY: vertex property '{' '.join(words[1:])}'")
+            fields.append((words[2], order + _TYPES[words[1]]))
+        elif words[0] != "property":
+            raise InputError(f"'{path}' is not a usable PLY file: cannot read the header line '{' '.join(words)}'")
+    if not order or count < 0:
+        raise InputError(f"'{path}' is not a usable PLY file: its header lacks the format or the vertex element")
+    if not fields or len({name for name, _ in fields}) < len(fields):
+        raise InputError(f"'{path}' is not a usable PLY file: vertex properties are missing or appear twice")
+    return count, np.dtype(fields)

@@ -1,0 +1,31 @@
+"""Wrong settings are refused by name; the learning rates follow the scene's size."""
+
+import pytest
+
+from activestructure_gym.mapping import MapperConfig
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed_stride": 0},
+        {"iterations": -1},
+        {"max_gaussians": 0},
+        {"seed_opacity": 1.0},
+        {"covered_alpha": 1.5},
+        {"color_rate": 0.0},
+        {"depth_weight": float("nan")},
+        {"scene_radius": 0.0},
+        {"max_seed_stride": 1},
+    ],
+)
+def test_wrong_values_are_refused_by_name(change):
+    with pytest.raises(ValueError, match=next(iter(change))):
+        MapperConfig(**change)
+
+
+def test_only_the_means_rate_grows_with_the_scene():
+    small, large = MapperConfig().learning_rates(2.0), MapperConfig().learning_rates(6.0)
+    assert small[:3] == pytest.approx([2e-4] * 3) and large[:3] == pytest.approx([6e-4] * 3)
+    assert (small[3:] == large[3:]).all()
+    assert small[3:] == pytest.approx([2e-3] * 7 + [0.1] + [5e-3] * 3)

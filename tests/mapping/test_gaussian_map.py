@@ -1,0 +1,125 @@
+"""The map keeps Gaussians and moments together, and comes back from its file as it was."""
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.mapping import GaussianMap
+
+
+def _filled(count, seed=0):
+    rng = np.random.default_rng(seed)
+    gaussians = GaussianMap(16)
+    gaussians.append(rng.normal(size=(14, count)).astype(np.float32))
+    gaussians.first_moment[:, :count] = rng.normal(size=(14, count))
+    gaussians.second_moment[:, :count] = rng.random((14, count))
+    return gaussians
+
+
+def _live(gaussians):
+    return [
+        array[:, : gaussians.count].copy()
+        for array in (gaussians.parameters, gaussians.first_moment, gaussians.second_moment)
+    ]
+
+
+def test_moments_survive_insertions():
+    gaussians = _filled(30)
+    before = _live(gaussians)
+    block = np.full((14, 50), 7, dtype=np.float32)
+    gaussians.append(block)  # 80 > 48: the arrays grow
+    assert gaussians.count == 80 and gaussians.capacity % 16 == 0
+    for array, old, new in zip(_live(gaussians), before, (7, 0, 0)):
+        assert np.array_equal(array[:, :30], old)
+        assert (array[:, 30:] == new).all()
+
+
+def test_moments_survive_removals_and_new_ones_start_at_zero():
+    gaussians = _filled(30)
+    before = _live(gaussians)
+    mask = np.arange(30) % 3 != 1
+    assert gaussians.keep(mask) == 10
+    assert all(np.array_equal(array, old[:, mask]) for array, old in zip(_live(gaussians), before))
+    # The columns behind hold what was removed; a new Gaussian must not inherit its moments.
+    gaussians.append(np.ones((14, 5), np.float32))
+    assert (gaussians.first_moment[:, 20:25] == 0).all() and (gaussians.second_moment[:, 20:25] == 0).all()
+
+
+@pytest.mark.parametrize("kept", [0, 30])
+def test_removing_all_or_none(kept):
+    gaussians = _filled(30)
+    before = _live(gaussians)
+    assert gaussians.keep(np.full(30, kept > 0)) == 30 - kept
+    assert gaussians.count == kept
+    assert all(np.array_equal(array, old[:, :kept]) for array, old in zip(_live(gaussians), before))
+
+
+def test_growth_is_geometric():
+    gaussians = GaussianMap(16)
+    capacities = set()
+    for _ in range(2000):
+        gaussians.append(np.zeros((14, 1), np.float32))
+        capacities.add(gaussians.capacity)
+    assert len(capacities) < 20 and gaussians.capacity < 1.6 * 2000
+
+
+def test_activated_values_of_one_gaussian():
+    gaussians = GaussianMap()
+    gaussians.append(np.array([[1, 2, 3, 2, 0, 0, 0, 0, np.log(0.5), -np.inf, 0, 0.1, 0.2, 0.3]], np.float32).T)
+    assert gaussians.means.tolist() == [[1, 2, 3]]
+    assert gaussians.quaternions.tolist() == [[1, 0, 0, 0]]  # normalised
+    assert gaussians.scales == pytest.approx(np.array([[1, 0.5, 0]]))
+    assert gaussians.opacities.tolist() == [0.5]
+    assert gaussians.colors == pytest.approx(np.array([[0.1, 0.2, 0.3]]))
+
+
+@pytest.mark.parametrize("block", [np.zeros((13, 4)), np.zeros(14)])
+def test_blocks_of_another_shape_are_refused(block):
+    with pytest.raises(ValueError, match=r"\(14, n\)"):
+        GaussianMap().append(block)
+
+
+@pytest.mark.parametrize("mask", [np.ones(3, int), np.ones(4, bool)])
+def test_masks_of_another_kind_are_refused(mask):
+    with pytest.raises(ValueError, match="mask must be bool"):
+        _filled(3).keep(mask)
+
+
+@pytest.mark.parametrize("count", [0, 33])
+def test_npz_round_trip(tmp_path, count):
+    gaussians = _filled(count)
+    gaussians.save_npz(tmp_path / "map.npz")
+    loaded = GaussianMap.load_npz(tmp_path / "map.npz")
+    assert loaded.count == count
+    assert all(np.array_equal(a, b) for a, b in zip(_live(loaded), _live(gaussians)))
+    assert [path.name for path in tmp_path.iterdir()] == ["map.npz"]  # nothing temporary left
+
+
+def _damage_version(path):
+    np.savez(path, format_version=np.int64(99), parameters=np.zeros((14, 1), np.float32))
+
+
+def _damage_shape(path):
+    arrays = dict.fromkeys(("parameters", "first_moment", "second_moment"), np.zeros((13, 1), np.float32))
+    np.savez(path, format_version=np.int64(1), **arrays)
+
+
+def _damage_pickle(path):
+    np.savez(path, format_version=np.int64(1), parameters=np.array([{}], dtype=object))
+
+
+def _damage_bytes(path):
+    path.write_bytes(b"PK\x03\x04 no archive")
+
+
+def _damage_empty(path):
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    "damage", [_damage_version, _damage_shape, _damage_pickle, _damage_bytes, _damage_empty, lambda path: None]
+)
+def test_files_that_are_no_maps_are_refused(tmp_path, damage):
+    damage(tmp_path / "map.npz")
+    with pytest.raises(InputError, match=r"map\.npz"):
+        GaussianMap.load_npz(tmp_path / "map.npz")

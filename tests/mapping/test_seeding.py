@@ -1,0 +1,136 @@
+"""Where seeds go and how they lie, worked by hand on walls."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.mapping.seeding import depth_normals, grid_pixels, missing_pixels, seed_disks
+from activestructure_gym.sensors.frame import Frame
+
+CAMERA = PinholeCamera.from_size(8, 6)  # f = 4, centre (4, 3)
+
+
+def _frame(depth, pose=None):
+    depth = np.broadcast_to(np.asarray(depth, np.float32), (6, 8)).copy()
+    rgb = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
+    return Frame(rgb, depth, np.eye(4) if pose is None else pose, CAMERA)
+
+
+def _third_axes(block):  # [n, 3] the disks' normals
+    return Rotation.from_quat(block[3:7].T, scalar_first=True).as_matrix()[:, :, 2]
+
+
+def test_wall_facing_the_camera():
+    """2 m in front; pixel (row 2, column 6) looks along ((6.5 - 4) / 4, (2.5 - 3) / 4, 1) = (.625, -.125, 1)."""
+    block = seed_disks(_frame(2.0), np.array([2]), np.array([6]), stride=2)
+    assert block.dtype == np.float32 and block.shape == (14, 1)
+    assert block[:3, 0] == pytest.approx([1.25, -0.25, 2.0])
+    # .6 * 2 pixels * 2 m / 4 pixels = .6 m in the plane, a tenth of it across
+    assert np.exp(block[7:10, 0]) == pytest.approx([0.6, 0.6, 0.06])
+    assert np.abs(_third_axes(block)[0]) == pytest.approx([0, 0, 1])
+    assert 1 / (1 + np.exp(-block[10, 0])) == pytest.approx(0.9)
+    assert block[11:, 0] * 255 == pytest.approx(3 * (2 * 8 + 6) + np.arange(3))
+
+
+def test_seeds_move_with_the_camera():
+    """Looking along +y from (1, 2, 3): camera x, y, z are world +x, -z, +y."""
+    pose = look_along(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]))
+    block = seed_disks(_frame(2.0, pose), np.array([2]), np.array([6]), stride=2)
+    assert block[:3, 0] == pytest.approx([1 + 1.25, 2 + 2.0, 3 + 0.25])
+    assert np.abs(_third_axes(block)[0]) == pytest.approx([0, 1, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, -1), (0.5, 0, -1), (-0.4, 0.7, -1), (0, -1.2, -1), (0.2, 0.1, -0.3)])
+def test_disks_lie_in_a_slanted_plane(normal):
+    """Plane n.p = -2|n|: one-sided differences are exact on planes, at image borders too."""
+    normal = np.array(normal) / np.linalg.norm(normal)
+    along_ray = -CAMERA.rays() @ normal
+    depth = np.where(along_ray > 0.15, 2.0 / np.maximum(along_ray, 1e-9), 0.0)  # no return nearly edge-on
+    frame = _frame(depth)
+    rows, columns = np.nonzero(frame.depth)
+    normals, defined = depth_normals(CAMERA.backproject(frame.depth), rows, columns)
+    assert defined.mean() > 0.9  # all but pixels at the border to no return
+    assert normals[defined] == pytest.approx(np.broadcast_to(normal, (defined.sum(), 3)), abs=1e-4)
+    block = seed_disks(frame, rows, columns, stride=1)
+    assert np.abs(_third_axes(block)[defined] @ normal).min() > 1 - 1e-6
+    assert (block[9] < block[8] - 2)[defined].all()
+
+
+@pytest.mark.parametrize("direction", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.64, -0.48]]]))
+def test_rotation_onto_any_normal(direction):
+    """Also for a ceiling (normal straight down), where the shortest rotation of +z would be half a turn."""
+    side = np.array([1.0, 0, 0]) if abs(direction[0]) < 0.5 else np.array([0, 1.0, 0])
+    right = np.cross(direction, side)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)  # a camera looking against the normal
+    pose[:3, :3] = np.stack([right, np.cross(-direction, right), -direction], axis=1)
+    block = seed_disks(_frame(1.0, pose), np.array([3]), np.array([3]), stride=2)
+    assert np.linalg.norm(block[3:7, 0]) == pytest.approx(1)
+    assert np.abs(_third_axes(block)[0] @ direction) == pytest.approx(1)
+
+
+def test_differences_stay_on_the_near_side_of_an_edge():
+    depth = np.full((6, 8), 1.0)
+    depth[:, 4:] = 3.0
+    normals, defined = depth_normals(CAMERA.backproject(depth), np.array([2, 2]), np.array([3, 4]))
+    assert defined.all()
+    assert normals == pytest.approx(np.array([[0, 0, -1], [0, 0, -1]]))
+
+
+def test_balls_where_the_direction_is_unknown():
+    depth = np.zeros((6, 8))
+    depth[2, 3] = 2.0  # alone: no neighbour
+    depth[5, 5:8] = 2.0  # a row without a neighbour above or below
+    # A column of one pixel 30 cm before a wall. Pixels are 2 m / 80 = 2.5 cm apart there: a plane from the column to
+    # the wall would be seen under atan(2.5 / 30) = 4.8 degrees, less than the 5.7 degrees of a cosine of .1.
+    depth[0:2, 1] = 2.0
+    depth[0:2, [0, 2]] = 2.3
+    camera = PinholeCamera(8, 6, 80.0, 80.0, 4.0, 3.0)
+    frame = Frame(np.zeros((6, 8, 3), np.uint8), depth.astype(np.float32), np.eye(4), camera)
+    block = seed_disks(frame, np.array([2, 5, 0]), np.array([3, 6, 1]), stride=2)
+    assert np.exp(block[7:10]) == pytest.approx(np.full((3, 3), 0.6 * 2 * 2 / 80))
+    assert block[3:7] == pytest.approx(np.array([[1, 0, 0, 0]] * 3).T)
+
+
+def test_one_seed_per_cell_of_the_grid():
+    everywhere = np.ones((6, 8), bool)
+    rows, columns = grid_pixels(everywhere, 2)
+    assert sorted(set(rows)) == [1, 3, 5] and sorted(set(columns)) == [1, 3, 5, 7] and len(rows) == 12
+    rows, columns = grid_pixels(everywhere, 3)  # the middle pixel of every 3 x 3 cell
+    assert sorted(set(rows)) == [1, 4] and sorted(set(columns)) == [1, 4, 7]
+    assert len(grid_pixels(everywhere, 1)[0]) == 48
+    assert len(grid_pixels(~everywhere, 2)[0]) == 0
+
+
+def test_nothing_is_missing_where_the_map_agrees():
+    depth = np.full((6, 8), 2.0)
+    alpha = np.full((6, 8), 0.8)
+    assert not missing_pixels(depth, 0.8 * depth, alpha).any()
+
+
+def test_transparent_pixels_are_missing_where_there_is_a_return():
+    depth = np.full((6, 8), 2.0)
+    depth[0] = 0.0
+    alpha = np.full((6, 8), 0.8)
+    alpha[:3, 0] = 0.49
+    missing = missing_pixels(depth, alpha * 2.0, alpha)
+    assert np.argwhere(missing).tolist() == [[1, 0], [2, 0]]
+
+
+def test_surfaces_in_front_of_the_map_are_missing():
+    """The map is 4 cm, 2 cm or -1 m too deep; the median error is 0, so the floor of 3 cm decides."""
+    depth = np.full((6, 8), 2.0)
+    shown = depth.copy()
+    shown[1, :3] += [0.04, 0.02, -1.0]
+    alpha = np.full((6, 8), 0.8)
+    assert np.argwhere(missing_pixels(depth, alpha * shown, alpha)).tolist() == [[1, 0]]
+
+
+def test_tolerance_grows_with_the_median_error():
+    """All pixels are 1 mm off, so 50 times the median is 5 cm: 4 cm are no longer in front, 6 cm are."""
+    depth = np.full((6, 8), 2.0)
+    shown = depth + 0.001
+    shown[1, :2] = 2.0 + np.array([0.04, 0.06])
+    alpha = np.ones((6, 8))
+    assert np.argwhere(missing_pixels(depth, shown, alpha)).tolist() == [[1, 1]]

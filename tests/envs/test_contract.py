@@ -1,0 +1,131 @@
+"""The Gymnasium contract, over every registered environment."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+# SB3 tells that its default extractor would flatten two-dimensional boxes; ours are tables, not images.
+EXPECTED_WARNINGS = ("unconventional shape",)
+
+
+def digest(value: Any) -> Any:
+    """Something exact to compare: arrays by bytes, the rest as it is."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, dict):
+        return {key: digest(one) for key, one in value.items()}
+    return value
+
+
+def rollout(env_id: str, options: dict[str, Any], steps: int) -> list[Any]:
+    env = gym.make(env_id, disable_env_checker=True, **options)
+    seen = []
+    episode = 0
+    observation, info = env.reset(seed=11)
+    env.action_space.seed(5)
+    for _ in range(steps):
+        seen.append(digest((observation, info)[0]) | {"info": digest(info)})
+        action = env.action_space.sample(info["action_mask"])
+        observation, reward, terminated, truncated, info = env.step(action)
+        seen.append((int(action), reward, terminated, truncated))
+        if terminated or truncated:
+            episode += 1
+            observation, info = env.reset()
+    env.close()
+    return seen
+
+
+def test_both_checkers_pass_without_unexpected_warnings(env_id: str, options: dict[str, Any]) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(gym.make(env_id, disable_env_checker=True, **options).unwrapped)
+        sb3_check_env(gym.make(env_id, disable_env_checker=True, **options).unwrapped)
+    ours = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    assert [m for m in ours if not any(expected in m for expected in EXPECTED_WARNINGS)] == []
+
+
+@pytest.mark.parametrize("steps", [50])
+def test_same_seed_same_fifty_steps_in_two_processes(env_id: str, options: dict[str, Any], steps: int) -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        elsewhere = pool.apply_async(rollout, (env_id, options, steps))
+        here = rollout(env_id, options, steps)
+        there = elsewhere.get(timeout=240)
+    assert len(here) == len(there) == 2 * steps
+    for index, (first, second) in enumerate(zip(here, there)):
+        assert first == second, f"entry {index} differs"
+
+
+def test_pickle_round_trip(env_id: str, options: dict[str, Any]) -> None:
+    env = gym.make(env_id, disable_env_checker=True, **options).unwrapped
+    fresh = pickle.loads(pickle.dumps(env))
+    first, second = env.reset(seed=1), fresh.reset(seed=1)
+    assert digest(first[0]) == digest(second[0])
+    midway = pickle.loads(pickle.dumps(env))  # an episode in progress travels too
+    one, other = env.step(0), midway.step(0)
+    assert digest(one[0]) == digest(other[0])
+    assert one[1:4] == other[1:4]
+
+
+def test_spec_survives_json(env_id: str, options: dict[str, Any]) -> None:
+    env = gym.make(env_id, disable_env_checker=True, **options)
+    spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
+    again = gym.make(spec, disable_env_checker=True)
+    assert digest(again.reset(seed=2)[0]) == digest(env.reset(seed=2)[0])
+
+
+def test_observations_lie_in_their_space_and_masks_agree(env_id: str, options: dict[str, Any]) -> None:
+    env = gym.make(env_id, disable_env_checker=True, **options).unwrapped
+    observation, info = env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        for name, space in env.observation_space.items():
+            assert space.contains(observation[name]), name
+            assert np.isfinite(space.low).all() and np.isfinite(space.high).all(), name
+        np.testing.assert_array_equal(info["action_mask"], observation["action_mask"])
+        np.testing.assert_array_equal(info["action_mask"], env.action_masks())
+        assert info["action_mask"].any()
+        unused = observation["action_mask"] == 0
+        assert (observation["candidates"][unused] == 0).all()
+        assert (observation["candidate_gains"][unused] == 0).all()
+        assert (observation["candidate_planes"][unused] == 0).all()
+        observation, _, terminated, truncated, info = env.step(int(rng.choice(np.flatnonzero(info["action_mask"]))))
+        if terminated or truncated:
+            observation, info = env.reset()
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_vectorised(env_id: str, options: dict[str, Any], mode: str) -> None:
+    kwargs: dict[str, Any] = {"vector_kwargs": {"context": "spawn"}} if mode == "async" else {}
+    envs = gym.make_vec(env_id, num_envs=2, vectorization_mode=mode, **kwargs, **options)
+    try:
+        observation, info = envs.reset(seed=4)
+        assert observation["rgb"].shape == (2, 36, 64, 3)
+        # Two seeds, two episodes.
+        assert not np.array_equal(observation["candidates"][0], observation["candidates"][1])
+        for _ in range(3):
+            actions = np.array([np.flatnonzero(mask)[0] for mask in observation["action_mask"]])
+            observation, reward, *_ = envs.step(actions)
+        assert reward.shape == (2,)
+    finally:
+        envs.close()
+
+
+def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None:
+    entry_point = gym.spec(env_id.split(":", 1)[1]).entry_point
+    module, _, name = entry_point.partition(":")
+    page = getattr(__import__(module, fromlist=[name]), name).__doc__
+    sections = ["Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End",
+                "Arguments", "Reset options", "Info", "Version History"]
+    assert [f"## {section}" for section in sections] == [
+        line.strip() for line in page.splitlines() if line.strip().startswith("## ")
+    ]
+    assert f"**{env_id.split('/')[1]}**" in page

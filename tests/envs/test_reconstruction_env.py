@@ -1,0 +1,174 @@
+"""What the shell promises beyond Gymnasium's contract."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.envs.observation import observation_keys, observation_table
+from activestructure_gym.envs.reconstruction_env import as_pose
+from activestructure_gym.errors import InputError
+from activestructure_gym.scenes import load_scene
+
+
+@pytest.fixture
+def env(box_options: dict[str, Any]) -> ReconstructionEnv:
+    return ReconstructionEnv(**box_options)
+
+
+def step_until_end(env: ReconstructionEnv, info: dict[str, Any]) -> list[tuple[float, bool, bool, dict[str, Any]]]:
+    steps = []
+    for _ in range(1000):
+        _, reward, terminated, truncated, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))
+        steps.append((reward, terminated, truncated, info))
+        if terminated or truncated:
+            return steps
+    raise AssertionError("the episode never ended")
+
+
+def test_budget_truncates_exactly_there(env: ReconstructionEnv) -> None:
+    _, info = env.reset(seed=0)
+    steps = step_until_end(env, info)
+    assert steps[-1][1:3] == (False, True)
+    assert steps[-1][3]["frames"] == 40
+    assert [s[3]["frames"] for s in steps] == sorted(s[3]["frames"] for s in steps)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(0)
+
+
+def test_a_masked_action_costs_a_frame_and_moves_nothing(env: ReconstructionEnv) -> None:
+    env.reset(seed=0)
+    table = env.reconstruction.candidates
+    env.reconstruction.candidates = type(table)(
+        table.ids[:3], table.world_from_camera[:3], table.path_length[:3], table.revisit[:3]
+    )
+    _, reward, terminated, truncated, info = env.step(3)
+    assert info["invalid_action"] is True
+    assert (info["frames"], info["metres"], info["keyframes"]) == (2, 0.0, 1)
+    assert reward == pytest.approx(-0.05)
+    assert not terminated and not truncated
+
+
+@pytest.mark.parametrize("action", [-1, 24, 1.5, "0"])
+def test_an_action_outside_the_space_is_an_error(env: ReconstructionEnv, action: Any) -> None:
+    env.reset(seed=0)
+    with pytest.raises(gym.error.InvalidAction, match=r"expected an integer in \[0, 24\)"):
+        env.step(action)
+
+
+def test_reward_is_the_sum_of_its_terms_and_coverage_adds_up(env: ReconstructionEnv) -> None:
+    _, info = env.reset(seed=0)
+    first = env._coverage.share
+    steps = step_until_end(env, info)
+    for reward, _, _, step_info in steps:
+        assert isinstance(reward, float)
+        assert reward == pytest.approx(sum(v for k, v in step_info.items() if k.startswith("reward/")))
+    gained = sum(s[3]["reward/coverage"] for s in steps) / 20.0
+    assert gained == pytest.approx(env._coverage.share - first)
+    assert gained > 0.1
+    walked = -sum(s[3]["reward/path"] for s in steps) / 0.01
+    assert walked == pytest.approx(steps[-1][3]["metres"])
+
+
+def test_reaching_the_coverage_target_terminates(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**{**box_options, "coverage_target": 0.4, "frame_budget": 300})
+    _, info = env.reset(seed=0)
+    steps = step_until_end(env, info)
+    assert steps[-1][1] is True and steps[-1][3]["is_success"] is True
+    assert not any(s[3]["is_success"] for s in steps[:-1])
+
+
+def test_rendering(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**box_options, render_mode="rgb_array")
+    with pytest.raises(gym.error.ResetNeeded):
+        env.render()
+    env.reset(seed=0)
+    before = env.render()
+    env.step(0)
+    after = env.render()
+    assert before.dtype == np.uint8 and before.ndim == 3 and before.shape == after.shape
+    assert (before != after).any()
+    with pytest.raises(InputError, match="render_mode must be one of"):
+        ReconstructionEnv(**box_options, render_mode="human")
+
+
+def test_options_of_one_episode_do_not_stick(env: ReconstructionEnv) -> None:
+    env.reset(seed=0)
+    usual = env.reconstruction.pose
+    env.reset(seed=0, options={"start_pose": (2.0, 1.5, 1.2, 90.0)})
+    np.testing.assert_allclose(env.reconstruction.pose[:3, 3], (2.0, 1.5, 1.2))
+    np.testing.assert_allclose(env.reconstruction.pose[:3, 2], (0.0, 1.0, 0.0), atol=1e-12)
+    env.reset(seed=0, options={})
+    np.testing.assert_array_equal(env.reconstruction.pose, usual)
+    with pytest.raises(InputError, match="unknown reset option 'secne'"):
+        env.reset(options={"secne": "box"})
+
+
+def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**{**box_options, "scene": ["box?seed=0", "box?seed=1", "box?seed=2"]})
+    env.reset(seed=0)
+    names = set()
+    for _ in range(12):
+        env.reset()
+        names.add(env.reconstruction.scene.content_hash)
+    assert len(names) == 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frame_budget": 0}, "the frame budget must be at least 1, got 0"),
+        ({"preset": "fsat"}, "unknown preset 'fsat'; did you mean 'fast'"),
+        ({"config": {"sensor.widht": 3}}, "unknown field of SensorConfig 'widht'; did you mean 'width'"),
+        ({"gains": ("pixle",)}, "unknown gain 'pixle'; did you mean 'pixel'"),
+        ({"reward": {"coverag": 1.0}}, "unknown field of RewardConfig 'coverag'"),
+        ({"coverage_target": 0.0}, "coverage_target is a share"),
+        ({"scene": []}, "at least one scene"),
+        ({"start_pose": (1.0, 2.0)}, "a start pose is"),
+        ({"start_pose": (1.0, 2.0, float("nan"), 0.0)}, "finite"),
+    ],
+)
+def test_bad_input_gets_one_clear_sentence(box_options: dict[str, Any], changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+        ReconstructionEnv(**{**box_options, **changes})
+
+
+def test_a_start_inside_a_wall_is_refused(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**box_options, start_pose=(0.0, 1.0, 1.2, 0.0))
+    with pytest.raises(InputError):
+        env.reset(seed=0)
+
+
+def test_tasks_that_need_a_scene_say_so() -> None:
+    for task in ("Mesh", "Replica", "Matterport3D"):
+        with pytest.raises(InputError, match=f"{task}-v0 needs a scene, for example gymnasium.make"):
+            gym.make(f"activestructure_gym:ActiveStructure/{task}-v0")
+
+
+def test_ground_truth_stays_behind(box_options: dict[str, Any]) -> None:
+    """With the true mesh swapped after the frames are recorded, observation and gains stay the same."""
+    env = ReconstructionEnv(**{**box_options, "gains": ("pixel", "hole_area")})
+    env.reset(seed=0)
+    before = env._observe()
+    env.reconstruction.scene = load_scene("box?seed=3")
+    env.reconstruction._refresh()
+    after = env._observe()
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name])
+
+
+def test_table_of_the_observation_names_every_key(env: ReconstructionEnv) -> None:
+    observation, _ = env.reset(seed=0)
+    keys = observation_keys(env.config, env.max_planes)
+    assert set(keys) == set(observation) == set(env.observation_space.keys())
+    table = observation_table(env.config, env.max_planes)
+    assert all(f"`{name}`" in table for name in keys)
+
+
+def test_as_pose() -> None:
+    np.testing.assert_array_equal(as_pose(np.eye(4)), np.eye(4))
+    np.testing.assert_allclose(as_pose((1, 2, 3, 0))[:3, 2], (1, 0, 0), atol=1e-12)

@@ -1,0 +1,108 @@
+"""Contracts over every registered policy, and the two built-in ones by hand."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies import POLICIES, PixelOnly, Policy, Random, travel_discount
+from activestructure_gym.policies.base import best_valid
+
+ALL = sorted(POLICIES)
+
+
+def observation(rng: np.random.Generator, rows: int = 12, valid: int = 8, gains: int = 1) -> dict[str, np.ndarray]:
+    candidates = rng.uniform(0, 5, (rows, len(CANDIDATE_FEATURES))).astype(np.float32)
+    mask = np.zeros(rows, np.int8)
+    mask[:valid] = 1
+    return {
+        "candidates": candidates,
+        "candidate_gains": rng.uniform(0, 1, (rows, gains)).astype(np.float32),
+        "action_mask": mask,
+        "candidate_planes": np.zeros((rows, 4), np.int8),
+        "plane_mask": np.zeros(4, np.int8),
+    }
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_never_a_masked_row_deterministic_and_picklable(name: str, rng: np.random.Generator) -> None:
+    first, second = POLICIES.get(name)(), POLICIES.get(name)()
+    first.reset(3)
+    second.reset(3)
+    for valid in (1, 2, 8, 12):
+        observed = observation(rng, valid=valid, gains=max(1, len(first.required_gains)))
+        before = {key: value.copy() for key, value in observed.items()}
+        choice = first.act(observed)
+        assert isinstance(choice, int)
+        assert observed["action_mask"][choice] == 1
+        for key, value in before.items():
+            np.testing.assert_array_equal(observed[key], value)
+        second = pickle.loads(pickle.dumps(second))
+        assert second.act(observed) == choice
+        assert isinstance(first.trace(), dict)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_no_valid_row_is_an_error(name: str, rng: np.random.Generator) -> None:
+    policy = POLICIES.get(name)()
+    policy.reset(0)
+    with pytest.raises(ValueError, match="no candidate is valid"):
+        policy.act(observation(rng, valid=0, gains=max(1, len(policy.required_gains))))
+
+
+def test_random_reaches_every_valid_row_and_no_other(rng: np.random.Generator) -> None:
+    policy = Random()
+    policy.reset(0)
+    observed = observation(rng, valid=5)
+    counts = np.bincount([policy.act(observed) for _ in range(2000)], minlength=12)
+    assert (counts[5:] == 0).all()
+    assert counts[:5].min() > 300  # 400 expected, standard deviation 18
+
+
+def test_pixel_only_by_hand(rng: np.random.Generator) -> None:
+    observed = observation(rng, rows=3, valid=3)
+    observed["candidate_gains"][:, 0] = [0.5, 0.6, 0.9]
+    observed["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = [0.0, 1.0, 8.0]
+    # 0.5, 0.6 exp(-1/4) = 0.467, 0.9 exp(-2) = 0.122
+    policy = PixelOnly()
+    policy.reset(0)
+    assert policy.act(observed) == 0
+    assert policy.trace() == {"pixel": pytest.approx(0.5), "travel": pytest.approx(1.0)}
+    observed["candidate_gains"][1, 0] = 0.7  # 0.545
+    assert policy.act(observed) == 1
+    observed["candidate_gains"][:, 0] = 0.0  # everything covered: the nearest
+    assert policy.act(observed) == 0
+
+
+def test_gains_are_found_by_name_whatever_their_order(rng: np.random.Generator) -> None:
+    observed = observation(rng, gains=3)
+    policy = PixelOnly()
+    policy.bind(("hole_area", "other", "pixel"))
+    np.testing.assert_array_equal(policy.gain(observed, "pixel"), observed["candidate_gains"][:, 2])
+    with pytest.raises(ValueError, match=r"PixelOnly needs the gains \['pixel'\]"):
+        policy.bind(("hole_area",))
+
+
+def test_travel_discount_and_best_valid(rng: np.random.Generator) -> None:
+    observed = observation(rng, rows=3, valid=2)
+    observed["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = [0.0, 4.0, 0.0]
+    np.testing.assert_allclose(travel_discount(observed), [1.0, np.exp(-1), 1.0], rtol=1e-6)
+    assert best_valid(np.array([1.0, 1.0, 5.0]), observed) == 0
+
+
+def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator) -> None:
+    @POLICIES.register("nearest_for_this_test")
+    class Nearest(Policy):
+        def act(self, observation: dict[str, np.ndarray]) -> int:
+            return best_valid(travel_discount(observation), observation)
+
+    try:
+        policy = POLICIES.get("nearest_for_this_test")()
+        observed = observation(rng)
+        lengths = observed["candidates"][:8, CANDIDATE_FEATURES.index("path_length")]
+        assert policy.act(observed) == lengths.argmin()
+    finally:
+        del POLICIES._entries["nearest_for_this_test"]

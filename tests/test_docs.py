@@ -1,0 +1,76 @@
+"""What the docs show is run as shown."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def blocks(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
+
+
+@pytest.fixture
+def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The files of docs/extending.md, importable."""
+    for block in blocks("docs/extending.md"):
+        name = re.match(r"# (\w+\.py)\n", block)
+        assert name, f"a block of docs/extending.md does not begin with its file name:\n{block}"
+        (tmp_path / name[1]).write_text(block)
+        assert len([line for line in block.splitlines() if line.strip()]) <= 20
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    for module in ("my_policy", "my_gain", "my_scene"):
+        sys.modules.pop(module, None)
+
+
+def test_third_party_policy_gain_and_scene_work_together(plugins: Path) -> None:
+    from activestructure_gym.envs import ReconstructionEnv
+    from activestructure_gym.policies import POLICIES
+
+    policy = POLICIES.get("my_policy:AreaFirst")()
+    env = ReconstructionEnv(
+        scene="my_scene:cube_room?side=5",
+        preset="fast",
+        frame_budget=15,
+        gains=("hole_area", "my_gain:thin_cover"),
+    )
+    policy.bind(env.config.gains)
+    policy.reset(0)
+    observation, info = env.reset(seed=0)
+    np.testing.assert_allclose(np.ptp(env.reconstruction.scene.bounds, axis=0), (5.0, 5.0, 2.6), atol=1e-5)
+    while True:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        if terminated or truncated:
+            break
+    assert info["metres"] > 0 or info["keyframes"] > 1
+
+
+def test_the_readme_s_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    examples = blocks("README.md")
+    assert examples, "README.md shows no example"
+    assert len([line for line in examples[0].splitlines() if line.strip()]) <= 12
+    names: dict[str, Any] = {}
+    exec(compile(examples[0], "README.md", "exec"), names)
+    assert capsys.readouterr().out
+
+
+def test_the_page_of_the_observation_is_up_to_date() -> None:
+    from activestructure_gym.config import configure
+    from activestructure_gym.envs.observation import CANDIDATE_FEATURES, observation_table
+    from activestructure_gym.planes import PLANE_FEATURES
+
+    page = (ROOT / "docs" / "observation.md").read_text()
+    assert observation_table(configure("default"), max_planes=64) in page, (
+        "docs/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
+    )
+    for name in (*CANDIDATE_FEATURES, *PLANE_FEATURES):
+        assert f"`{name}`" in page

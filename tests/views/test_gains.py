@@ -1,0 +1,111 @@
+"""Gains on hand-made maps: what they count, and that they agree with closed forms."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.views import GAINS, GainContext, evaluate_gains
+from activestructure_gym.views.gains.hole_area import exit_distances, solid_angles
+from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
+
+CAMERA = PinholeCamera.from_size(40, 24)
+
+
+def context(alpha: np.ndarray, state: np.ndarray | None = None, **changes: Any) -> GainContext:
+    count = len(alpha)
+    poses = np.stack([look_along(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.0, 0.0]))] * count)
+    state = np.full((40, 40, 40), UNKNOWN, np.uint8) if state is None else state
+    options: dict[str, Any] = {
+        "mapper": SimpleNamespace(render_depth_alpha=lambda camera, poses: (np.zeros_like(alpha), alpha)),
+        "volume": SimpleNamespace(state=state, origin=np.zeros(3), config=SimpleNamespace(voxel_size=0.1)),
+        "planes": None,
+        "camera": CAMERA,
+        "bounds": np.array([[0.0, 0, 0], [4.0, 4, 4]]),
+        "coverage_alpha": 0.5,
+        "max_range": 10.0,
+        "world_from_camera": poses,
+    }
+    return GainContext(**{**options, **changes})
+
+
+def test_pixel_gain_is_the_share_of_uncovered_pixels() -> None:
+    alpha = np.ones((3, 24, 40), np.float32)
+    alpha[1, :6] = 0.5  # exactly at the threshold: not covered
+    alpha[2] = 0.0
+    np.testing.assert_allclose(evaluate_gains(("pixel",), context(alpha))[:, 0], [0.0, 0.25, 1.0])
+
+
+def test_a_covered_view_hides_no_area_and_a_wall_nearer_by_hides_less() -> None:
+    empty = np.zeros((1, 24, 40), np.float32)
+    covered = np.ones((1, 24, 40), np.float32)
+    far = np.full((40, 40, 40), FREE, np.uint8)
+    near = far.copy()
+    near[30:] = OCCUPIED  # a wall 1 m ahead
+    assert evaluate_gains(("hole_area",), context(covered, far))[0, 0] == 0.0
+    gain_far = evaluate_gains(("hole_area",), context(empty, far))[0, 0]
+    gain_near = evaluate_gains(("hole_area",), context(empty, near))[0, 0]
+    assert 0 < gain_near < gain_far
+    # Frontal wall at depth 1: sum of solid angle x (depth / cos)^2 = sum of pixel area / cos = between 1.92 / 1 and
+    # the same over the steepest cosine of 0.65; the frustum's cross-section at 1 m is 2 x 1.2 = 2.4 m^2.
+    assert 2.4 < gain_near < 2.4 / 0.65
+
+
+def test_exit_distance_against_the_box() -> None:
+    state = np.full((40, 40, 40), FREE, np.uint8)
+    pose = look_along(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.0, 0.0]))[None]
+    rays = CAMERA.rays().astype(np.float64)
+    distance = exit_distances(state, np.zeros(3), 0.1, pose, rays, 100.0, np.ones((1, 24, 40), bool))[0]
+    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True) @ pose[0, :3, :3].T
+    with np.errstate(divide="ignore"):
+        expected = np.min(2.0 / np.abs(directions), axis=-1)
+    # Marching overshoots by at most its step of half a voxel.
+    assert (distance >= expected - 1e-9).all()
+    assert (distance <= expected + 0.05 + 1e-9).all()
+
+
+def test_solid_angles_add_up_to_that_of_the_frustum() -> None:
+    camera = PinholeCamera.from_size(400, 400, 90.0)
+    # A 90 x 90 degree pyramid is a sixth of the sphere.
+    assert solid_angles(camera).sum() == pytest.approx(4 * np.pi / 6, rel=1e-4)
+
+
+def test_a_third_party_gain_is_evaluated_by_name_and_checked() -> None:
+    alpha = np.linspace(0, 1, 4, dtype=np.float32)[:, None, None] * np.ones((1, 24, 40), np.float32)
+
+    @GAINS.register("brightness_of_nothing")
+    def mine(ctx: GainContext) -> np.ndarray:
+        return (1 - ctx.alpha).mean(axis=(1, 2))
+
+    try:
+        columns = evaluate_gains(("pixel", "brightness_of_nothing"), context(alpha))
+        np.testing.assert_allclose(columns[:, 1], [1, 2 / 3, 1 / 3, 0], atol=1e-6)
+        GAINS.register("brightness_of_nothing")(lambda ctx: np.full(4, np.nan))
+        with pytest.raises(ValueError, match=r"4 finite numbers.*4 not finite"):
+            evaluate_gains(("brightness_of_nothing",), context(alpha))
+    finally:
+        del GAINS._entries["brightness_of_nothing"]
+
+
+def test_the_map_is_rendered_once_for_all_gains() -> None:
+    calls = []
+
+    def render(camera: PinholeCamera, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        calls.append(len(poses))
+        return np.zeros((2, 24, 40), np.float32), np.zeros((2, 24, 40), np.float32)
+
+    ctx = context(np.zeros((2, 24, 40), np.float32), mapper=SimpleNamespace(render_depth_alpha=render))
+    evaluate_gains(("pixel", "hole_area"), ctx)
+    assert calls == [2]
+
+
+def test_no_candidates_and_unknown_gains() -> None:
+    assert evaluate_gains(("pixel",), context(np.zeros((0, 24, 40), np.float32), world_from_camera=np.zeros((0, 4, 4)))
+                          ).shape == (0, 1)
+    with pytest.raises(InputError, match="did you mean 'pixel'"):
+        GAINS.get("pixle")

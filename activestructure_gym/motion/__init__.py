@@ -1,1 +1,16 @@
-""""""
+"""How the agent gets from view to view: reachability, paths, and the frames along them."""
+
+from activestructure_gym.motion.clearance import first_blocked_edge
+from activestructure_gym.motion.reachability import DistanceMap, path_lengths
+from activestructure_gym.motion.rrt import plan_path
+from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate
+
+__all__ = [
+    "DistanceMap",
+    "MotionConfig",
+    "first_blocked",
+    "first_blocked_edge",
+    "interpolate",
+    "path_lengths",
+    "plan_path",
+]

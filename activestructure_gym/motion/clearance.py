@@ -1,0 +1,61 @@
+"""What every planned and every executed edge must satisfy: the minimum clearance, and the one exception to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.volume.distance_field import sample
+
+# A start with less clearance than asked for may move this far to where there is enough (metres).
+ESCAPE_REACH = 0.5
+# On that way the start's own clearance is kept up to this, and never less than this: not inside an obstacle (metres).
+TOUCHING = 1e-3
+# Metres between the samples of an edge, as a share of a voxel.
+_SAMPLING = 0.5
+
+
+def first_blocked_edge(
+    volume: VoxelVolume,
+    path: np.ndarray,  # [P, 3] metres, world
+    *,
+    min_clearance: float,  # metres
+) -> int | None:
+    """Index of the first edge of the path that does not keep the clearance; None if all do.
+
+    A path that starts closer to an obstacle than that may, within its first half metre and until it has reached the
+    clearance once, be as close as its start: an agent that learns of an obstacle beside it must be able to leave.
+    Edges without length (turning on the spot) are never blocked.
+    """
+    points = np.ascontiguousarray((np.asarray(path, dtype=np.float64) - volume.origin) / volume.voxel_size - 0.5)
+    edge = _first_blocked_edge(volume.clearance, points, min_clearance, ESCAPE_REACH / volume.voxel_size)
+    return None if edge < 0 else int(edge)
+
+
+@njit(cache=True, nogil=True)
+def _first_blocked_edge(
+    field: np.ndarray,
+    points: np.ndarray,  # [P, 3] voxels
+    bound: float,  # metres
+    reach: float,  # voxels
+) -> int:
+    own = sample(field, points[0, 0], points[0, 1], points[0, 2])
+    escaping = own < bound
+    weaker = max(min(own, bound) - TOUCHING, TOUCHING)
+    travelled = 0.0
+    for n in range(len(points) - 1):
+        offset = points[n + 1] - points[n]
+        length = np.sqrt((offset * offset).sum())
+        if length == 0.0:
+            continue
+        count = max(1, int(np.ceil(length / _SAMPLING)))
+        for s in range(1, count + 1):
+            p = points[n] + offset * (s / count)
+            value = sample(field, p[0], p[1], p[2])
+            if value >= bound:
+                escaping = False
+            elif not escaping or value < weaker or travelled + length * s / count > reach + 1e-6:
+                return n
+        travelled += length
+    return -1

@@ -1,0 +1,282 @@
+"""Path lengths from one place to everywhere, and the way to any of those places."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
+from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.volume.distance_field import segment_above
+
+# Live buckets of the queue: steps are at most sqrt(3) voxels long, seeds at most a diagonal of ESCAPE_REACH apart.
+_BUCKETS = 16
+
+
+@njit(cache=True, nogil=True)
+def _spread(
+    open_: np.ndarray,  # [X, Y, Z] bool, False all along its border
+    lengths: np.ndarray,  # [X, Y, Z] float32 voxels: inf, except at the seeds
+    parents: np.ndarray,  # [X, Y, Z] int32: flat index of the voxel before, -1 = none
+    seeds: np.ndarray,  # [S] flat indices
+) -> None:
+    """Dijkstra's algorithm over the 26 neighbours; a diagonal step needs its whole 2 x 2 (x 2) block open.
+
+    Every step is at least one voxel long, so the voxels of a bucket one voxel wide are final when it comes up, in any
+    order: no heap is needed. Chosen by measurement (10 x 8 x 2.7 m at 0.1 m, 107k open voxels, one core): this 5 ms;
+    the same with a binary heap 17 ms; scipy.sparse.csgraph.dijkstra 50 ms, plus 75 to 110 ms for its matrix.
+    """
+    size_y, size_z = open_.shape[1], open_.shape[2]
+    flat_open, flat_lengths, flat_parents = open_.ravel(), lengths.ravel(), parents.ravel()
+    # A voxel enters a bucket only when its length moves to a lower one: at most once per bucket.
+    capacity = 0
+    for n in range(flat_open.size):
+        capacity += flat_open[n]
+    queue = np.empty((_BUCKETS, capacity + 1), np.int32)
+    waiting = np.zeros(_BUCKETS, np.int64)
+
+    moves = np.empty((26, 3), np.int64)
+    count = 0
+    for a in range(-1, 2):
+        for b in range(-1, 2):
+            for c in range(-1, 2):
+                if a or b or c:
+                    moves[count] = a, b, c
+                    count += 1
+    jump = np.empty(26, np.int64)
+    cost = np.empty(26, np.float32)
+    corners = np.zeros((26, 6), np.int64)  # the other voxels of the block between the two ends of a diagonal
+    corner_count = np.zeros(26, np.int64)
+    for m in range(26):
+        a, b, c = moves[m]
+        jump[m] = (a * size_y + b) * size_z + c
+        cost[m] = np.sqrt(np.float32(a * a + b * b + c * c))
+        for part in range(1, 8):
+            pa, pb, pc = a * (part & 1), b * (part >> 1 & 1), c * (part >> 2 & 1)
+            offset = (pa * size_y + pb) * size_z + pc
+            seen = offset == 0 or offset == jump[m]
+            for n in range(corner_count[m]):
+                seen = seen or corners[m, n] == offset
+            if not seen:
+                corners[m, corner_count[m]] = offset
+                corner_count[m] += 1
+
+    bucket = np.int64(1 << 60)
+    for s in range(len(seeds)):
+        bucket = min(bucket, int(flat_lengths[seeds[s]]))
+    left = len(seeds)
+    for s in range(len(seeds)):
+        slot = int(flat_lengths[seeds[s]]) % _BUCKETS
+        queue[slot, waiting[slot]] = seeds[s]
+        waiting[slot] += 1
+    while left > 0:
+        slot = bucket % _BUCKETS
+        for n in range(waiting[slot]):
+            here = queue[slot, n]
+            length = flat_lengths[here]
+            if int(length) != bucket:
+                continue  # it has moved to a lower bucket since
+            for m in range(26):
+                there = here + jump[m]
+                through = length + cost[m]
+                if not flat_open[there] or through >= flat_lengths[there]:
+                    continue
+                blocked = False
+                for c in range(corner_count[m]):
+                    if not flat_open[here + corners[m, c]]:
+                        blocked = True
+                        break
+                if blocked:
+                    continue
+                old, new = flat_lengths[there], int(through)
+                flat_lengths[there] = through
+                flat_parents[there] = here
+                if not old < np.inf or int(old) != new:
+                    queue[new % _BUCKETS, waiting[new % _BUCKETS]] = there
+                    waiting[new % _BUCKETS] += 1
+                    left += 1
+        left -= waiting[slot]
+        waiting[slot] = 0
+        bucket += 1
+
+
+@njit(cache=True, nogil=True)
+def _best_corner(
+    field: np.ndarray,  # clearance, metres
+    lengths: np.ndarray,  # [X, Y, Z] voxels, of the box that starts at ``corner``
+    corner: np.ndarray,  # [3] int64
+    point: np.ndarray,  # [3] voxels, centre of voxel (0, 0, 0) of the field at 0
+    bound: float,
+) -> tuple[float, int]:  # (length in voxels, flat index in the box)
+    """The shortest way to ``point`` over one of the 8 voxel centres around it, -1 if there is none."""
+    best, best_index = np.inf, -1
+    base = np.floor(point).astype(np.int64)
+    center = np.empty(3)
+    for part in range(8):
+        i, j, k = base[0] + (part >> 2), base[1] + (part >> 1 & 1), base[2] + (part & 1)
+        a, b, c = i - corner[0], j - corner[1], k - corner[2]
+        if not (0 <= a < lengths.shape[0] and 0 <= b < lengths.shape[1] and 0 <= c < lengths.shape[2]):
+            continue
+        length = lengths[a, b, c]
+        if not length < np.inf:
+            continue
+        center[0], center[1], center[2] = i, j, k
+        offset = point - center
+        length += np.sqrt((offset * offset).sum())
+        if length < best and segment_above(field, center, point, bound, 0.5):
+            best, best_index = length, (a * lengths.shape[1] + b) * lengths.shape[2] + c
+    return best, best_index
+
+
+@njit(cache=True, nogil=True)
+def _lengths_at(
+    field: np.ndarray,
+    lengths: np.ndarray,
+    corner: np.ndarray,
+    start: np.ndarray,  # [3] voxels
+    points: np.ndarray,  # [N, 3] voxels
+    bound: float,
+) -> np.ndarray:  # [N] voxels
+    result = np.empty(len(points), np.float32)
+    for n in range(len(points)):
+        result[n], index = _best_corner(field, lengths, corner, points[n], bound)
+        # The grid is up to 10 % too long off its own directions; the straight line, where it is free, is exact.
+        if index >= 0 and segment_above(field, start, points[n], bound, 0.5):
+            offset = points[n] - start
+            result[n] = np.sqrt((offset * offset).sum())
+    return result
+
+
+class DistanceMap:
+    """Lengths of the shortest paths from one start through voxels that keep a clearance. Made by `path_lengths`."""
+
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        start: np.ndarray,
+        min_clearance: float,
+        corner: np.ndarray,  # [3] voxel index of the box's first voxel
+        lengths: np.ndarray,  # [X, Y, Z] float32 voxels, of the box
+        parents: np.ndarray,  # [X, Y, Z] int32 into the box
+    ) -> None:
+        self.start = start
+        self.min_clearance = min_clearance
+        self._field = volume.clearance  # replaced, never written to, when the volume changes: this map stays valid
+        self._origin = volume.origin
+        self._voxel_size = volume.voxel_size
+        self._corner = corner
+        self._lengths = lengths
+        self._parents = parents
+
+    def _coordinates(self, points: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray((np.asarray(points, dtype=np.float64) - self._origin) / self._voxel_size - 0.5)
+
+    @property
+    def reachable(self) -> np.ndarray:  # [N, 3] metres
+        """Centres of all voxels that can be reached, in the order of the grid."""
+        voxels = np.argwhere(np.isfinite(self._lengths)) + self._corner
+        return self._origin + (voxels + 0.5) * self._voxel_size
+
+    def at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres, world -> [N] float32 metres, inf = unreachable
+        """Length of the shortest path to each point: straight where that is free, else over the best voxel near it."""
+        points = self._coordinates(np.reshape(points, (-1, 3)))
+        voxels = _lengths_at(
+            self._field, self._lengths, self._corner, self._coordinates(self.start), points, self.min_clearance
+        )
+        return voxels * np.float32(self._voxel_size)
+
+    def path_to(self, point: np.ndarray) -> np.ndarray | None:  # [3] -> [P, 3] metres, start and point included
+        """The way from the start to ``point`` along voxel centres; every edge keeps the clearance. None: unreachable.
+
+        From a start with too little clearance the first edge leads straight out to where there is enough.
+        """
+        point = np.asarray(point, dtype=np.float64)
+        _, index = _best_corner(
+            self._field, self._lengths, self._corner, self._coordinates(point), self.min_clearance
+        )
+        if index < 0:
+            return None
+        parents = self._parents.ravel()
+        chain = []
+        while index >= 0:
+            chain.append(index)
+            index = int(parents[index])
+        voxels = np.stack(np.unravel_index(chain[::-1], self._parents.shape), axis=-1) + self._corner
+        path = np.vstack([self.start, self._origin + (voxels + 0.5) * self._voxel_size, point])
+        keep = np.ones(len(path), dtype=bool)
+        keep[1:-1] = np.linalg.norm(np.diff(path[:-1], axis=0), axis=1) > 1e-9
+        if len(path) > 2 and np.linalg.norm(path[-1] - path[-2]) <= 1e-9:
+            keep[-2] = False
+        return path[keep]
+
+
+def path_lengths(
+    volume: VoxelVolume,
+    start: np.ndarray,  # [3] metres, world
+    *,
+    min_clearance: float,  # metres
+) -> DistanceMap:
+    """Shortest paths from ``start`` to every voxel whose centre keeps ``min_clearance`` from all that is not free.
+
+    Lengths on the grid are at most 10 % above the true ones; `DistanceMap.at` is exact where the straight line is free.
+    If the start itself lies closer to an obstacle, it first goes straight to a voxel nearby that does not, without
+    coming closer than it is; without such a voxel nothing is reachable.
+    """
+    start = np.asarray(start, dtype=np.float64)
+    open_voxels = volume.clearance >= max(min_clearance, TOUCHING)
+    corner, open_ = _boxed(open_voxels)
+    lengths = np.full(open_.shape, np.inf, dtype=np.float32)
+    parents = np.full(open_.shape, -1, dtype=np.int32)
+    seeds = _seeds(volume, start, min_clearance, corner, open_)
+    if len(seeds):
+        flat = np.ravel_multi_index(tuple(seeds.T), open_.shape)
+        centers = volume.center_of(seeds + corner)
+        lengths.ravel()[flat] = np.linalg.norm(centers - start, axis=1) / volume.voxel_size
+        _spread(open_, lengths, parents, flat)
+    return DistanceMap(volume, start, min_clearance, corner, lengths, parents)
+
+
+def _boxed(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The box around the true voxels with a false border (its first index may be -1), and that index."""
+    if not mask.any():
+        return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
+    lower, upper = [], []
+    for axis in range(3):
+        present = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
+        lower.append(int(present[0]))
+        upper.append(int(present[-1]) + 1)
+    inner = mask[lower[0] : upper[0], lower[1] : upper[1], lower[2] : upper[2]]
+    return np.array(lower, dtype=np.int64) - 1, np.pad(inner, 1)
+
+
+def _seeds(
+    volume: VoxelVolume, start: np.ndarray, min_clearance: float, corner: np.ndarray, open_: np.ndarray
+) -> np.ndarray:  # [S, 3] indices into the box
+    """Open voxels that the start can go straight to: those around it, else the nearest ones within reach."""
+    base = np.floor((start - volume.origin) / volume.voxel_size - 0.5).astype(np.int64)
+    around = base + np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3) - corner
+    near = _only_open(around, open_)
+    centers = volume.center_of(near + corner)
+    near = near[volume.segments_free(start, centers, min_clearance=min_clearance)] if len(near) else near
+    if len(near):
+        return near
+    reach = int(np.ceil(ESCAPE_REACH / volume.voxel_size))
+    span = np.arange(-reach, reach + 2)
+    around = base + np.stack(np.meshgrid(span, span, span, indexing="ij"), axis=-1).reshape(-1, 3) - corner
+    near = _only_open(around, open_)
+    centers = volume.center_of(near + corner)
+    distance = np.linalg.norm(centers - start, axis=1)
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= ESCAPE_REACH]
+    own = float(volume.clearance_at(start[None])[0])
+    bound = max(min(own, min_clearance) - TOUCHING, TOUCHING)
+    for n in order:
+        if volume.segments_free(start, centers[n], min_clearance=bound)[0]:
+            return near[n : n + 1]
+    return np.zeros((0, 3), dtype=np.int64)
+
+
+def _only_open(voxels: np.ndarray, open_: np.ndarray) -> np.ndarray:
+    inside = ((voxels >= 0) & (voxels < np.array(open_.shape))).all(axis=1)
+    voxels = voxels[inside]
+    return voxels[open_[tuple(voxels.T)]]

@@ -1,0 +1,198 @@
+"""From a path to the poses of single frames: small steps, small turns, looking where one goes (method.md 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import look_along
+from activestructure_gym.motion.clearance import first_blocked_edge
+from activestructure_gym.volume import VoxelVolume
+
+_ROLL_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How the agent moves from one view to the next."""
+
+    max_step_m: float = 0.1
+    """Metres per frame. [ActiveGAMER's motion model, method.md 1]"""
+    max_turn_deg: float = 10.0
+    """Degrees per frame, of the whole rotation. [same]"""
+    min_clearance: float = 0.2
+    """Metres that every path keeps from all that is not known to be free."""
+    candidate_clearance: float = 0.3
+    """Metres that a candidate view keeps. [method.md 5]"""
+    body_radius: float = 0.45
+    """Metres around the start pose that are known to be free, because the agent stands there."""
+    look_ahead_above: float = 1.0
+    """Metres: on longer paths the camera turns along the motion as far as that costs no frame."""
+    look_ahead_pitch_deg: float = 30.0
+    """Degrees up or down that it looks at most while doing so."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_step_m", "max_turn_deg", "min_clearance", "body_radius"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if self.candidate_clearance < self.min_clearance:
+            raise ValueError(
+                f"candidate_clearance must be at least min_clearance, got {self.candidate_clearance} "
+                f"and {self.min_clearance}"
+            )
+        if not 0 <= self.look_ahead_pitch_deg < 90:
+            raise ValueError(f"look_ahead_pitch_deg must lie in [0, 90), got {self.look_ahead_pitch_deg}")
+
+
+def interpolate(
+    path: np.ndarray,  # [P, 3] metres, from the start pose's position to the goal pose's
+    start_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
+    goal_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
+    config: MotionConfig | None = None,
+) -> np.ndarray:  # [T, 4, 4] world_from_camera, T >= 1: without the start, the last one is the goal
+    """One pose per frame, each at most a step and a turn from the one before; all positions lie on the path.
+
+    The number of frames is the smallest one possible: that of the steps, or of the turns where those take longer (then
+    half of the waiting is done at the start, half at the end, as in ActiveGAMER). Within that number the camera looks
+    along the motion as much as it can on paths longer than ``look_ahead_above``; on short ones it turns evenly.
+    """
+    config = config or MotionConfig()
+    path = np.asarray(path, dtype=np.float64)
+    start_pose, goal_pose = np.asarray(start_pose, dtype=np.float64), np.asarray(goal_pose, dtype=np.float64)
+    for name, end, pose in (("start", path[0], start_pose), ("end", path[-1], goal_pose)):
+        if np.linalg.norm(end - pose[:3, 3]) > 1e-4:
+            raise ValueError(f"the path must {name} at the {name} pose {pose[:3, 3]}, got {end}")
+    most = np.radians(config.max_turn_deg)
+    start_angles, goal_angles = yaw_pitch(start_pose), yaw_pitch(goal_pose)
+
+    positions, headings = _along(path, config.max_step_m)
+    turns = int(np.ceil(np.linalg.norm(_difference(goal_angles, start_angles)) / most - 1e-9))
+    waiting = max(turns - len(positions), 0 if len(positions) else 1)
+    before = waiting // 2
+    positions = np.vstack([np.tile(path[0], (before, 1)), positions, np.tile(path[-1], (waiting - before, 1))])
+    count = len(positions)
+
+    steps = np.arange(1, count + 1)[:, None] / count
+    wanted = start_angles + steps * _difference(goal_angles, start_angles)
+    if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() > config.look_ahead_above:
+        ahead = _look_ahead(headings, start_angles, np.radians(config.look_ahead_pitch_deg))
+        wanted[before : before + len(ahead)] = ahead
+        wanted[:before] = ahead[0]
+    angles = _limit_turns(wanted, start_angles, goal_angles, most)
+
+    poses = np.stack([pose_at(position, *angle) for position, angle in zip(positions, angles)])
+    poses[-1] = goal_pose
+    return poses
+
+
+def first_blocked(
+    volume: VoxelVolume,
+    poses: np.ndarray,  # [T, 4, 4] world_from_camera: what is still to be executed
+    min_clearance: float,  # metres
+    *,
+    start: np.ndarray | None = None,  # [4, 4] where the agent is now; poses[0] if None
+) -> int | None:
+    """Index of the first pose that can no longer be moved to, after the volume has learned more; None if all can.
+
+    Execute ``poses[:index]`` and plan anew from there. Turning on the spot is never blocked, and an agent that finds
+    itself in a tight place may leave it (`first_blocked_edge`).
+    """
+    if not len(poses):
+        return None
+    here = poses[0] if start is None else start
+    return first_blocked_edge(
+        volume, np.vstack([here[None, :3, 3], poses[:, :3, 3]]), min_clearance=min_clearance
+    )
+
+
+def yaw_pitch(
+    pose: np.ndarray,  # [4, 4] world_from_camera, without roll
+) -> np.ndarray:  # [2] radians: yaw around world z (0 = +x), pitch (above 0 = up)
+    """Direction of the optical axis; also for a camera that looks straight up or down, whose yaw is in its right axis.
+
+    Raises ValueError for a pose with roll: poses are made by `geometry.look_along`, and motion keeps them level.
+    """
+    right, forward = pose[:3, 0], pose[:3, 2]
+    if abs(right[2]) > _ROLL_TOLERANCE or pose[2, 1] > _ROLL_TOLERANCE:
+        raise ValueError(f"expected a pose without roll (image right level, image up not down), got {pose[:3, :3]}")
+    yaw = np.arctan2(right[0], -right[1])
+    return np.array([yaw, np.arctan2(forward[2], np.hypot(forward[0], forward[1]))])
+
+
+def pose_at(position: np.ndarray, yaw: float, pitch: float) -> np.ndarray:  # [4, 4] world_from_camera
+    """The inverse of `yaw_pitch`, exact for every pitch in [-90, 90] degrees."""
+    pose = look_along(position, np.array([np.cos(yaw), np.sin(yaw), 0.0]))
+    level_down, level_forward = pose[:3, 1].copy(), pose[:3, 2].copy()
+    pose[:3, 1] = np.cos(pitch) * level_down + np.sin(pitch) * level_forward
+    pose[:3, 2] = np.cos(pitch) * level_forward - np.sin(pitch) * level_down
+    return pose
+
+
+def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [M, 3] at most a step apart, without the first, through every corner (a corner cut is not a path that
+    was checked); and the direction [M, 3] of the edge that leads to each."""
+    positions, headings = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for first, second in zip(path[:-1], path[1:]):
+        length = np.linalg.norm(second - first)
+        if length < 1e-9:
+            continue
+        count = int(np.ceil(length / step - 1e-9))
+        shares = np.arange(1, count + 1)[:, None] / count
+        positions.append(first * (1 - shares) + second * shares)
+        headings.append(np.tile((second - first) / length, (count, 1)))
+    return np.vstack(positions), np.vstack(headings)
+
+
+def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: float) -> np.ndarray:  # [M, 2]
+    """Yaw and pitch along each heading; a climb keeps the yaw, and the pitch stays where there is something to see."""
+    angles = np.empty((len(headings), 2))
+    yaw = start_angles[0]
+    for n, heading in enumerate(headings):
+        level = np.hypot(heading[0], heading[1])
+        if level > 0.1:
+            yaw = np.arctan2(heading[1], heading[0])
+        angles[n] = yaw, np.clip(np.arctan2(heading[2], level), -most_pitch, most_pitch)
+    return angles
+
+
+def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
+    """``to - from_`` in (yaw, pitch), the short way around.
+
+    Its length bounds the rotation: yaw and pitch turn around perpendicular axes, so cos(angle / 2) =
+    cos(dyaw / 2) cos(dpitch / 2) >= cos(length / 2).
+    """
+    difference = to - from_
+    difference[..., 0] = (difference[..., 0] + np.pi) % (2 * np.pi) - np.pi
+    return difference
+
+
+def _limit_turns(
+    wanted: np.ndarray,  # [T, 2]
+    start: np.ndarray,
+    goal: np.ndarray,
+    most: float,  # radians per frame; T of them must suffice from start to goal
+) -> np.ndarray:  # [T, 2], the last one is the goal
+    """Follow ``wanted`` as far as the turn per frame and the turns still needed to reach the goal allow."""
+    angles = np.empty_like(wanted)
+    here = start.copy()
+    for n in range(len(wanted)):
+        towards = _difference(wanted[n], here)
+        home = _difference(goal, here)
+        budget = most * (len(wanted) - 1 - n)  # turns left after this frame
+        towards *= min(1.0, most / max(np.linalg.norm(towards), 1e-12))
+        if np.linalg.norm(home - towards) > budget:
+            # Bend towards the goal just enough: the reachable set is convex and holds the straight way home.
+            straight = home * min(1.0, most / max(np.linalg.norm(home), 1e-12))
+            low, high = 0.0, 1.0
+            for _ in range(40):
+                middle = 0.5 * (low + high)
+                if np.linalg.norm(home - (towards + middle * (straight - towards))) > budget:
+                    low = middle
+                else:
+                    high = middle
+            towards = towards + high * (straight - towards)
+        here = here + towards
+        angles[n] = here
+    angles[-1] = goal
+    return angles

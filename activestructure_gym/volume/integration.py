@@ -1,0 +1,214 @@
+"""One depth image into the voxel grid: hits, conservative free carving and the projective TSDF, in one pass.
+
+What makes the free space safe to move in:
+
+- A voxel is looked through only if *every* ray through its projected footprint, and the ring of rays around it, ends
+  behind the voxel's far side by more than the sensor's noise. A ray without return proves nothing.
+- A voxel that any ray ended in is occupied, however thin the structure is.
+- Rays are samples: at range z they are z / f apart, and a structure of width w can stand between them. One look misses
+  it with chance 1 - min(1, w f / z), so a voxel is free only once the product of these chances over all looks is small.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+UNKNOWN = 0
+FREE = 1
+OCCUPIED = 2
+
+# Blocks of the minimum pyramid are at most a sixth of a footprint, which so grows by less than a third.
+_READS_PER_SIDE = 6
+# Closer than this the footprint of a voxel is larger than the image; also keeps the projection away from z = 0.
+_NEAREST = 0.05
+# Below this the remaining chance of having missed something is called zero, and the voxel needs no more looks.
+_SURE = 1e-3
+
+
+def minimum_pyramid(
+    depth: np.ndarray,  # [H, W] metres, 0 = no return
+) -> tuple[np.ndarray, np.ndarray]:  # (all levels flat, [L, 3] int64: start, height, width of each level)
+    """Minimum over blocks of 2^l x 2^l pixels; a block with a pixel without return is 0."""
+    levels = [np.ascontiguousarray(depth, dtype=np.float32)]
+    while min(levels[-1].shape) > 2 * _READS_PER_SIDE:
+        last = levels[-1]
+        if last.shape[0] % 2 or last.shape[1] % 2:
+            last = np.pad(last, ((0, last.shape[0] % 2), (0, last.shape[1] % 2)), mode="edge")
+        rows = np.minimum(last[0::2], last[1::2])
+        levels.append(np.minimum(rows[:, 0::2], rows[:, 1::2]))
+    sizes = [level.size for level in levels]
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    table = np.array([[start, *level.shape] for start, level in zip(starts, levels)], dtype=np.int64)
+    return np.concatenate([level.ravel() for level in levels]), table
+
+
+@njit(cache=True, nogil=True)
+def mark_hits(
+    depth: np.ndarray,  # [H, W] float32
+    intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
+    world_from_camera: np.ndarray,  # [4, 4]
+    origin: np.ndarray,  # [3] lower corner of voxel (0, 0, 0)
+    voxel_size: float,
+    max_range: float,
+    state: np.ndarray,  # [X, Y, Z] uint8
+    solidity: np.ndarray,  # [X, Y, Z] int16: above 0 = occupied
+    miss_chance: np.ndarray,  # [X, Y, Z] float32
+    last_hit: np.ndarray,  # [X, Y, Z] int32: number of the last image that hit the voxel
+    image_number: int,
+    gain: int,
+    ceiling: int,
+) -> None:
+    """Every ray that returns makes the voxel it ends in occupied (once per image)."""
+    fx, fy, cx, cy = intrinsics
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            z = depth[v, u]
+            if not 0.0 < z <= max_range:
+                continue
+            x = (u + 0.5 - cx) / fx * z
+            y = (v + 0.5 - cy) / fy * z
+            i = int(np.floor((world_from_camera[0, 0] * x + world_from_camera[0, 1] * y + world_from_camera[0, 2] * z
+                              + world_from_camera[0, 3] - origin[0]) / voxel_size))  # fmt: skip
+            j = int(np.floor((world_from_camera[1, 0] * x + world_from_camera[1, 1] * y + world_from_camera[1, 2] * z
+                              + world_from_camera[1, 3] - origin[1]) / voxel_size))  # fmt: skip
+            k = int(np.floor((world_from_camera[2, 0] * x + world_from_camera[2, 1] * y + world_from_camera[2, 2] * z
+                              + world_from_camera[2, 3] - origin[2]) / voxel_size))  # fmt: skip
+            if not (0 <= i < state.shape[0] and 0 <= j < state.shape[1] and 0 <= k < state.shape[2]):
+                continue
+            if last_hit[i, j, k] != image_number:
+                last_hit[i, j, k] = image_number
+                solidity[i, j, k] = min(solidity[i, j, k] + gain, ceiling)
+                miss_chance[i, j, k] = 1.0
+                state[i, j, k] = OCCUPIED
+
+
+@njit(cache=True, nogil=True)
+def _nearest_in_footprint(
+    pyramid: np.ndarray, levels: np.ndarray, u0: int, u1: int, v0: int, v1: int, enough: float
+) -> float:
+    """Smallest depth over pixels [v0..v1] x [u0..u1] (or a little around them); stops below ``enough``."""
+    level = 0
+    while level + 1 < len(levels) and max(u1 - u0, v1 - v0) >> level > _READS_PER_SIDE:
+        level += 1
+    start, width = levels[level, 0], levels[level, 2]
+    smallest = np.float32(np.inf)
+    for v in range(v0 >> level, (v1 >> level) + 1):
+        row = start + v * width
+        for u in range(u0 >> level, (u1 >> level) + 1):
+            smallest = min(smallest, pyramid[row + u])
+            if smallest <= enough:
+                return smallest
+    return smallest
+
+
+@njit(cache=True, nogil=True)
+def carve(
+    pyramid: np.ndarray,  # from minimum_pyramid
+    levels: np.ndarray,
+    intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
+    camera_from_world: np.ndarray,  # [4, 4]
+    origin: np.ndarray,  # [3]
+    voxel_size: float,
+    max_range: float,
+    margin: float,  # metres
+    margin_growth: float,  # metres per square metre of range
+    thinnest: float,  # metres
+    max_miss_chance: float,
+    truncation: float,  # metres
+    max_weight: float,
+    fresh: bool,  # seen from another pose than the image before
+    image_number: int,
+    lower: np.ndarray,  # [3] int64: box of voxels that the frustum can touch
+    upper: np.ndarray,  # [3] int64, exclusive
+    state: np.ndarray,  # all [X, Y, Z]
+    solidity: np.ndarray,
+    miss_chance: np.ndarray,
+    last_hit: np.ndarray,
+    tsdf: np.ndarray,
+    weight: np.ndarray,
+) -> None:
+    """Update TSDF, free and occupied for every voxel whose centre lies in the view frustum."""
+    fx, fy, cx, cy = intrinsics
+    height, width = levels[0, 1], levels[0, 2]
+    half = 0.5 * voxel_size
+    rotation = camera_from_world[:3, :3]
+    # Half extents of a voxel along the camera's axes.
+    extent_x = half * (abs(rotation[0, 0]) + abs(rotation[0, 1]) + abs(rotation[0, 2]))
+    extent_y = half * (abs(rotation[1, 0]) + abs(rotation[1, 1]) + abs(rotation[1, 2]))
+    extent_z = half * (abs(rotation[2, 0]) + abs(rotation[2, 1]) + abs(rotation[2, 2]))
+    # The frustum as five inequalities a . p >= b over camera points; a column of voxels meets it in one interval.
+    planes = np.array([
+        [0.0, 0.0, 1.0, _NEAREST], [0.0, 0.0, -1.0, -max_range],
+        [fx, 0.0, cx, 0.0], [-fx, 0.0, width - cx, 0.0],
+        [0.0, fy, cy, 0.0], [0.0, -fy, height - cy, 0.0],
+    ])  # fmt: skip
+    dx, dy, dz = rotation[0, 2] * voxel_size, rotation[1, 2] * voxel_size, rotation[2, 2] * voxel_size
+
+    for i in range(lower[0], upper[0]):
+        wx = origin[0] + (i + 0.5) * voxel_size
+        for j in range(lower[1], upper[1]):
+            wy = origin[1] + (j + 0.5) * voxel_size
+            wz = origin[2] + 0.5 * voxel_size
+            # Camera point of voxel (i, j, 0).
+            bx = rotation[0, 0] * wx + rotation[0, 1] * wy + rotation[0, 2] * wz + camera_from_world[0, 3]
+            by = rotation[1, 0] * wx + rotation[1, 1] * wy + rotation[1, 2] * wz + camera_from_world[1, 3]
+            bz = rotation[2, 0] * wx + rotation[2, 1] * wy + rotation[2, 2] * wz + camera_from_world[2, 3]
+            first, last = float(lower[2]), float(upper[2] - 1)
+            for p in range(6):
+                offset = planes[p, 0] * bx + planes[p, 1] * by + planes[p, 2] * bz - planes[p, 3]
+                slope = planes[p, 0] * dx + planes[p, 1] * dy + planes[p, 2] * dz
+                if slope > 1e-12:
+                    first = max(first, -offset / slope)
+                elif slope < -1e-12:
+                    last = min(last, -offset / slope)
+                elif offset < 0.0:
+                    last = first - 1.0
+            for k in range(int(np.ceil(first)), int(np.floor(last)) + 1):
+                x, y, z = bx + k * dx, by + k * dy, bz + k * dz
+                u = min(max(int(fx * x / z + cx), 0), width - 1)
+                v = min(max(int(fy * y / z + cy), 0), height - 1)
+                seen = pyramid[v * width + u]
+                if seen <= 0.0:
+                    continue
+
+                distance = seen - z
+                if distance > -truncation:
+                    old = weight[i, j, k]
+                    new = min(distance / truncation, 1.0)
+                    tsdf[i, j, k] = (tsdf[i, j, k] * old + new) / (old + 1.0)
+                    weight[i, j, k] = min(old + 1.0, max_weight)
+
+                if last_hit[i, j, k] == image_number or (miss_chance[i, j, k] == 0.0 and solidity[i, j, k] == 0):
+                    continue
+                near, far = z - extent_z, z + extent_z
+                if near < _NEAREST:
+                    continue
+                enough = far + margin + margin_growth * far * far
+                if seen <= enough:
+                    continue
+                left = fx * min((x - extent_x) / near, (x - extent_x) / far) + cx
+                right = fx * max((x + extent_x) / near, (x + extent_x) / far) + cx
+                top = fy * min((y - extent_y) / near, (y - extent_y) / far) + cy
+                bottom = fy * max((y + extent_y) / near, (y + extent_y) / far) + cy
+                if left < 0.5 or right > width - 0.5 or top < 0.5 or bottom > height - 0.5:
+                    continue  # a part of the voxel was outside the outermost rays
+                # One ray more on each side: at least 3 x 3.
+                u0, u1 = max(int(left) - 1, 0), min(int(right) + 1, width - 1)
+                v0, v1 = max(int(top) - 1, 0), min(int(bottom) + 1, height - 1)
+                if _nearest_in_footprint(pyramid, levels, u0, u1, v0, v1, enough) <= enough:
+                    continue
+
+                met = min(1.0, thinnest * min(fx, fy) / far)  # chance that a thin structure had met a ray
+                if not fresh and (met < 1.0 or solidity[i, j, k] > 0):
+                    continue  # the same rays again say nothing new
+                missed = miss_chance[i, j, k] * (1.0 - met)
+                miss_chance[i, j, k] = missed if missed > _SURE else 0.0
+                if solidity[i, j, k] > 0 and met >= 1.0:
+                    solidity[i, j, k] -= 1
+                if solidity[i, j, k] > 0:
+                    state[i, j, k] = OCCUPIED
+                elif missed <= max_miss_chance:
+                    state[i, j, k] = FREE
+                else:
+                    state[i, j, k] = UNKNOWN

@@ -1,1 +1,20 @@
-""""""
+"""RGB-D cameras: ray casting or pyrender behind one protocol, noise models, and the frame they deliver.
+
+Renderers are loaded when a sensor is made; importing this room needs neither numba nor OpenGL.
+"""
+
+from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.sensors.noise import DEPTH_NOISE
+from activestructure_gym.sensors.renderer import RENDERERS, Renderer, make_renderer, renderer_status
+from activestructure_gym.sensors.rgbd import RGBDSensor, SensorConfig
+
+__all__ = [
+    "DEPTH_NOISE",
+    "RENDERERS",
+    "Frame",
+    "RGBDSensor",
+    "Renderer",
+    "SensorConfig",
+    "make_renderer",
+    "renderer_status",
+]

@@ -1,0 +1,150 @@
+"""The second renderer: OpenGL through pyrender. Imported only when asked for; needs the system's EGL and GL."""
+
+from __future__ import annotations
+
+import os
+import sys
+import types
+import weakref
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.scenes.scene import Scene, SceneMesh
+
+if TYPE_CHECKING:
+    from activestructure_gym.sensors.gl_scene import GLScene
+
+_REPAIR = (
+    "on Debian install them with 'apt-get install -y --no-install-recommends libegl1 libgl1', "
+    "or use the sensor backend 'raycast', which needs no system library"
+)
+
+# One context per scene object and process, shared by all renderers that look at that scene.
+_contexts: weakref.WeakValueDictionary[int, GLScene] = weakref.WeakValueDictionary()
+# The process that first used OpenGL: in its forked children any use of OpenGL hangs for ever.
+_gl_process: int | None = None
+
+
+def _import_gl_scene() -> Any:
+    """The module that draws; raises `InputError` naming what is missing."""
+    platform = os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    if platform != "egl":
+        raise InputError(
+            f"the sensor backend 'pyrender' draws through EGL, but PYOPENGL_PLATFORM is '{platform}'; "
+            "set it to 'egl' or leave it unset"
+        )
+    known = set(sys.modules)
+    if "pyrender" not in known:
+        # pyrender's window would need pyglet and X libraries; nothing here opens one.
+        viewer = types.ModuleType("pyrender.viewer")
+        viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
+        sys.modules["pyrender.viewer"] = viewer
+    try:
+        from activestructure_gym.sensors import gl_scene
+    except Exception as error:
+        # PyOpenGL fails with errors of many types, and half-imported modules would change the error of the next try.
+        for name in set(sys.modules) - known:
+            if name.split(".")[0] in ("pyrender", "OpenGL"):
+                del sys.modules[name]
+        if isinstance(error, ModuleNotFoundError) and error.name in ("pyrender", "OpenGL"):
+            raise InputError("the sensor backend 'pyrender' needs the package: pip install pyrender") from error
+        raise InputError(
+            f"the sensor backend 'pyrender' needs the system libraries EGL and GL ({error}); {_REPAIR}"
+        ) from error
+    finally:
+        if "pyrender" not in known:
+            sys.modules.pop("pyrender.viewer", None)
+    return gl_scene
+
+
+def _context_of(scene: Scene) -> GLScene:
+    global _gl_process
+    if _gl_process is not None and _gl_process != os.getpid():
+        raise InputError(
+            "the sensor backend 'pyrender' cannot draw in a process forked after OpenGL was used; "
+            "start workers with 'spawn' or 'forkserver', or use the sensor backend 'raycast'"
+        )
+    context = _contexts.get(id(scene))
+    if context is None:
+        module = _import_gl_scene()
+        _gl_process = os.getpid()
+        try:
+            context = module.GLScene(scene)
+        except Exception as error:
+            # EGL is there but cannot start: no driver, no device, no permission.
+            raise InputError(
+                f"the sensor backend 'pyrender' could not start OpenGL ({type(error).__name__}: {error}); {_REPAIR}"
+            ) from error
+        _contexts[id(scene)] = context
+    return context
+
+
+class PyrenderRenderer:
+    """Rasterises with OpenGL; agrees with ray casting except at silhouettes.
+
+    Colour is drawn at ``supersample`` times the size and averaged. Depth is never averaged: an odd number of samples
+    has one at the pixel's centre, for an even one the view is drawn once more at its own size. Surfaces nearer than
+    0.05 m are not drawn. The context is made with the first picture, in whatever process that happens.
+    """
+
+    name = "pyrender"
+
+    def __init__(self, scene: Scene) -> None:
+        _import_gl_scene()  # so that missing libraries are reported here and not with the first picture
+        self._scene = scene
+        self._context: GLScene | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_scene": self._scene, "_context": None}
+
+    def render(
+        self, camera: PinholeCamera, world_from_camera: np.ndarray, *, supersample: int = 2
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Renderer.render`."""
+        import cv2
+
+        if supersample < 1:
+            raise ValueError(f"supersample must be at least 1, got {supersample}")
+        if self._context is None or _gl_process != os.getpid():
+            self._context = _context_of(self._scene)
+        pose = np.asarray(world_from_camera, np.float64)
+        fine = camera.resized(camera.width * supersample, camera.height * supersample)
+        rgb, depth = self._context.draw(fine, pose)
+        assert rgb is not None
+        if supersample == 1:
+            return np.ascontiguousarray(rgb), depth
+        if supersample % 2:
+            depth = np.ascontiguousarray(depth[supersample // 2 :: supersample, supersample // 2 :: supersample])
+        else:
+            depth = self._context.draw(camera, pose, color=False)[1]
+        size = (camera.width, camera.height)
+        return cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA), depth
+
+    def close(self) -> None:
+        """Let go of the OpenGL context; it is freed when the last renderer of the scene does so."""
+        self._context = None
+
+
+def probe() -> str:
+    """ "works" if a small picture comes out right in this process, otherwise the reason why not."""
+    corners = np.array([[-9, -9, 1], [9, -9, 1], [0, 9, 1]], np.float32)
+    mesh = SceneMesh(
+        vertices=corners,
+        faces=np.array([[0, 1, 2]], np.int32),
+        colors=np.ones((3, 3), np.float32),
+        uv=np.zeros((3, 2), np.float32),
+        face_texture=np.array([-1], np.int32),
+    )
+    try:
+        renderer = PyrenderRenderer(Scene("probe", mesh, "probe"))
+        rgb, depth = renderer.render(PinholeCamera.from_size(8, 8), np.eye(4))
+    except InputError as error:
+        return str(error)
+    except Exception as error:
+        return f"drawing failed ({type(error).__name__}: {error})"
+    if not (np.allclose(depth, 1.0, atol=1e-4) and (rgb == 255).all()):
+        return "OpenGL starts but draws wrong pictures"
+    return "works"

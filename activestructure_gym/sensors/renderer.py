@@ -1,0 +1,79 @@
+"""What draws the sensor's images: one protocol, chosen by name."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from typing import Protocol
+
+import numpy as np
+
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.scenes.scene import Scene
+
+RENDERERS = ("auto", "raycast", "pyrender")
+
+
+class Renderer(Protocol):
+    """Draws one scene; noise-free and without a range limit. Picklable: heavy parts are rebuilt where they arrive."""
+
+    name: str
+
+    def render(
+        self, camera: PinholeCamera, world_from_camera: np.ndarray, *, supersample: int = 2
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """One view from ``world_from_camera`` [4, 4].
+
+        Returns ``rgb`` [H, W, 3] uint8, the mean of supersample x supersample colour samples per pixel (black where
+        there is no surface), and ``depth`` [H, W] float32 metres along the optical axis, taken at the pixel centre
+        and never averaged (0 where there is no surface).
+        """
+        ...
+
+    def close(self) -> None:
+        """Give back what the renderer holds outside Python's memory; may be called twice."""
+        ...
+
+
+def make_renderer(name: str, scene: Scene) -> Renderer:
+    """The renderer called ``name``; ``auto`` is ray casting where embreex is installed, else pyrender.
+
+    Raises `InputError` for an unknown name, or saying what to install for one that cannot run here.
+    """
+    if name not in RENDERERS:
+        raise unknown_name("sensor backend", name, RENDERERS)
+    if name == "auto":
+        name = "pyrender" if importlib.util.find_spec("embreex") is None else "raycast"
+    if name == "pyrender":
+        from activestructure_gym.sensors.pyrender_backend import PyrenderRenderer
+
+        return PyrenderRenderer(scene)
+    if importlib.util.find_spec("embreex") is None:
+        raise InputError("the sensor backend 'raycast' needs the package embreex: pip install embreex")
+    from activestructure_gym.sensors.raycast import RaycastRenderer
+
+    return RaycastRenderer(scene)
+
+
+def renderer_status() -> dict[str, str]:
+    """Per renderer "works" or the reason why not.
+
+    OpenGL is tried in a process of its own: a process that has used it must not fork any more.
+    """
+    status = {"raycast": "works"}
+    if importlib.util.find_spec("embreex") is None:
+        status["raycast"] = "needs the package embreex: pip install embreex"
+    command = "from activestructure_gym.sensors.pyrender_backend import probe; print(probe())"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    try:
+        probe = subprocess.run(
+            [sys.executable, "-c", command], env=environment, capture_output=True, text=True, timeout=60
+        )
+        answer = probe.stdout.strip().splitlines()
+        status["pyrender"] = answer[-1] if answer else f"starting OpenGL ended the process (code {probe.returncode})"
+    except subprocess.TimeoutExpired:
+        status["pyrender"] = "starting OpenGL took more than 60 s"
+    return status

@@ -1,0 +1,142 @@
+"""The colour of a surface point: texture times vertex colour, averaged over the rays of a pixel."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from activestructure_gym.scenes.scene import Scene, SceneMesh
+
+
+@dataclass(frozen=True)
+class ShadingTables:
+    """A mesh's appearance in the form the kernel reads; all but the texels are the mesh's own arrays, not copies."""
+
+    faces: np.ndarray  # [F, 3] int32
+    colors: np.ndarray  # [V, 3] float32
+    uv: np.ndarray  # [V, 2] float32, v down
+    face_texture: np.ndarray  # [F] int32, -1 = none
+    texels: np.ndarray  # [T, 3] uint8: the texels of all textures, one after the other, row by row
+    texture_start: np.ndarray  # [K] int64: first texel of each texture
+    texture_size: np.ndarray  # [K, 2] int64: height, width
+
+
+def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
+    """Bring a mesh into the kernel's form; raises ValueError where an index points outside its array.
+
+    The kernel does not check bounds, so this is the one place where a wrong mesh is caught.
+    """
+    vertices, faces, textures = len(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int32), mesh.textures
+    face_texture = np.ascontiguousarray(mesh.face_texture, np.int32)
+    if len(faces) and not (0 <= faces.min() and faces.max() < vertices):
+        raise ValueError(f"faces must point to the {vertices} vertices, got indices {faces.min()} to {faces.max()}")
+    if len(face_texture) != len(faces):
+        raise ValueError(f"face_texture needs one entry for each of {len(faces)} faces, got {len(face_texture)}")
+    if len(faces) and not (-1 <= face_texture.min() and face_texture.max() < len(textures)):
+        raise ValueError(
+            f"face_texture must lie in -1 .. {len(textures) - 1}, got {face_texture.min()} .. {face_texture.max()}"
+        )
+    if mesh.colors.shape != (vertices, 3) or mesh.uv.shape != (vertices, 2):
+        raise ValueError(
+            f"colors and uv need one row per vertex ({vertices}), got {mesh.colors.shape} and {mesh.uv.shape}"
+        )
+    for texture in textures:
+        if texture.ndim != 3 or texture.shape[2] != 3 or texture.dtype != np.uint8 or not texture.size:
+            raise ValueError(f"a texture must be [h, w, 3] uint8, got {texture.shape} {texture.dtype}")
+    sizes = np.array([texture.shape[:2] for texture in textures], np.int64).reshape(-1, 2)
+    counts = sizes.prod(axis=1)
+    return ShadingTables(
+        faces=faces,
+        colors=np.ascontiguousarray(mesh.colors, np.float32),
+        uv=np.ascontiguousarray(mesh.uv, np.float32),
+        face_texture=face_texture,
+        texels=np.concatenate([texture.reshape(-1, 3) for texture in textures] or [np.zeros((1, 3), np.uint8)]),
+        texture_start=np.cumsum(counts) - counts,
+        texture_size=sizes,
+    )
+
+
+_tables_of_scene: dict[int, ShadingTables] = {}
+
+
+def shading_tables_of(scene: Scene) -> ShadingTables:
+    """The tables of a scene, made once per scene object and shared by all sensors that look at it."""
+    key = id(scene)
+    if key not in _tables_of_scene:
+        _tables_of_scene[key] = make_shading_tables(scene.mesh)
+        weakref.finalize(scene, _tables_of_scene.pop, key, None)
+    return _tables_of_scene[key]
+
+
+@njit(cache=True, nogil=True)
+def _wrapped_texel(coordinate, size):
+    """Lower texel, upper texel and the upper one's share along one axis that repeats; texel i is centred at i + 0.5."""
+    coordinate -= np.floor(coordinate)
+    if not coordinate >= 0.0:  # infinite or not a number: any texel, but one inside the texture
+        coordinate = np.float32(0.0)
+    position = coordinate * np.float32(size) - np.float32(0.5)
+    lower = int(np.floor(position))
+    share = position - np.float32(lower)
+    upper = lower + 1
+    if lower < 0:
+        lower += size
+    if upper >= size:
+        upper -= size
+    if lower >= size:  # coordinate just below 1 rounds up to size
+        lower -= size
+    return lower, upper, share
+
+
+@njit(cache=True, nogil=True)
+def shade_pixels(
+    face,  # [P * stride] int32, -1 = nothing hit
+    bary_u,  # [P * stride] float32
+    bary_v,  # [P * stride] float32
+    stride,  # rays per pixel
+    samples,  # the first so many of them carry colour
+    faces,
+    colors,
+    uv,
+    face_texture,
+    texels,
+    texture_start,
+    texture_size,
+    rgb,  # [P, 3] uint8, written
+):
+    """Mean colour of each pixel's samples; a sample that hit nothing counts as black."""
+    one = np.float32(1.0)
+    to_unit = np.float32(1.0 / 255.0)
+    to_byte = np.float32(255.0 / samples)
+    for pixel in range(len(rgb)):
+        red = green = blue = np.float32(0.0)
+        for ray in range(pixel * stride, pixel * stride + samples):
+            triangle = face[ray]
+            if triangle < 0:
+                continue
+            b, c = bary_u[ray], bary_v[ray]
+            a = one - b - c
+            i, j, k = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+            r = a * colors[i, 0] + b * colors[j, 0] + c * colors[k, 0]
+            g = a * colors[i, 1] + b * colors[j, 1] + c * colors[k, 1]
+            l = a * colors[i, 2] + b * colors[j, 2] + c * colors[k, 2]
+            texture = face_texture[triangle]
+            if texture >= 0:
+                height, width = texture_size[texture, 0], texture_size[texture, 1]
+                x0, x1, sx = _wrapped_texel(a * uv[i, 0] + b * uv[j, 0] + c * uv[k, 0], width)
+                y0, y1, sy = _wrapped_texel(a * uv[i, 1] + b * uv[j, 1] + c * uv[k, 1], height)
+                top, bottom = texture_start[texture] + y0 * width, texture_start[texture] + y1 * width
+                w00, w01 = (one - sy) * (one - sx) * to_unit, (one - sy) * sx * to_unit
+                w10, w11 = sy * (one - sx) * to_unit, sy * sx * to_unit
+                p, q, s, t = top + x0, top + x1, bottom + x0, bottom + x1
+                r *= w00 * texels[p, 0] + w01 * texels[q, 0] + w10 * texels[s, 0] + w11 * texels[t, 0]
+                g *= w00 * texels[p, 1] + w01 * texels[q, 1] + w10 * texels[s, 1] + w11 * texels[t, 1]
+                l *= w00 * texels[p, 2] + w01 * texels[q, 2] + w10 * texels[s, 2] + w11 * texels[t, 2]
+            red += min(max(r, np.float32(0.0)), one)
+            green += min(max(g, np.float32(0.0)), one)
+            blue += min(max(l, np.float32(0.0)), one)
+        rgb[pixel, 0] = np.uint8(red * to_byte + np.float32(0.5))
+        rgb[pixel, 1] = np.uint8(green * to_byte + np.float32(0.5))
+        rgb[pixel, 2] = np.uint8(blue * to_byte + np.float32(0.5))

@@ -1,0 +1,243 @@
+"""Reader for COLLADA (`.dae`), with the standard library's XML parser: trimesh needs pycollada for it.
+
+Only what a still scene needs: triangles and polygons, node transforms, instances, diffuse colours and textures, the
+declared unit and up axis. Specification: Khronos COLLADA 1.4.1 / 1.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore
+
+Element = ElementTree.Element
+_POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
+
+
+@dataclass(frozen=True)
+class ColladaFile:
+    """The parts in file units, and what the file says about them."""
+
+    parts: list[MeshPart]
+    metres_per_unit: float
+    up: str  # "x", "y" or "z"
+
+
+def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
+    """All triangles of the instantiated visual scene."""
+    root = ElementTree.parse(path).getroot()
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]  # the namespace differs between 1.4 and 1.5
+    if root.tag != "COLLADA":
+        raise ValueError(f"its root element is <{root.tag}>, not <COLLADA>")
+    unit = root.find("asset/unit")
+    up = (root.findtext("asset/up_axis") or "Y_UP").strip()
+    document = _Document(path, root, textures)
+    return ColladaFile(
+        parts=list(document.parts()),
+        metres_per_unit=float(unit.get("meter", "1")) if unit is not None else 1.0,
+        up=up[:1].lower(),
+    )
+
+
+def _floats(text: str | None) -> np.ndarray:
+    return np.array((text or "").split(), dtype=np.float64)
+
+
+def _integers(text: str | None) -> np.ndarray:
+    return np.array((text or "").split(), dtype=np.int64)
+
+
+@dataclass
+class _Document:
+    path: Path
+    root: Element
+    textures: TextureStore
+    by_id: dict[str, Element] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.by_id = {element.get("id", ""): element for element in self.root.iter() if element.get("id")}
+
+    def target(self, url: str | None) -> Element | None:
+        return self.by_id.get((url or "").removeprefix("#"))
+
+    def parts(self) -> Iterator[MeshPart]:
+        instance = self.root.find("scene/instance_visual_scene")
+        scene = self.target(instance.get("url")) if instance is not None else None
+        if scene is None:
+            scene = self.root.find("library_visual_scenes/visual_scene")
+        if scene is None:  # geometry only: everything at the origin
+            for geometry in self.root.iterfind("library_geometries/geometry"):
+                yield from self._geometry(geometry, np.eye(4), {})
+            return
+        stack = [(node, np.eye(4), 0) for node in reversed(scene.findall("node"))]
+        while stack:
+            node, world_from_parent, depth = stack.pop()
+            if depth > 200:
+                raise ValueError("its nodes form a loop")
+            world_from_node = world_from_parent @ _node_matrix(node)
+            for instance in node:
+                if instance.tag in ("instance_geometry", "instance_controller"):
+                    geometry = self._instanced(instance)
+                    if geometry is not None:
+                        yield from self._geometry(geometry, world_from_node, _bindings(instance))
+            children = [self.target(element.get("url")) for element in node.findall("instance_node")]
+            children += node.findall("node")
+            stack.extend((c, world_from_node, depth + 1) for c in reversed(children) if c is not None)
+
+    def _instanced(self, instance: Element) -> Element | None:
+        target = self.target(instance.get("url"))
+        if target is not None and target.tag == "controller":  # a skin without its pose is the bare geometry
+            skin = target.find("skin")
+            target = self.target(skin.get("source")) if skin is not None else None
+        return target
+
+    def _geometry(self, geometry: Element, world_from_node: np.ndarray, bindings: dict[str, str]) -> Iterator[MeshPart]:
+        mesh = geometry.find("mesh")
+        if mesh is None:  # splines and convex hulls
+            return
+        for primitives in mesh:
+            if primitives.tag not in _POLYGONS:
+                continue
+            inputs, width = self._inputs(primitives)
+            corners, triangles = _triangulated(primitives, width)
+            if not len(triangles):
+                continue
+            positions = inputs["VERTEX"][1][corners[:, inputs["VERTEX"][0]], :3]
+            symbol = primitives.get("material", "")
+            color, texture = self._material(bindings.get(symbol, symbol))
+            uv = None
+            if "TEXCOORD" in inputs:
+                uv = inputs["TEXCOORD"][1][corners[:, inputs["TEXCOORD"][0]], :2] * [1.0, -1.0] + [0.0, 1.0]
+            if "COLOR" in inputs:
+                color = color * inputs["COLOR"][1][corners[:, inputs["COLOR"][0]], :3]
+            yield MeshPart(
+                vertices=positions @ world_from_node[:3, :3].T + world_from_node[:3, 3],
+                faces=triangles,
+                colors=color,
+                uv=uv,
+                texture=texture if uv is not None else -1,
+            )
+
+    def _inputs(self, primitives: Element) -> tuple[dict[str, tuple[int, np.ndarray]], int]:
+        """Semantic -> (column in <p>, values), and the number of columns; the first set of each semantic."""
+        inputs: dict[str, tuple[int, np.ndarray]] = {}
+        width = 0
+        for element in sorted(primitives.findall("input"), key=lambda e: int(e.get("set", "0"))):
+            semantic, offset = element.get("semantic", ""), int(element.get("offset", "0"))
+            width = max(width, offset + 1)
+            if semantic == "VERTEX":
+                vertices = self.target(element.get("source"))
+                for shared in vertices.findall("input") if vertices is not None else ():
+                    shared_semantic = "VERTEX" if shared.get("semantic") == "POSITION" else shared.get("semantic", "")
+                    inputs.setdefault(shared_semantic, (offset, self._source(shared)))
+            elif semantic in ("TEXCOORD", "COLOR"):
+                inputs.setdefault(semantic, (offset, self._source(element)))
+        if "VERTEX" not in inputs:
+            raise ValueError(f"a <{primitives.tag}> has no vertex positions")
+        return inputs, width
+
+    def _source(self, element: Element) -> np.ndarray:  # [count, stride]
+        source = self.target(element.get("source"))
+        accessor = source.find("technique_common/accessor") if source is not None else None
+        array = source.find("float_array") if source is not None else None
+        if array is None:
+            raise ValueError(f"the source '{element.get('source')}' is missing")
+        stride = int(accessor.get("stride", "1")) if accessor is not None else 3
+        offset = int(accessor.get("offset", "0")) if accessor is not None else 0
+        values = _floats(array.text)[offset:]
+        return values[: len(values) // stride * stride].reshape(-1, stride)
+
+    def _material(self, name: str) -> tuple[np.ndarray, int]:
+        """Diffuse colour [3] and texture of a material; COLLADA's colours are display-referred."""
+        plain = np.full(3, PLAIN_GREY)
+        material = self.target(name)
+        instance = material.find("instance_effect") if material is not None else None
+        effect = self.target(instance.get("url")) if instance is not None else None
+        profile = effect.find("profile_COMMON") if effect is not None else None
+        if profile is None:
+            return plain, -1
+        shader = next((s for s in profile.find("technique") or () if s.tag in _SHADERS), None)
+        # <constant> has no diffuse; its emission is all one sees.
+        channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
+        if channel is None:
+            return plain, -1
+        reference = channel.find("texture")
+        if reference is not None:
+            index = self._texture(profile, reference.get("texture", ""))
+            return (np.ones(3) if index >= 0 else plain), index
+        color = _floats(channel.findtext("color"))
+        return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else plain), -1
+
+    def _texture(self, profile: Element, name: str) -> int:
+        """Follow sampler -> surface -> image (1.4), sampler -> image (1.5), or the image itself (sloppy exporters)."""
+        parameters = {p.get("sid"): p for p in profile.iter("newparam")}
+        for _ in range(3):
+            parameter = parameters.get(name)
+            if parameter is None:
+                break
+            instance = parameter.find(".//instance_image")
+            source = parameter.findtext(".//source") or parameter.findtext(".//init_from")
+            name = (instance.get("url", "") if instance is not None else source or "").strip().removeprefix("#")
+        image = self.by_id.get(name)
+        if image is None:
+            self.textures.unreadable.append(name)
+            return -1
+        reference = image.findtext("init_from/ref") or image.findtext("init_from") or ""
+        return self.textures.add_file(self.path.parent, reference)
+
+
+_SHADERS = ("phong", "lambert", "blinn", "constant")
+
+
+def _bindings(instance: Element) -> dict[str, str]:
+    """Material symbol -> material id of an instance."""
+    return {
+        bound.get("symbol", ""): bound.get("target", "").removeprefix("#")
+        for bound in instance.iterfind("bind_material/technique_common/instance_material")
+    }
+
+
+def _node_matrix(node: Element) -> np.ndarray:  # [4, 4] parent_from_node: the node's transforms, first one outermost
+    matrix = np.eye(4)
+    for element in node:
+        step = np.eye(4)
+        if element.tag == "matrix":
+            step = _floats(element.text).reshape(4, 4)
+        elif element.tag == "translate":
+            step[:3, 3] = _floats(element.text)
+        elif element.tag == "scale":
+            step[:3, :3] = np.diag(_floats(element.text))
+        elif element.tag == "rotate":
+            from scipy.spatial.transform import Rotation
+
+            x, y, z, degrees = _floats(element.text)
+            axis = np.array([x, y, z]) / max(np.linalg.norm([x, y, z]), 1e-12)
+            step[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
+        else:
+            continue
+        matrix = matrix @ step
+    return matrix
+
+
+def _triangulated(primitives: Element, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [C, width] (rows of <p>) and triangles [F, 3] over them; polygons are split into fans."""
+    rows = [_integers(p.text) for p in primitives.iter("p")]
+    corners = np.concatenate(rows).reshape(-1, width) if rows else np.zeros((0, width), np.int64)
+    if primitives.tag == "triangles":
+        return corners, np.arange(len(corners) // 3 * 3).reshape(-1, 3)
+    if primitives.tag == "polylist":
+        sizes = _integers(primitives.findtext("vcount"))
+    else:
+        sizes = np.array([len(row) // width for row in rows], dtype=np.int64)
+    # Fan k of a polygon that starts at corner s is (s, s + k, s + k + 1); a strip has no common corner.
+    fans = np.maximum(sizes - 2, 0)
+    starts = np.repeat(np.cumsum(sizes) - sizes, fans)
+    k = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    first = starts + k if primitives.tag == "tristrips" else starts
+    return corners, np.stack([first, starts + k + 1, starts + k + 2], axis=1)

@@ -1,0 +1,228 @@
+"""Any mesh a user has, as a `Scene`: one entrance for glb, gltf, obj, ply, stl and dae.
+
+Here the file's units and axes become metres and z up, everything that can be wrong with a mesh is said in one
+sentence, and a scale check tells the user whether the units were guessed right.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
+
+if TYPE_CHECKING:
+    from activestructure_gym.scenes.mesh_parts import MeshPart, TextureStore
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae")
+METRES_PER_UNIT = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
+# Rows are the world's x, y, z in file axes; all are proper rotations, so nothing is mirrored.
+_WORLD_FROM_FILE = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+}
+
+_PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
+_PLAUSIBLE_CEILING = (1.9, 6.0)  # metres, floor to ceiling
+
+
+def load_mesh_scene(
+    path: str | os.PathLike[str],
+    *,
+    units: str | float | None = None,
+    up: str | None = None,
+    name: str | None = None,
+    max_texture: int = 512,
+) -> Scene:
+    """Read a mesh file and turn it into a scene.
+
+    Args:
+        path: a .glb, .gltf, .obj, .ply, .stl or .dae file.
+        units: "m", "dm", "cm", "mm", "in", "ft", or metres per file unit. None = what the file declares (only
+            COLLADA does), else metres.
+        up: which file axis points up: "x", "y", "z", "-x", "-y" or "-z". None = what the file declares (COLLADA),
+            else z. glTF from modelling tools is usually y-up: pass "y" there.
+        name: of the scene; default is the file's name.
+        max_texture: pixels; larger textures are shrunk.
+
+    Raises:
+        InputError: the file is missing, unsupported, corrupt, empty, not finite, or of an implausible size.
+    """
+    from activestructure_gym.scenes.mesh_parts import TextureStore, assemble
+
+    path = check_mesh_file(path)
+    textures = TextureStore(max_texture)
+    parts, declared_scale, declared_up = _read(path, textures)
+    scale = declared_scale if units is None else _metres_per_unit(units)
+    up = declared_up if up is None else up
+    if up not in _WORLD_FROM_FILE:
+        raise unknown_name("up axis", str(up), _WORLD_FROM_FILE)
+    _check_parts(path, parts)
+    mesh = assemble(parts, textures.images)
+    rotation = np.asarray(_WORLD_FROM_FILE[up], dtype=np.float64)
+    mesh = replace(mesh, vertices=(mesh.vertices.astype(np.float64) @ rotation.T * scale).astype(np.float32))
+    return finished_scene(mesh, path, name=name or path.stem, notes=texture_notes(textures), scale=scale)
+
+
+def check_mesh_file(path: str | os.PathLike[str]) -> Path:
+    """The path, if it is a file with a suffix that some reader knows."""
+    path = Path(path).expanduser()
+    if path.is_dir():
+        raise InputError(f"'{path}' is a folder; give the mesh file in it ({', '.join(MESH_SUFFIXES)})")
+    if not path.is_file():
+        raise InputError(f"there is no mesh file '{path}'")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(f"'{path}' is not a mesh file this loader knows; it reads {', '.join(MESH_SUFFIXES)}")
+    return path
+
+
+def finished_scene(
+    mesh: SceneMesh,  # world axes, metres
+    path: Path,
+    *,
+    name: str,
+    notes: Sequence[str] = (),
+    scale: float = 1.0,  # metres per file unit that were applied; the messages name better ones
+    labels: PartLabels | None = None,
+) -> Scene:
+    """A checked scene: faces without area dropped, size checked, scale noted."""
+    keep = _has_area(mesh)
+    dropped = int((~keep).sum())
+    if dropped:
+        mesh = replace(mesh, faces=mesh.faces[keep], face_texture=mesh.face_texture[keep])
+        labels = replace(labels, face_part=labels.face_part[keep]) if labels is not None else None
+    if not len(mesh.faces):
+        raise InputError(f"'{path}' holds no triangles with an area; give a mesh with a surface, not points or lines")
+    _check_extent(path, mesh.vertices[mesh.faces.reshape(-1)], scale)
+    scene = Scene(name=name, mesh=mesh, source=str(path), labels=labels)
+    notes = list(notes)
+    if dropped:
+        notes.append(f"{dropped} triangles without area were dropped")
+    return replace(scene, notes=(scale_note(scene, scale), *notes))
+
+
+def texture_notes(textures: TextureStore) -> list[str]:
+    """A sentence about what could not be read, if anything."""
+    missing = list(dict.fromkeys(textures.unreadable))
+    if not missing:
+        return []
+    shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+    return [f"{len(missing)} texture or material files could not be read ({shown}); plain colours stand in for them"]
+
+
+def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, str]:
+    """Parts in file units, metres per unit and up axis as far as the file declares them."""
+    suffix = path.suffix.lower()
+    try:
+        if suffix in (".glb", ".gltf"):
+            from activestructure_gym.scenes.gltf import read_gltf
+
+            return read_gltf(path, textures), 1.0, "z"
+        if suffix == ".dae":
+            from activestructure_gym.scenes.collada import read_collada
+
+            collada = read_collada(path, textures)
+            return collada.parts, collada.metres_per_unit, collada.up
+        from activestructure_gym.scenes.trimesh_reader import read_with_trimesh
+
+        return read_with_trimesh(path, textures), 1.0, "z"
+    except InputError:
+        raise
+    except MemoryError:
+        raise
+    except Exception as error:  # a broken file makes readers raise anything from KeyError to struct.error
+        reason = str(error).strip() or type(error).__name__
+        if isinstance(error, KeyError | IndexError | TypeError | AttributeError):
+            reason = f"a part of it is missing or inconsistent ({type(error).__name__}: {reason})"
+        raise InputError(f"'{path}' cannot be read as {suffix[1:].upper()}: {' '.join(reason.split())}") from error
+
+
+def _metres_per_unit(units: str | float) -> float:
+    if isinstance(units, str) and units in METRES_PER_UNIT:
+        return METRES_PER_UNIT[units]
+    try:
+        scale = float(units)
+    except ValueError:
+        raise unknown_name("unit", str(units), METRES_PER_UNIT) from None
+    if not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"units as a number must be metres per file unit above 0, got {units}")
+    return scale
+
+
+def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
+    if not sum(len(part.faces) for part in parts):
+        raise InputError(f"'{path}' holds no triangles; give a mesh with a surface, not points or lines")
+    broken = 0
+    for part in parts:
+        faces = np.asarray(part.faces)
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(part.vertices)):
+            raise InputError(f"'{path}' is corrupt: its triangles name vertices that do not exist; export it again")
+        broken += int((~np.isfinite(part.vertices).all(axis=1)).sum())
+    if broken:
+        total = sum(len(part.vertices) for part in parts)
+        raise InputError(
+            f"'{path}' has {broken} of {total} vertices that are not finite (NaN or infinite); repair the mesh first"
+        )
+
+
+def _has_area(mesh: SceneMesh) -> np.ndarray:  # [F] bool
+    corners = mesh.vertices[mesh.faces].astype(np.float64)  # [F, 3, 3]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return doubled > 1e-12  # square metres: a needle of 1 mm x 1 nm
+
+
+def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
+    extent = vertices.max(axis=0).astype(np.float64) - vertices.min(axis=0)
+    longest = float(extent.max())
+    if _PLAUSIBLE_EXTENT[0] <= longest <= _PLAUSIBLE_EXTENT[1]:
+        return
+    # A room or flat is some 2 to 60 m long; the unit that makes it so is what the file was probably drawn in.
+    hint = _units_hint(longest / scale, 2.0, 60.0)
+    size = " x ".join(f"{side:.4g}" for side in extent)
+    raise InputError(f"'{path}' is {size} m (x, y, z), which is no room or building: {hint}")
+
+
+def _units_hint(file_length: float, low: float, high: float) -> str:
+    """Which units make a length of the file lie between ``low`` and ``high`` metres."""
+    fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= file_length * metres <= high]
+    return f"try units={' or units='.join(fitting)}" if fitting else "pass units= as metres per file unit"
+
+
+def scale_note(scene: Scene, scale: float = 1.0) -> str:
+    """Whether the scene has the size of rooms: the height from floor to ceiling, measured by vertical rays."""
+    low, high = scene.bounds
+    size = " x ".join(f"{side:.2f}" for side in high - low)
+    height = ceiling_height(scene)
+    if high[2] - low[2] > 1.5 * (high - low)[:2].min():
+        side = "its height is not its shortest side; if the scene lies on its side, try up=y"
+        return f"{size} m (x, y, z): {side}"
+    if height is None:
+        return f"{size} m (x, y, z), no ceiling found: check that the unit is metres (option units)"
+    if _PLAUSIBLE_CEILING[0] <= height <= _PLAUSIBLE_CEILING[1]:
+        return f"{size} m (x, y, z), ceiling height {height:.2f} m: plausible"
+    hint = _units_hint(height / scale, 2.2, 4.0)
+    return f"{size} m (x, y, z), ceiling height {height:.2f} m: unusual; if the unit is wrong, {hint}"
+
+
+def ceiling_height(scene: Scene) -> float | None:
+    """Metres between floor and ceiling, or None where fewer than a tenth of the vertical lines meet both."""
+    low, high = scene.bounds
+    grid = (np.arange(24) + 0.5) / 24
+    x, y, z = np.meshgrid(grid, grid, (0.25, 0.5, 0.75), indexing="ij")
+    starts = low + np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) * (high - low)
+    upward = np.tile([0.0, 0.0, 1.0], (len(starts), 1))
+    total = scene.raycaster.cast(starts, upward).distance + scene.raycaster.cast(starts, -upward).distance
+    total = total[np.isfinite(total)]
+    # Furniture shortens lines and nothing lengthens them, so the room's height is among the long ones.
+    return float(np.percentile(total, 75)) if len(total) > 0.1 * len(starts) else None

@@ -1,0 +1,142 @@
+"""What every mesh reader hands over, and how the parts become one `SceneMesh`.
+
+Readers (`gltf`, `collada`, `trimesh_reader`) return `MeshPart`s in the file's own units and axes; scaling, turning
+and all checks happen once, in `mesh_loader`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+import numpy as np
+
+from activestructure_gym.scenes.scene import SceneMesh
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# What a surface without any colour of its own looks like (display-referred).
+PLAIN_GREY = 0.7
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """Triangles that share one material."""
+
+    vertices: np.ndarray  # [V, 3] float64, file units, node transforms applied
+    faces: np.ndarray  # [F, 3] integers
+    colors: np.ndarray  # [V, 3] or [3], display-referred 0..1: vertex colour times material colour
+    uv: np.ndarray | None = None  # [V, 2], v down from the image's top row
+    texture: int = -1  # index in the `TextureStore`, -1 = none
+
+
+@dataclass
+class TextureStore:
+    """Textures of one scene: each image once, however often and under however many names the file holds it."""
+
+    max_size: int = 512  # pixels; larger images are shrunk so that 50 textures stay below 50 MB
+    images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
+    unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
+    _by_key: dict[Hashable, int] = field(default_factory=dict)
+
+    def add_bytes(self, data: bytes, name: str) -> int:
+        """Index of an encoded image (PNG, JPEG, WebP, ...), -1 where it cannot be decoded."""
+
+        def decode() -> Image:
+            from PIL import Image as images
+
+            return images.open(io.BytesIO(data))
+
+        return self.add(hashlib.sha256(data).digest(), decode, name)
+
+    def add_file(self, base: Path, reference: str) -> int:
+        """Index of the image that a file in ``base`` refers to, -1 where it is missing."""
+        try:
+            return self.add_bytes(find_reference(base, reference).read_bytes(), reference)
+        except OSError:
+            return self._missing(("file", reference), reference)
+
+    def add(self, key: Hashable, decode: Callable[[], Image], name: str) -> int:
+        """Index of the image called ``key``; ``decode`` is only called the first time."""
+        if key in self._by_key:
+            return self._by_key[key]
+        try:
+            pixels = _shrunk_pixels(decode(), self.max_size)
+        except Exception:  # Pillow raises whatever the codec raises
+            return self._missing(key, name)
+        # The same picture is often stored under several keys: one copy per pixel content.
+        content = ("pixels", pixels.shape, hashlib.sha256(pixels.tobytes()).digest())
+        if content not in self._by_key:
+            self._by_key[content] = len(self.images)
+            self.images.append(pixels)
+        self._by_key[key] = self._by_key[content]
+        return self._by_key[key]
+
+    def _missing(self, key: Hashable, name: str) -> int:
+        if key not in self._by_key:
+            self._by_key[key] = -1
+            self.unreadable.append(name)
+        return -1
+
+
+def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint8
+    from PIL import Image as images
+
+    if max(image.size) > max_size:
+        scale = max_size / max(image.size)
+        size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
+        image = image.convert("RGB").resize(size, images.Resampling.BOX)
+    return np.ascontiguousarray(image.convert("RGB"), dtype=np.uint8)
+
+
+def find_reference(base: Path, reference: str) -> Path:
+    """The file a mesh refers to by ``reference``: relative to the mesh's folder, ``../`` and absolute paths included.
+
+    Exporters write percent escapes, backslashes, ``file://``, options before the name (OBJ), or the path on the
+    author's disk; the bare file name beside the mesh is the last resort. Raises FileNotFoundError.
+    """
+    name = reference.strip().strip('"')
+    spellings = [name, unquote(name), *name.split()[-1:]]
+    spellings += [spelling.replace("\\", "/") for spelling in spellings]
+    spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
+    candidates = [base / spelling for spelling in spellings]
+    candidates += [base / Path(spelling).name for spelling in spellings]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
+
+
+def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
+    """Display-referred values of linear ones (IEC 61966-2-1), clipped to [0, 1]; glTF stores its factors linear."""
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1.0 / 2.4) - 0.055)
+
+
+def assemble(parts: Sequence[MeshPart], textures: Sequence[np.ndarray]) -> SceneMesh:
+    """One mesh from all parts, in their order."""
+    vertices, faces, colors, uv, face_texture = [], [], [], [], []
+    offset = 0
+    for part in parts:
+        count = len(part.vertices)
+        vertices.append(np.asarray(part.vertices, dtype=np.float32))
+        faces.append(np.asarray(part.faces, dtype=np.int32) + np.int32(offset))
+        colors.append(np.broadcast_to(np.asarray(part.colors, dtype=np.float32), (count, 3)))
+        textured = part.texture >= 0 and part.uv is not None
+        uv.append(np.asarray(part.uv, np.float32) if textured else np.zeros((count, 2), np.float32))
+        face_texture.append(np.full(len(part.faces), part.texture if textured else -1, np.int32))
+        offset += count
+    return SceneMesh(
+        vertices=np.concatenate(vertices),
+        faces=np.concatenate(faces),
+        colors=np.concatenate(colors),
+        uv=np.concatenate(uv),
+        face_texture=np.concatenate(face_texture),
+        textures=tuple(textures),
+    )

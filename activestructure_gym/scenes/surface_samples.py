@@ -1,0 +1,65 @@
+"""Points on a mesh: a dense regular set that misses nothing, and a random one that is uniform by area."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def lattice_samples(
+    vertices: np.ndarray,  # [V, 3] metres
+    faces: np.ndarray,  # [F, 3]
+    spacing: float,  # metres
+) -> np.ndarray:  # [S, 3] float64
+    """Samples such that every point of the surface is within ``spacing / sqrt(2)`` of one; at least one per face.
+
+    Every triangle is cut into strips parallel to its longest edge, and every strip into cells; a sample sits in the
+    middle of each cell, so a thin needle costs one row and not a square of samples.
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[faces]  # [F, 3, 3]
+    edges = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)  # [F, 3]: from corner k to k + 1
+    longest = edges.argmax(axis=1)
+    row = np.arange(len(corners))
+    a, b, c = (corners[row, (longest + k) % 3] for k in range(3))
+    base = edges[row, longest]
+    height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(base, 1e-12)
+
+    strips = np.maximum(np.ceil(height / spacing), 1).astype(np.int64)  # per triangle
+    triangle = np.repeat(row, strips)
+    t = (_ramp(strips) + 0.5) / strips[triangle]  # 0 at the longest edge, 1 at the corner opposite
+    # A strip is longest at its lower border; cells are counted there so that none is longer than the spacing.
+    lower = 1.0 - t + 0.5 / strips[triangle]
+    cells = np.maximum(np.ceil(base[triangle] * lower / spacing), 1).astype(np.int64)  # per strip
+    strip = np.repeat(np.arange(len(triangle)), cells)
+    s = (_ramp(cells) + 0.5) / cells[strip]
+    t, triangle = t[strip], triangle[strip]
+    return a[triangle] + t[:, None] * (c - a)[triangle] + (s * (1.0 - t))[:, None] * (b - a)[triangle]
+
+
+def _ramp(counts: np.ndarray) -> np.ndarray:
+    """0 .. count - 1 for every count, one after the other."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def uniform_samples(
+    vertices: np.ndarray,  # [V, 3] metres
+    faces: np.ndarray,  # [F, 3]
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Random points uniform by area [count, 3], the unit normals of their faces [count, 3], and the total area in m^2.
+
+    The triangle is drawn by stratified sampling over the cumulated area, which spreads the points more evenly than
+    independent draws and leaves every point uniform.
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[faces]
+    edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    doubled = np.cross(edge_b, edge_c)
+    area = 0.5 * np.linalg.norm(doubled, axis=1)
+    cumulated = np.cumsum(area)
+    drawn = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
+    face = np.minimum(np.searchsorted(cumulated, drawn, side="right"), len(area) - 1)
+    u, v = rng.random(count), rng.random(count)
+    outside = u + v > 1.0  # the other half of the parallelogram, folded back
+    u[outside], v[outside] = 1.0 - u[outside], 1.0 - v[outside]
+    points = corners[face, 0] + u[:, None] * edge_b[face] + v[:, None] * edge_c[face]
+    return points, doubled[face] / (2.0 * area[face])[:, None], float(cumulated[-1])

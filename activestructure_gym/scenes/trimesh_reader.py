@@ -1,0 +1,75 @@
+"""Reader for Wavefront OBJ, PLY and STL, through trimesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, find_reference
+
+
+def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
+    """All triangles of the file; quads and polygons are split, colours and textures kept."""
+    import trimesh
+
+    scene = trimesh.load_scene(str(path), process=False, resolver=_resolver(path, textures))
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        world_from_node, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            parts.append(_part(geometry, world_from_node, textures))
+    return parts
+
+
+def _resolver(path: Path, textures: TextureStore) -> Any:
+    """Finds what the file refers to wherever that lies; trimesh's own stops at the mesh's folder and keeps silent."""
+    from trimesh.resolvers import FilePathResolver
+
+    class AnywhereResolver(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            try:
+                return find_reference(path.parent, name).read_bytes()
+            except OSError:
+                textures.unreadable.append(name)
+                raise
+
+    return AnywhereResolver(str(path))
+
+
+def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) -> MeshPart:
+    vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    faces = np.asarray(geometry.faces)
+    visual = geometry.visual
+    colors: np.ndarray = np.full(3, PLAIN_GREY)
+    uv, texture = None, -1
+    if visual.kind == "vertex":
+        colors = _srgb(visual.vertex_colors)
+    elif visual.kind == "face":
+        # A vertex can carry only one colour, so every face gets its own three.
+        colors = np.repeat(_srgb(visual.face_colors), 3, axis=0)
+        vertices, faces = vertices[faces.reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
+    elif visual.kind == "texture":
+        material = visual.material
+        image = getattr(material, "image", None)
+        if image is not None and visual.uv is not None and len(visual.uv) == len(vertices):
+            texture = textures.add(id(image), lambda: image, str(getattr(material, "name", "texture")))
+        if texture >= 0:
+            uv = np.asarray(visual.uv, dtype=np.float64) * [1.0, -1.0] + [0.0, 1.0]
+            # Exporters leave Kd at 0, 0.8 or 1 beside a map; what the author saw is the map.
+            colors = np.ones(3)
+        elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
+            colors = _srgb(np.asarray(material.diffuse))
+    return MeshPart(
+        vertices=vertices @ world_from_node[:3, :3].T + world_from_node[:3, 3],
+        faces=faces,
+        colors=colors,
+        uv=uv,
+        texture=texture,
+    )
+
+
+def _srgb(rgba: np.ndarray) -> np.ndarray:  # uint8 [..., 4] -> float [..., 3]
+    return np.asarray(rgba, dtype=np.float64)[..., :3] / 255.0

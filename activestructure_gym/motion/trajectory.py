@@ -91,19 +91,23 @@ def first_blocked(
     poses: np.ndarray,  # [T, 4, 4] world_from_camera: what is still to be executed
     min_clearance: float,  # metres
     *,
-    start: np.ndarray | None = None,  # [4, 4] where the agent is now; poses[0] if None
+    start: np.ndarray | None = None,  # [4, 4] where the agent is now
 ) -> int | None:
     """Index of the first pose that can no longer be moved to, after the volume has learned more; None if all can.
 
-    Execute ``poses[:index]`` and plan anew from there. Turning on the spot is never blocked, and an agent that finds
-    itself in a tight place may leave it (`first_blocked_edge`).
+    Execute ``poses[:index]`` and plan anew from there. With ``start`` the way to the first pose is checked too, turning
+    on the spot is never blocked, and an agent that finds itself in a tight place may leave it (`first_blocked_edge`).
+    Without, every pose must keep the clearance.
     """
-    if not len(poses):
+    positions = np.asarray(poses)[:, :3, 3]
+    if not len(positions):
         return None
-    here = poses[0] if start is None else start
-    return first_blocked_edge(
-        volume, np.vstack([here[None, :3, 3], poses[:, :3, 3]]), min_clearance=min_clearance
-    )
+    if start is not None:
+        return first_blocked_edge(volume, np.vstack([start[None, :3, 3], positions]), min_clearance=min_clearance)
+    if volume.clearance_at(positions[:1])[0] < min_clearance:
+        return 0
+    edge = first_blocked_edge(volume, positions, min_clearance=min_clearance)
+    return None if edge is None else edge + 1  # edge n leads to pose n + 1
 
 
 def yaw_pitch(

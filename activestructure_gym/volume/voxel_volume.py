@@ -208,11 +208,10 @@ class VoxelVolume:
             self._clearance = np.zeros(self.shape, dtype=np.float32)
             free = self.state == FREE
             if free.any():
-                # One voxel more on each side, cut at the grid: beyond it lies an obstacle, too.
-                box = tuple(slice(a, b + 2) for a, b in zip(*_bounding_box(free)))
-                blocked = np.pad(~free, 1, constant_values=True)[box]
-                inner = distance_field.distance_to_cubes(blocked)[1:-1, 1:-1, 1:-1] * np.float32(self.voxel_size)
-                self._clearance[tuple(slice(s.start, s.stop - 2) for s in box)] = inner
+                box = tuple(slice(a, b + 1) for a, b in zip(*_bounding_box(free)))
+                # The shell of voxels around the box is not free, nor is what lies beyond the grid.
+                voxels = distance_field.distance_to_cubes(np.pad(~free[box], 1, constant_values=True))
+                self._clearance[box] = voxels[1:-1, 1:-1, 1:-1] * np.float32(self.voxel_size)
         return self._clearance
 
     @property

@@ -1,0 +1,245 @@
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.scenes.raycaster import RayCaster
+from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
+
+CAMERA = PinholeCamera.from_size(160, 90)
+ROOM = np.array([[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]])
+
+
+def boxes(*bounds):
+    """A ray caster over axis-aligned boxes."""
+    parts = []
+    for lower, upper in bounds:
+        lower, upper = np.array(lower, float), np.array(upper, float)
+        part = trimesh.creation.box(extents=upper - lower)
+        part.apply_translation((lower + upper) / 2)
+        parts.append(part)
+    mesh = trimesh.util.concatenate(parts)
+    return RayCaster(mesh.vertices, mesh.faces, threads=1)
+
+
+def capture(caster, pose, camera=CAMERA, noise=None):
+    rays = camera.rays().reshape(-1, 3) @ pose[:3, :3].T
+    depth = caster.cast(pose[:3, 3], rays).distance.reshape(camera.height, camera.width)
+    depth = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
+    if noise is not None:
+        # Kinect (Nguyen 2012), axial, at incidence 0.
+        sigma = 0.0012 + 0.0019 * (depth - 0.4) ** 2
+        depth = np.where(depth > 0, np.maximum(depth + sigma * noise.normal(size=depth.shape), 0), 0).astype(np.float32)
+    return Frame(np.zeros((*depth.shape, 3), np.uint8), depth, pose, camera)
+
+
+def look_around(caster, volume, rng, count, lower=(0.6, 0.6, 0.6), upper=(3.4, 2.4, 1.9), noise=None):
+    for _ in range(count):
+        direction = rng.normal(size=3) * [1, 1, 0.5]
+        volume.integrate(capture(caster, look_along(rng.uniform(lower, upper), direction), noise=noise))
+
+
+@pytest.fixture(scope="module")
+def room_volume():
+    volume = VoxelVolume(ROOM)
+    look_around(boxes(ROOM), volume, np.random.default_rng(0), 80)
+    return volume
+
+
+def room_clearance(points):
+    """Distance to the nearest wall of the empty room."""
+    return np.minimum(points - ROOM[0], ROOM[1] - points).min(axis=-1)
+
+
+def cube_to_room_surface(volume):
+    """Whether a voxel's cube touches or crosses the room's walls."""
+    centers = volume.center_of(np.stack(np.indices(volume.shape), axis=-1))
+    return room_clearance(centers) <= volume.voxel_size / 2 + 1e-9, room_clearance(centers) < -volume.voxel_size / 2
+
+
+def test_grid_and_world_coordinates_agree():
+    volume = VoxelVolume(np.array([[-1.0, 0.0, 2.0], [1.0, 1.05, 3.0]]), VolumeConfig(voxel_size=0.1))
+    assert volume.shape == (22, 13, 12)  # one voxel more on each side; 1.05 m needs 11 voxels
+    indices = np.array([[0, 0, 0], [21, 12, 11], [3, 4, 5]])
+    np.testing.assert_array_equal(volume.voxel_of(volume.center_of(indices)), indices)
+    assert volume.contains(np.array([[-1.0, 0.0, 2.0], [1.0, 1.05, 3.0]])).all()
+    assert not volume.contains(np.array([[-1.2, 0.5, 2.5]]))[0]
+    assert volume.state_at(np.array([[50.0, 0.0, 0.0]]))[0] == UNKNOWN
+
+
+def test_no_voxel_with_surface_becomes_free_and_the_rest_does(room_volume):
+    touching, outside = cube_to_room_surface(room_volume)
+    assert not (room_volume.state == FREE)[touching | outside].any()
+    assert (room_volume.state != OCCUPIED)[~touching].all()  # exact depth: hits lie on walls only
+    # Everything more than two voxels from the walls was seen from 80 views.
+    centers = room_volume.center_of(np.stack(np.indices(room_volume.shape), axis=-1))
+    assert (room_volume.state[room_clearance(centers) > 0.2] == FREE).mean() > 0.98
+    assert 0.6 < room_volume.observed_share < 1.0
+
+
+def test_clearance_is_a_lower_bound_within_two_voxels_of_the_truth(room_volume):
+    # Walls lie in voxels that are not free: the stated clearance can only be too small, by the wall's voxel and the one
+    # beside it (whose footprint is never clear of the wall).
+    points = np.random.default_rng(1).uniform(ROOM[0] + 0.3, ROOM[1] - 0.3, size=(5000, 3))
+    stated, true = room_volume.clearance_at(points), room_clearance(points)
+    seen = stated > 0.05  # the few never seen corners aside
+    assert seen.mean() > 0.97
+    assert (stated <= true + 1e-6).all()
+    assert np.median((true - stated)[seen]) < 2 * room_volume.voxel_size
+
+
+def test_kinect_noise_keeps_the_room_safe_and_open():
+    volume, rng = VoxelVolume(ROOM), np.random.default_rng(3)
+    look_around(boxes(ROOM), volume, rng, 120, noise=rng)
+    touching, outside = cube_to_room_surface(volume)
+    assert not (volume.state == FREE)[touching | outside].any()
+    centers = volume.center_of(np.stack(np.indices(volume.shape), axis=-1))
+    assert (volume.state[room_clearance(centers) > 0.3] == FREE).mean() > 0.97
+
+
+def test_a_pixel_without_return_proves_nothing():
+    volume = VoxelVolume(ROOM)
+    frame = capture(boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
+    volume.integrate(Frame(frame.rgb, np.zeros_like(frame.depth), frame.world_from_camera, frame.camera))
+    assert volume.observed_share == 0.0
+    depth = frame.depth.copy()
+    depth[:, 80] = 0.0
+    volume.integrate(Frame(frame.rgb, depth, frame.world_from_camera, frame.camera))
+    # Column 80 looks to y just below 1.5: voxels crossed by it stay unknown, those beside it are free.
+    assert volume.state_at(np.array([[2.5, 1.47, 1.25]]))[0] != FREE
+    assert volume.state_at(np.array([[2.5, 1.85, 1.25], [2.5, 1.15, 1.25]])).tolist() == [FREE, FREE]
+
+
+def test_what_is_behind_a_surface_or_out_of_range_stays_unknown():
+    caster = boxes(([-1, -1, 0], [9, 4, 2.5]), ([2.0, 1.0, 0.0], [2.2, 2.0, 2.5]))
+    volume = VoxelVolume(np.array([[-1.0, -1.0, 0.0], [9.0, 4.0, 2.5]]), VolumeConfig(max_range=4.0))
+    volume.integrate(capture(caster, look_along(np.array([0.5, 1.5, 1.2]), np.array([1.0, 0.0, 0.0]))))
+    assert volume.state_at(np.array([[1.5, 1.5, 1.2], [2.05, 1.5, 1.2], [2.6, 1.5, 1.2]])).tolist() == [
+        FREE,
+        OCCUPIED,
+        UNKNOWN,
+    ]
+    assert (volume.state[volume.voxel_of(np.array([4.8, 0.0, 0.0]))[0] :] == UNKNOWN).all()
+
+
+def test_thin_pole_is_never_free_however_it_falls_between_the_rays():
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        x, y = rng.uniform([2.8, 1.2], [3.4, 1.8])
+        caster = boxes(([0, 0, 0], [6, 3, 2.5]), ([x - 0.015, y - 0.015, 0], [x + 0.015, y + 0.015, 2.5]))
+        volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [6.0, 3.0, 2.5]]), VolumeConfig(max_miss_chance=0.0))
+        for _ in range(10):
+            direction = np.array([1.0, rng.normal() * 0.3, rng.normal() * 0.2])
+            volume.integrate(capture(caster, look_along(np.array([0.7, 1.5, 1.2]), direction)))
+        heights = np.arange(0.05, 2.5, 0.05)
+        on_pole = np.stack([np.full_like(heights, x), np.full_like(heights, y), heights], axis=1)
+        assert (volume.state_at(on_pole) != FREE).all()
+
+
+def test_far_looks_need_to_agree():
+    # f = 80: at 4 m rays are 5 cm apart, a 3 cm pole is met with chance 0.6, so ceil(log 0.05 / log 0.4) = 4 looks.
+    caster, volume = boxes(([-5, -5, 0], [5, 5, 2.5])), VoxelVolume(np.array([[-5.0, -5.0, 0.0], [5.0, 5.0, 2.5]]))
+    far, near = np.array([[3.95, 0.0, 1.2]]), np.array([[2.0, 0.0, 1.2]])
+    states = []
+    for n in range(5):
+        pose = look_along(np.array([0.0, 0.0, 1.2]), np.array([1.0, 0.03 * n, 0.0]))
+        volume.integrate(capture(caster, pose))
+        states.append(int(volume.state_at(far)[0]))
+        assert volume.state_at(near)[0] == FREE
+        volume.integrate(capture(caster, pose))  # the same rays again say nothing new
+    assert states == [UNKNOWN, UNKNOWN, UNKNOWN, FREE, FREE]
+
+
+def test_a_wrong_hit_clears_after_enough_sure_looks_and_a_true_one_never():
+    caster, volume = boxes(ROOM), VoxelVolume(ROOM)
+    pose = look_along(np.array([0.6, 1.5, 1.25]), np.array([1.0, 0.0, 0.0]))
+    wrong = capture(caster, pose)
+    wrong.depth[45, 80] = 1.5
+    volume.integrate(wrong)
+    spot = np.array([[2.1, 1.49, 1.24]])
+    assert volume.state_at(spot)[0] == OCCUPIED
+    states = []
+    for n in range(6):
+        volume.integrate(capture(caster, look_along(np.array([0.6, 1.5, 1.25]), np.array([1.0, 0.05 * (n + 1), 0.0]))))
+        states.append(int(volume.state_at(spot)[0]))
+    assert states[:4] == [OCCUPIED] * 4 and states[4:] == [FREE] * 2
+
+
+def test_sphere_of_the_body_is_free_inside_only():
+    volume = VoxelVolume(ROOM)
+    center = np.array([2.0, 1.5, 1.25])
+    volume.mark_free_sphere(center, 0.45)
+    free = volume.center_of(np.argwhere(volume.state == FREE))
+    assert len(free) > 100
+    assert (np.linalg.norm(np.abs(free - center) + 0.05, axis=1) <= 0.45 + 1e-9).all()
+    # The nearest cube that sticks out of the sphere comes at most its diagonal (0.17 m) closer.
+    assert 0.25 < volume.clearance_at(center[None])[0] <= 0.45
+    volume.mark_free_sphere(np.array([-9.0, 0.0, 0.0]), 0.45)  # beyond the grid: nothing to do
+
+
+def test_frontier_lies_between_free_and_unknown():
+    volume = VoxelVolume(ROOM)
+    volume.mark_free_sphere(np.array([2.0, 1.5, 1.25]), 0.5)
+    free, frontier = volume.state == FREE, volume.frontier_mask
+    padded = np.pad(free, 1)
+    inner = free.copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            inner &= np.roll(padded, shift, axis)[1:-1, 1:-1, 1:-1]
+    np.testing.assert_array_equal(frontier, free & ~inner)
+
+
+def test_tsdf_vanishes_on_the_wall(room_volume):
+    # Along x through the middle of the room: the zero of the interpolated TSDF lies at the wall, x = 4.
+    voxels = room_volume.voxel_of(np.array([[3.0, 1.5, 1.25], [4.05, 1.5, 1.25]]))
+    line = slice(voxels[0, 0], voxels[1, 0] + 1), voxels[0, 1], voxels[0, 2]
+    values, weights = room_volume.tsdf[line], room_volume.weight[line]
+    assert (weights > 0).all()
+    x = room_volume.center_of(np.stack([np.arange(*line[0].indices(999)), *[np.zeros(len(values))] * 2], axis=1))[:, 0]
+    crossing = np.flatnonzero((values[:-1] > 0) & (values[1:] <= 0))
+    assert len(crossing) == 1
+    n = crossing[0]
+    zero = x[n] + (x[n + 1] - x[n]) * values[n] / (values[n] - values[n + 1])
+    # Oblique views shorten projective distances unevenly on the two sides: a third of a voxel.
+    assert zero == pytest.approx(4.0, abs=0.035)
+
+
+def test_integration_is_deterministic_and_survives_pickling():
+    caster, volumes = boxes(ROOM), []
+    for _ in range(2):
+        volume = VoxelVolume(ROOM)
+        look_around(caster, volume, np.random.default_rng(7), 5)
+        volumes.append(pickle.loads(pickle.dumps(volume)))
+    np.testing.assert_array_equal(volumes[0].state, volumes[1].state)
+    np.testing.assert_array_equal(volumes[0].tsdf, volumes[1].tsdf)
+    look_around(caster, volumes[0], np.random.default_rng(8), 2)
+    assert volumes[0].observed_share > volumes[1].observed_share
+
+
+def test_sight_ends_at_what_is_occupied(room_volume):
+    inside = np.array([2.0, 1.5, 1.25])
+    wall, behind = np.array([[4.0, 1.6, 1.2]]), np.array([[4.6, 1.6, 1.2]])
+    assert room_volume.sight_free(inside, wall)[0]
+    assert not room_volume.sight_free(inside, behind)[0]
+    assert not room_volume.sight_free(inside, wall, spare=0.0)[0] or room_volume.state_at(wall)[0] != OCCUPIED
+    empty = VoxelVolume(ROOM)
+    assert empty.sight_free(inside, wall)[0]
+    assert not empty.sight_free(inside, wall, through_unknown=False)[0]
+
+
+def test_wrong_input_is_refused():
+    with pytest.raises(InputError, match="units"):
+        VoxelVolume(np.array([[0.0, 0.0, 0.0], [8000.0, 6000.0, 2500.0]]))
+    with pytest.raises(ValueError, match="upper above lower"):
+        VoxelVolume(ROOM[::-1])
+    with pytest.raises(ValueError, match="voxel_size"):
+        VolumeConfig(voxel_size=0.0)
+    with pytest.raises(ValueError, match="hit_gain"):
+        VolumeConfig(hit_gain=0)
+    frame = capture(boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
+    with pytest.raises(ValueError, match="camera"):
+        VoxelVolume(ROOM).integrate(Frame(frame.rgb, frame.depth[:10], frame.world_from_camera, CAMERA))

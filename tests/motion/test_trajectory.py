@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+
+from activestructure_gym.geometry import fibonacci_directions, look_along, rotation_angle
+from activestructure_gym.motion import MotionConfig, first_blocked, interpolate
+from activestructure_gym.motion.trajectory import pose_at, yaw_pitch
+from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
+
+CONFIG = MotionConfig()
+
+
+def random_pose(rng, position):
+    direction = rng.choice([-1.0, 1.0]) * np.array([0, 0, 1.0]) if rng.random() < 0.2 else rng.normal(size=3)
+    return look_along(position, direction)
+
+
+def distance_to_path(points, path):
+    best = np.full(len(points), np.inf)
+    for a, b in zip(path[:-1], path[1:]):
+        share = np.clip(((points - a) @ (b - a)) / max(((b - a) ** 2).sum(), 1e-18), 0, 1)
+        best = np.minimum(best, np.linalg.norm(points - (a + share[:, None] * (b - a)), axis=1))
+    return best
+
+
+def test_steps_turns_ends_and_roll_over_random_paths():
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        path = np.cumsum(rng.normal(size=(rng.integers(2, 7), 3)) * rng.choice([0.05, 0.5, 2.0]), axis=0)
+        start, goal = random_pose(rng, path[0]), random_pose(rng, path[-1])
+        frames = interpolate(path, start, goal, CONFIG)
+        np.testing.assert_array_equal(frames[-1], goal)
+        chain = np.concatenate([start[None], frames])
+        steps = np.linalg.norm(np.diff(chain[:, :3, 3], axis=0), axis=1)
+        assert steps.max() <= CONFIG.max_step_m + 1e-9
+        assert np.degrees(rotation_angle(chain[:-1], chain[1:])).max() <= CONFIG.max_turn_deg + 1e-4
+        assert distance_to_path(frames[:, :3, 3], path).max() < 1e-9
+        # Every corner is a frame: the straight pieces between frames lie on the path, too.
+        assert np.linalg.norm(frames[None, :, :3, 3] - path[1:, None], axis=2).min(axis=1).max() < 1e-9
+        assert np.abs(frames[:, 2, 0]).max() < 1e-9 and frames[:, 2, 1].max() < 1e-9  # right level, down not up
+        products = frames[:, :3, :3] @ frames[:, :3, :3].transpose(0, 2, 1)
+        assert np.abs(products - np.eye(3)).max() < 1e-9
+        # No frame more than the steps or the turns need (plus one per corner).
+        moving = sum(np.ceil(np.linalg.norm(b - a) / 0.1 - 1e-9) for a, b in zip(path[:-1], path[1:]))
+        turning = np.ceil(np.degrees(np.linalg.norm(wrapped(yaw_pitch(goal) - yaw_pitch(start)))) / 10 - 1e-9)
+        assert len(frames) == max(moving, turning, 1)
+
+
+def wrapped(difference):
+    return np.array([(difference[0] + np.pi) % (2 * np.pi) - np.pi, difference[1]])
+
+
+def test_long_paths_look_where_they_go():
+    path = np.array([[0.0, 0, 1], [6.0, 0, 1]])
+    start, goal = look_along(path[0], np.array([-1.0, 0.2, 0])), look_along(path[1], np.array([0.0, -1.0, 0.5]))
+    frames = interpolate(path, start, goal, CONFIG)
+    assert len(frames) == 60
+    np.testing.assert_allclose(frames[18:45, :3, 2], np.tile([1.0, 0, 0], (27, 1)), atol=1e-9)
+    # Going back the whole way with unchanged view directions: turned around and around again.
+    back = interpolate(path[::-1], look_along(path[1], [1.0, 0, 0]), look_along(path[0], [1.0, 0, 0]), CONFIG)
+    assert (back[20:40, 0, 2] < -0.999).all()
+
+
+def test_short_paths_turn_evenly_and_pure_turns_wait():
+    start = look_along(np.zeros(3), np.array([1.0, 0, 0]))
+    goal = look_along(np.array([0.0, 0.4, 0]), np.array([0.0, 1.0, 0]))
+    frames = interpolate(np.array([[0.0, 0, 0], [0, 0.4, 0]]), start, goal, CONFIG)
+    assert len(frames) == 9  # 90 degrees
+    np.testing.assert_allclose(np.degrees(rotation_angle(frames[:-1], frames[1:])), 10.0, atol=1e-6)
+    moved = np.linalg.norm(np.diff(np.concatenate([start[None], frames])[:, :3, 3], axis=0), axis=1) > 1e-9
+    assert moved.tolist() == [False] * 2 + [True] * 4 + [False] * 3  # half of the waiting before, half after
+    turn = interpolate(np.zeros((1, 3)), start, look_along(np.zeros(3), np.array([-1.0, 0.0, 0])), CONFIG)
+    assert len(turn) == 18
+    assert len(interpolate(np.zeros((1, 3)), start, start, CONFIG)) == 1  # never an empty motion
+
+
+def test_a_climb_keeps_the_yaw_and_the_horizon():
+    path = np.array([[0.0, 0, 0], [0.0, 0, 4.0]])
+    level = np.array([0.3, 0.8, 0])
+    frames = interpolate(path, look_along(path[0], level), look_along(path[1], level), CONFIG)
+    yaws = np.array([yaw_pitch(f)[0] for f in frames])
+    np.testing.assert_allclose(yaws, yaws[0], atol=1e-9)
+    assert max(yaw_pitch(f)[1] for f in frames) == pytest.approx(np.radians(30.0), abs=1e-9)
+
+
+def test_yaw_and_pitch_describe_every_level_pose():
+    directions = np.vstack([fibonacci_directions(40), [[0, 0, 1.0], [0, 0, -1.0], [1e-12, 0, 1.0]]])
+    for direction in directions:
+        pose = look_along(np.array([1.0, 2, 3]), direction)
+        np.testing.assert_allclose(pose_at(pose[:3, 3], *yaw_pitch(pose)), pose, atol=1e-9)
+
+
+def test_wrong_input_is_refused():
+    rolled = look_along(np.zeros(3), np.array([1.0, 0, 0]))
+    rolled[:3, :2] = rolled[:3, :2] @ np.array([[0.9, -np.sqrt(0.19)], [np.sqrt(0.19), 0.9]])
+    level = look_along(np.zeros(3), np.array([1.0, 0, 0]))
+    with pytest.raises(ValueError, match="roll"):
+        interpolate(np.zeros((1, 3)), rolled, level, CONFIG)
+    with pytest.raises(ValueError, match="start pose"):
+        interpolate(np.ones((1, 3)), level, level, CONFIG)
+    with pytest.raises(ValueError, match="max_step_m"):
+        MotionConfig(max_step_m=0.0)
+    with pytest.raises(ValueError, match="candidate_clearance"):
+        MotionConfig(candidate_clearance=0.1)
+
+
+def test_newly_seen_obstacle_blocks_the_rest_of_the_way():
+    volume = VoxelVolume(np.array([[0.0, 0, 0], [6.0, 3, 2.5]]))
+    volume.state[1:-1, 1:-1, 1:-1] = FREE
+    path = np.array([[0.6, 1.5, 1.2], [5.4, 1.5, 1.2]])
+    start, goal = look_along(path[0], np.array([1.0, 0, 0])), look_along(path[1], np.array([1.0, 0, 0]))
+    frames = interpolate(path, start, goal, CONFIG)
+    assert first_blocked(volume, frames, 0.2, start=start) is None
+    assert first_blocked(volume, frames, 0.2) is None
+    assert first_blocked(volume, frames[:0], 0.2) is None
+    volume.state[tuple(volume.voxel_of(np.array([4.05, 1.5, 1.2])))] = OCCUPIED
+    volume._changed()
+    stop = first_blocked(volume, frames, 0.2, start=start)
+    # The voxel spans x = 4.0 to 4.1: the last good frame keeps 0.2 m to it, up to the sampling of half a voxel.
+    assert stop is not None and stop == first_blocked(volume, frames, 0.2)
+    assert 4.0 - 0.2 - 0.1 < frames[stop - 1][0, 3] <= 4.0 - 0.2 + 1e-6
+    assert first_blocked(volume, frames[stop:], 0.2, start=frames[stop - 1]) == 0
+    assert first_blocked(volume, frames[stop:], 0.2) == 0
+    turning = np.stack([look_along(frames[stop - 1][:3, 3], np.array([1.0, 0.1 * n, 0])) for n in range(5)])
+    assert first_blocked(volume, turning, 0.2, start=frames[stop - 1]) is None

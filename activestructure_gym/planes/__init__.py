@@ -1,1 +1,82 @@
-""""""
+"""Planes: detection in depth images, the Plane Scene Graph over them, its quality and its surprise.
+
+A keyframe goes through `PlaneSceneGraph.update`: segments are found (`detection`), matched to nodes (`matching`),
+fused into them (`nodes`, `surface`), and the graph is assessed anew (`topology`, `quality`, `surprise`). `arrays`
+writes the result into an observation.
+"""
+
+from activestructure_gym.planes.arrays import (
+    PLANE_FEATURE_HIGH,
+    PLANE_FEATURE_LOW,
+    PLANE_FEATURES,
+    PlaneArrays,
+    encode_planes,
+    plane_features,
+)
+from activestructure_gym.planes.detection import (
+    PlaneDetection,
+    PlaneDetectionConfig,
+    PlaneSegment,
+    detect_planes,
+    segment_planes,
+)
+from activestructure_gym.planes.graph import GraphUpdate, PlaneGraphConfig, PlaneSceneGraph
+from activestructure_gym.planes.matching import MatchingConfig
+from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.quality import (
+    QUALITY_MODES,
+    Deficiencies,
+    Quality,
+    QualityConfig,
+    assess_quality,
+    find_deficiencies,
+)
+from activestructure_gym.planes.surprise import (
+    Surprise,
+    SurpriseConfig,
+    information_deficit,
+    structural_surprise,
+    view_surprise,
+)
+from activestructure_gym.planes.topology import (
+    TopologyConfig,
+    classify_structural,
+    edge_weights,
+    spanning_forest,
+    tree_betweenness,
+)
+
+__all__ = [
+    "PLANE_FEATURES",
+    "PLANE_FEATURE_HIGH",
+    "PLANE_FEATURE_LOW",
+    "QUALITY_MODES",
+    "Deficiencies",
+    "GraphUpdate",
+    "MatchingConfig",
+    "PlaneArrays",
+    "PlaneDetection",
+    "PlaneDetectionConfig",
+    "PlaneGraphConfig",
+    "PlaneNode",
+    "PlaneSceneGraph",
+    "PlaneSegment",
+    "Quality",
+    "QualityConfig",
+    "Surprise",
+    "SurpriseConfig",
+    "TopologyConfig",
+    "assess_quality",
+    "classify_structural",
+    "detect_planes",
+    "edge_weights",
+    "encode_planes",
+    "find_deficiencies",
+    "information_deficit",
+    "plane_features",
+    "segment_planes",
+    "spanning_forest",
+    "structural_surprise",
+    "tree_betweenness",
+    "view_surprise",
+]

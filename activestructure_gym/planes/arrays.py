@@ -1,0 +1,107 @@
+"""The graph as arrays of fixed size, for observations: names, bounds, encoding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from activestructure_gym.planes.quality import QUALITY_MODES
+
+if TYPE_CHECKING:
+    from activestructure_gym.planes.graph import PlaneSceneGraph
+
+# Metres. Scenes lie within this of their origin; planes further out are clipped to it.
+_FAR = 1000.0
+
+# One row per column of the feature table: name, lowest and highest value. Values are clipped into the bounds.
+_COLUMNS: tuple[tuple[str, float, float], ...] = (
+    ("normal_x", -1.0, 1.0),  # unit, world, towards the side the plane is seen from
+    ("normal_y", -1.0, 1.0),
+    ("normal_z", -1.0, 1.0),
+    ("offset", -_FAR, _FAR),  # metres; normal . x + offset = 0
+    ("centroid_x", -_FAR, _FAR),  # metres, world
+    ("centroid_y", -_FAR, _FAR),
+    ("centroid_z", -_FAR, _FAR),
+    ("area", 0.0, 10_000.0),  # m^2
+    ("points", 0.0, 4_000_000.0),  # thinned points
+    ("observations", 0.0, 100_000.0),  # keyframes
+    *((f"quality_{mode}", 0.0, 1.0) for mode in QUALITY_MODES),  # s_1 .. s_8
+    ("quality", 0.0, 1.0),  # q, Eq. 7
+    ("surprise_connectivity", 0.0, 1.0),  # phi^c
+    ("surprise_neighbourhood", 0.0, 1.0),  # phi^r, Eq. 8
+    ("surprise_geometric", 0.0, 1.0),  # phi^g, Eq. 9
+    ("surprise", 0.0, 1.0),  # Phi
+    ("deficit", 0.0, 1.0),  # gamma, Eq. 10, raw
+    ("structural", 0.0, 1.0),  # 1 = structural, Eq. 5
+    ("betweenness", 0.0, 1.0),  # c_i in the spanning forest
+    ("degree", 0.0, 1_000.0),  # in the spanning forest
+)
+PLANE_FEATURES: tuple[str, ...] = tuple(name for name, _, _ in _COLUMNS)
+PLANE_FEATURE_LOW = np.array([low for _, low, _ in _COLUMNS], dtype=np.float32)
+PLANE_FEATURE_HIGH = np.array([high for _, _, high in _COLUMNS], dtype=np.float32)
+for _bound in (PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH):
+    _bound.setflags(write=False)
+
+
+@dataclass(frozen=True)
+class PlaneArrays:
+    """The graph in ``max_planes`` rows; unused rows are 0.
+
+    When there are more planes than rows, those with the largest area are kept. Rows follow the planes' ids, so a plane
+    keeps its place relative to the others for as long as it is kept.
+    """
+
+    features: np.ndarray  # [max_planes, F] float32, columns PLANE_FEATURES, within PLANE_FEATURE_LOW .. HIGH
+    mask: np.ndarray  # [max_planes] int8, 1 = a plane
+    edge_weights: np.ndarray  # [max_planes, max_planes] float32 Eq. 4, small = reliable, 0 = no edge
+    tree: np.ndarray  # [max_planes, max_planes] int8, 1 = edge of the minimum spanning forest
+    nodes: np.ndarray  # [K] int64: row k is `graph.nodes[nodes[k]]`
+
+
+def plane_features(graph: PlaneSceneGraph) -> np.ndarray:  # [N, F] float32
+    """Features of all planes, clipped into their bounds."""
+    nodes = graph.nodes
+    if not nodes:
+        return np.zeros((0, len(PLANE_FEATURES)), np.float32)
+    columns = [
+        graph.normals,
+        graph.offsets[:, None],
+        graph.centroids,
+        graph.areas[:, None],
+        graph.point_counts[:, None],
+        np.array([[node.observations] for node in nodes]),
+        graph.quality.modes,
+        graph.quality.scores[:, None],
+        graph.surprise.connectivity[:, None],
+        graph.surprise.neighbourhood[:, None],
+        graph.surprise.geometric[:, None],
+        graph.surprise.total[:, None],
+        graph.deficit[:, None],
+        graph.structural[:, None],
+        graph.betweenness[:, None],
+        graph.tree.sum(axis=1)[:, None],
+    ]
+    table = np.concatenate([np.asarray(column, dtype=np.float64) for column in columns], axis=1)
+    return np.clip(table, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH).astype(np.float32)
+
+
+def encode_planes(graph: PlaneSceneGraph, max_planes: int) -> PlaneArrays:
+    """The graph as arrays of fixed size."""
+    if max_planes < 1:
+        raise ValueError(f"max_planes must be at least 1, got {max_planes}")
+    kept = np.sort(np.argsort(-graph.areas, kind="stable")[:max_planes])
+    count = len(kept)
+    features = np.zeros((max_planes, len(PLANE_FEATURES)), np.float32)
+    mask = np.zeros(max_planes, np.int8)
+    weights = np.zeros((max_planes, max_planes), np.float32)
+    tree = np.zeros((max_planes, max_planes), np.int8)
+    if count:
+        pairs = np.ix_(kept, kept)
+        features[:count] = plane_features(graph)[kept]
+        mask[:count] = 1
+        # A weight of exactly 0 would read as "no edge".
+        weights[:count, :count] = np.where(graph.edges[pairs], np.maximum(graph.weights[pairs], 1e-6), 0.0)
+        tree[:count, :count] = graph.tree[pairs]
+    return PlaneArrays(features, mask, weights, tree, kept.astype(np.int64))

@@ -1,0 +1,270 @@
+"""Planes in one depth image: block fits, region growing, pixel refinement, coplanar merge.
+
+The family is PEAC (Feng et al., ICRA 2014) and CAPE (Proenca & Gao, IROS 2018): fit a plane to every small block of
+the image, join blocks that lie on one plane, then let every pixel choose. Only depth is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import transform_points
+from activestructure_gym.planes import detection_kernels as kernels
+from activestructure_gym.sensors.frame import Frame
+
+
+@dataclass(frozen=True)
+class PlaneDetectionConfig:
+    """Thresholds. Those with "sigma" are multiples of the sensor's axial noise at the depth in question."""
+
+    depth_noise_scale: float = 1.0  # times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2; 0 = trust depth fully
+    max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot tell a plane from its neighbour
+    block_columns: int = 40  # blocks across the image; divided by sqrt(depth_noise_scale) where that is above 1
+    min_block: int = 4  # pixels, edge of the smallest block
+    block_sigma: float = 1.6  # a block is planar below block_sigma * sigma + block_tolerance
+    block_tolerance: float = 0.002  # metres
+    block_valid_share: float = 0.9  # of the block's pixels must have a return
+    link_angle_deg: float = 12.0  # between the normals of blocks that join
+    link_sigma: float = 2.0  # of distance between a block's centroid and the other's plane
+    link_tolerance: float = 0.01  # metres
+    min_pixel_share: float = 0.006  # of the image; smaller segments are dropped
+    segment_sigma: float = 2.0  # a segment is rejected above segment_sigma * sigma + segment_tolerance rms
+    segment_tolerance: float = 0.006  # metres
+    pixel_sigma: float = 3.0  # a pixel joins below pixel_sigma * sigma + pixel_tolerance
+    pixel_tolerance: float = 0.004  # metres
+    explained_share: float = 0.6  # of a segment's pixels that larger planes explain: above it the segment is noise
+    explained_sigma: float = 2.0
+    explained_tolerance: float = 0.004  # metres
+    merge_angle_deg: float = 4.0  # coplanar segments of one image become one
+    merge_sigma: float = 2.0
+    merge_tolerance: float = 0.03  # metres, centroid to plane, both ways
+    merge_reach: float = 4.0  # metres between the centroids (the graph's relaxed threshold)
+    max_points: int = 256  # kept per segment
+
+    def __post_init__(self) -> None:
+        if not self.depth_noise_scale >= 0:
+            raise ValueError(f"depth_noise_scale must be 0 or more, got {self.depth_noise_scale}")
+        if not self.max_depth > 0:
+            raise ValueError(f"max_depth must be above 0 metres, got {self.max_depth}")
+        if self.block_columns < 1 or self.min_block < 2:
+            raise ValueError("block_columns must be at least 1 and min_block at least 2")
+        if not 0 < self.block_valid_share <= 1:
+            raise ValueError(f"block_valid_share must lie in (0, 1], got {self.block_valid_share}")
+        if not 0 <= self.min_pixel_share < 1:
+            raise ValueError(f"min_pixel_share must lie in [0, 1), got {self.min_pixel_share}")
+        if self.max_points < 1:
+            raise ValueError(f"max_points must be at least 1, got {self.max_points}")
+
+
+@dataclass(frozen=True)
+class PlaneSegment:
+    """A planar piece of one image, in the world. Every point x on it has ``normal . x + offset = 0``."""
+
+    normal: np.ndarray  # [3] unit, world, towards the camera
+    offset: float  # metres
+    centroid: np.ndarray  # [3] world
+    area: float  # m^2, sum of the pixels' footprints on the plane
+    rms: float  # metres, of the pixels to the plane
+    pixels: int
+    points: np.ndarray  # [M, 3] world, evenly subsampled in row order
+    label: int  # its value in the label image
+
+
+@dataclass(frozen=True)
+class PlaneDetection:
+    """What one frame shows."""
+
+    segments: tuple[PlaneSegment, ...]  # largest first; segments[k].label == k
+    labels: np.ndarray  # [H, W] int32, -1 = no plane
+
+
+def detect_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> list[PlaneSegment]:
+    """The planar segments of a frame, largest (in pixels) first; empty when there are none."""
+    return list(segment_planes(frame, config).segments)
+
+
+def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> PlaneDetection:
+    """The planar segments of a frame together with the label image."""
+    config = config or PlaneDetectionConfig()
+    depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
+    camera = frame.camera
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+    nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
+
+    # Noise tilts a small block's plane: a noisier sensor needs larger ones.
+    size = max(config.min_block, int(camera.width * max(config.depth_noise_scale, 1.0) ** 0.5) // config.block_columns)
+    if min(depth.shape) < size:
+        return nothing
+    block_labels, planes = _block_regions(depth, lens, size, config)
+    if not len(planes):
+        return nothing
+    labels, planes = _refine(depth, lens, size, block_labels, planes, config)
+    moments = kernels.segment_moments(depth, *lens, labels, len(planes))
+    moments, new_label = _merge_coplanar(moments, config)
+    moments, order = _keep_large(moments, config.min_pixel_share * depth.size)
+    if not len(moments):
+        return nothing
+    # -1 stays -1: the last entry of the table is what index -1 reads.
+    labels = np.append(order[new_label], -1).astype(np.int32)[labels]
+    return PlaneDetection(_lift(frame, depth, lens, labels, moments, config), labels)
+
+
+def _noise(z: np.ndarray, scale: float) -> np.ndarray:
+    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+
+
+def _fit(
+    moments: np.ndarray,  # [S, 10]
+) -> tuple[np.ndarray, np.ndarray]:  # planes [S, 5] (n, d > 0, rms), centroids [S, 3]
+    """Least-squares planes of moment vectors, in the camera frame, normals towards the camera."""
+    count = np.maximum(moments[:, 0], 1.0)
+    mean = moments[:, 1:4] / count[:, None]
+    second = moments[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3) / count[:, None, None]
+    values, vectors = np.linalg.eigh(second - mean[:, :, None] * mean[:, None, :])
+    normal = vectors[:, :, 0]
+    d = -np.einsum("ij,ij->i", normal, mean)
+    flip = np.where(d < 0, -1.0, 1.0)
+    rms = np.sqrt(np.maximum(values[:, 0], 0.0))
+    return np.column_stack([normal * flip[:, None], d * flip, rms]), mean
+
+
+def _block_regions(
+    depth: np.ndarray, lens: tuple[float, float, float, float], size: int, config: PlaneDetectionConfig
+) -> tuple[np.ndarray, np.ndarray]:  # block labels [By, Bx], planes [S, 5]
+    scale = config.depth_noise_scale
+    moments = kernels.block_moments(depth, *lens, size, config.max_depth)
+    shape = moments.shape[:2]
+    flat = moments.reshape(-1, kernels.MOMENTS)
+    planes, mean = _fit(flat)
+    needed = max(3.0, config.block_valid_share * size * size)
+    limit = config.block_sigma * _noise(mean[:, 2], scale) + config.block_tolerance
+    accepted = (flat[:, 0] >= needed) & (planes[:, 4] < limit)
+    order = np.argsort(planes[:, 4], kind="stable")
+    # Standard deviation of the fitted normal in radians: sigma * sqrt(12) / (block edge * sqrt(pixels)), for a square
+    # of uniformly spread points; far blocks of a noisy sensor need it.
+    edge = np.maximum(mean[:, 2], 1e-3) * size / lens[0]
+    tilt = config.link_sigma * _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
+    labels, regions = kernels.grow_regions(
+        moments, planes.reshape(*shape, 5), accepted.reshape(shape), order[accepted[order]], scale,
+        np.radians(config.link_angle_deg), tilt.reshape(shape), config.link_sigma, config.link_tolerance,
+    )  # fmt: skip
+    if not len(regions):
+        return labels, np.zeros((0, 5))
+    planes, mean = _fit(regions)
+    # Blocks miss the rim of a plane: the pixels there come back in the refinement, so half the pixels suffice here.
+    keep = regions[:, 0] >= 0.5 * config.min_pixel_share * depth.size
+    keep &= planes[:, 4] < config.segment_sigma * _noise(mean[:, 2], scale) + config.segment_tolerance
+    # Pieces of one plane that something stands in front of belong together before they are judged one by one.
+    merged, new_label = _merge_coplanar(regions[keep], config)
+    table = np.full(len(regions) + 1, -1, np.int32)
+    table[np.flatnonzero(keep)] = new_label
+    return table[labels], _fit(merged)[0]
+
+
+def _refine(
+    depth: np.ndarray,
+    lens: tuple[float, float, float, float],
+    size: int,
+    block_labels: np.ndarray,
+    planes: np.ndarray,
+    config: PlaneDetectionConfig,
+) -> tuple[np.ndarray, np.ndarray]:  # labels [H, W], planes [T, 5]
+    """Pixels choose their plane; planes that larger ones explain are taken out and their pixels choose again.
+
+    Noise breaks a tilted piece out of a wall now and then, and blocks across a far edge look like a chamfer.
+    """
+    scale = config.depth_noise_scale
+    pixel = (scale, config.pixel_sigma, config.pixel_tolerance, config.max_depth)
+    labels = kernels.refine_pixels(depth, *lens, size, block_labels, planes, *pixel)
+    shares = kernels.explained_shares(
+        depth, *lens, labels, planes, scale, config.explained_sigma, config.explained_tolerance
+    )
+    keep = shares <= config.explained_share
+    if keep.all():
+        return labels, planes
+    table = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1).astype(np.int32)
+    return kernels.refine_pixels(depth, *lens, size, table[block_labels], planes[keep], *pixel), planes[keep]
+
+
+def _merge_coplanar(
+    moments: np.ndarray,  # [S, 10]
+    config: PlaneDetectionConfig,
+) -> tuple[np.ndarray, np.ndarray]:  # moments [T, 10], new label of every old one [S]
+    """Join segments of one plane, closest pair first, refitting after every join."""
+    label = np.arange(len(moments))
+    moments = moments.copy()
+    alive = moments[:, 0] >= 3
+    cosine = np.cos(np.radians(config.merge_angle_deg))
+    planes, mean = _fit(moments)
+    while alive.sum() > 1:
+        normal, d = planes[:, :3], planes[:, 3]
+        across = np.abs(normal @ mean.T + d[:, None])  # [i, j]: centroid of j to the plane of i
+        gap = np.maximum(across, across.T)
+        z = np.maximum(mean[:, None, 2], mean[None, :, 2])
+        limit = config.merge_tolerance + config.merge_sigma * (
+            config.depth_noise_scale * 0.0019 * (z - 0.4) ** 2
+        )
+        reach = np.linalg.norm(mean[:, None] - mean[None], axis=2)
+        able = (normal @ normal.T > cosine) & (gap < limit) & (reach < config.merge_reach)
+        able &= alive[:, None] & alive[None] & ~np.eye(len(moments), dtype=bool)
+        if not able.any():
+            break
+        i, j = np.unravel_index(np.argmin(np.where(able, gap, np.inf)), gap.shape)
+        moments[i] += moments[j]
+        alive[j] = False
+        label[label == j] = i
+        fitted, centroid = _fit(moments[i : i + 1])
+        planes[i], mean[i] = fitted[0], centroid[0]
+    table = np.cumsum(alive) - 1
+    return moments[alive], np.where(alive[label], table[label], -1)
+
+
+def _keep_large(moments: np.ndarray, min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
+    """Segments with enough pixels, largest first, and the table from old to new label (last entry: -1 for none)."""
+    keep = np.flatnonzero(moments[:, 0] >= max(min_pixels, 3))
+    keep = keep[np.argsort(-moments[keep, 0], kind="stable")]
+    table = np.full(len(moments) + 1, -1)
+    table[keep] = np.arange(len(keep))
+    return moments[keep], table
+
+
+def _lift(
+    frame: Frame,
+    depth: np.ndarray,
+    lens: tuple[float, float, float, float],
+    labels: np.ndarray,
+    moments: np.ndarray,
+    config: PlaneDetectionConfig,
+) -> tuple[PlaneSegment, ...]:
+    planes, mean = _fit(moments)
+    # 3 degrees: closer to edge-on a pixel's footprint says nothing about area.
+    areas = kernels.segment_areas(depth, *lens, labels, planes, np.sin(np.radians(3.0)))
+    rotation = frame.world_from_camera[:3, :3]
+    normals = planes[:, :3] @ rotation.T
+    centroids = transform_points(frame.world_from_camera, mean)
+    offsets = -np.einsum("ij,ij->i", normals, centroids)
+    # One stable sort groups the pixels by label in row order.
+    flat = labels.ravel()
+    order = np.argsort(flat, kind="stable")
+    ends = np.searchsorted(flat[order], np.arange(len(moments) + 1))
+    segments = []
+    for k, (first, last) in enumerate(zip(ends[:-1], ends[1:])):
+        step = -(-(last - first) // config.max_points)
+        v, u = np.divmod(order[first:last:step], depth.shape[1])
+        z = depth[v, u].astype(np.float64)
+        points = np.column_stack([(u + 0.5 - lens[2]) / lens[0] * z, (v + 0.5 - lens[3]) / lens[1] * z, z])
+        segments.append(
+            PlaneSegment(
+                normal=normals[k],
+                offset=float(offsets[k]),
+                centroid=centroids[k],
+                area=float(areas[k]),
+                rms=float(planes[k, 4]),
+                pixels=int(last - first),
+                points=transform_points(frame.world_from_camera, points),
+                label=k,
+            )
+        )
+    return tuple(segments)

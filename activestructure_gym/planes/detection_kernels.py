@@ -1,0 +1,233 @@
+"""The loops of plane detection over blocks and pixels, compiled.
+
+Second-order moments of a set of points are kept as ten sums, in the order
+``[1, x, y, z, xx, xy, xz, yy, yz, zz]``: they add, so a block, a region and a merged plane are fitted the same way.
+All points are in the camera frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+MOMENTS = 10
+MAX_LINK_ANGLE = np.radians(40.0)  # whatever the noise: beyond it two blocks are an edge of a room
+
+
+@njit(cache=True, nogil=True)
+def add_point(moments, x, y, z):
+    moments[0] += 1.0
+    moments[1] += x
+    moments[2] += y
+    moments[3] += z
+    moments[4] += x * x
+    moments[5] += x * y
+    moments[6] += x * z
+    moments[7] += y * y
+    moments[8] += y * z
+    moments[9] += z * z
+
+
+@njit(cache=True, nogil=True)
+def fit_moments(moments, plane):
+    """Least-squares plane of a moment vector (the SVD of the centred points, by its normal equations).
+
+    Writes ``plane = [nx, ny, nz, d, rms]`` with the normal turned to the camera at the origin (d > 0).
+    """
+    count = moments[0]
+    mx, my, mz = moments[1] / count, moments[2] / count, moments[3] / count
+    scatter = np.empty((3, 3))
+    scatter[0, 0] = moments[4] / count - mx * mx
+    scatter[0, 1] = scatter[1, 0] = moments[5] / count - mx * my
+    scatter[0, 2] = scatter[2, 0] = moments[6] / count - mx * mz
+    scatter[1, 1] = moments[7] / count - my * my
+    scatter[1, 2] = scatter[2, 1] = moments[8] / count - my * mz
+    scatter[2, 2] = moments[9] / count - mz * mz
+    values, vectors = np.linalg.eigh(scatter)
+    nx, ny, nz = vectors[0, 0], vectors[1, 0], vectors[2, 0]
+    d = -(nx * mx + ny * my + nz * mz)
+    if d < 0.0:
+        nx, ny, nz, d = -nx, -ny, -nz, -d
+    plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, d
+    plane[4] = np.sqrt(max(values[0], 0.0))
+
+
+@njit(cache=True, nogil=True)
+def block_moments(depth, fx, fy, cx, cy, size, max_depth):
+    """Moments [By, Bx, 10] of the valid pixels of every full block."""
+    rows, columns = depth.shape[0] // size, depth.shape[1] // size
+    moments = np.zeros((rows, columns, MOMENTS))
+    for r in range(rows):
+        for c in range(columns):
+            block = moments[r, c]
+            for v in range(r * size, (r + 1) * size):
+                y1 = (v + 0.5 - cy) / fy
+                for u in range(c * size, (c + 1) * size):
+                    z = float(depth[v, u])
+                    if 0.0 < z <= max_depth:
+                        add_point(block, (u + 0.5 - cx) / fx * z, y1 * z, z)
+    return moments
+
+
+@njit(cache=True, nogil=True)
+def noise(z, scale):
+    """Axial standard deviation of a Kinect-type sensor in metres (Nguyen et al. 2012), times ``scale``."""
+    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base):
+    """Join neighbouring planar blocks into regions, flattest block first.
+
+    A block joins when it is coplanar both with the neighbour it is reached from and with the plane of the whole
+    region, which is refitted as the region grows: chaining along a curved surface stops where the plane stops.
+
+    Normals may differ by ``link_angle`` radians plus what noise does to them, ``tilt`` [By, Bx].
+
+    Returns labels [By, Bx] int32 (-1 none) and the moments of the regions [S, 10].
+    """
+    rows, columns = accepted.shape
+    labels = np.full((rows, columns), -1, np.int32)
+    regions = np.zeros((rows * columns, MOMENTS))
+    stack = np.empty(rows * columns, np.int32)
+    plane = np.empty(5)
+    count = 0
+    for seed in order:
+        r0, c0 = seed // columns, seed % columns
+        if not accepted[r0, c0] or labels[r0, c0] >= 0:
+            continue
+        labels[r0, c0] = count
+        region = regions[count]
+        region[:] = moments[r0, c0]
+        plane[:] = planes[r0, c0]
+        refit_at = 2.0 * region[0]
+        # First in, first out: the region stays compact, so that its plane is well supported before it travels.
+        head, tail = 0, 1
+        stack[0] = seed
+        while head < tail:
+            r, c = stack[head] // columns, stack[head] % columns
+            head += 1
+            here = planes[r, c]
+            nb = moments[r, c, 0]
+            hx, hy, hz = moments[r, c, 1] / nb, moments[r, c, 2] / nb, moments[r, c, 3] / nb
+            for k in range(4):
+                rr = r + (1 if k == 0 else -1 if k == 1 else 0)
+                cc = c + (1 if k == 2 else -1 if k == 3 else 0)
+                if rr < 0 or cc < 0 or rr >= rows or cc >= columns or not accepted[rr, cc] or labels[rr, cc] >= 0:
+                    continue
+                there = planes[rr, cc]
+                slack = tilt[rr, cc]
+                cosine = here[0] * there[0] + here[1] * there[1] + here[2] * there[2]
+                if cosine < np.cos(min(link_angle + slack + tilt[r, c], MAX_LINK_ANGLE)):
+                    continue
+                cosine = plane[0] * there[0] + plane[1] * there[1] + plane[2] * there[2]
+                if cosine < np.cos(min(link_angle + slack, MAX_LINK_ANGLE)):
+                    continue
+                nb = moments[rr, cc, 0]
+                tx, ty, tz = moments[rr, cc, 1] / nb, moments[rr, cc, 2] / nb, moments[rr, cc, 3] / nb
+                limit = link_noise * noise(tz, scale) + link_base
+                if abs(here[0] * tx + here[1] * ty + here[2] * tz + here[3]) > limit:
+                    continue
+                if abs(there[0] * hx + there[1] * hy + there[2] * hz + there[3]) > limit:
+                    continue
+                if abs(plane[0] * tx + plane[1] * ty + plane[2] * tz + plane[3]) > limit:
+                    continue
+                labels[rr, cc] = count
+                region += moments[rr, cc]
+                stack[tail] = rr * columns + cc
+                tail += 1
+                if region[0] >= refit_at:
+                    fit_moments(region, plane)
+                    refit_at = 1.5 * region[0]
+        count += 1
+    return labels, regions[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def refine_pixels(depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixel_noise, pixel_base, max_depth):
+    """Give every pixel to the closest plane among those of its own and the eight surrounding blocks."""
+    height, width = depth.shape
+    rows, columns = block_labels.shape
+    labels = np.full((height, width), -1, np.int32)
+    for v in range(height):
+        y1 = (v + 0.5 - cy) / fy
+        r = min(v // size, rows - 1)
+        for u in range(width):
+            z = float(depth[v, u])
+            if not 0.0 < z <= max_depth:
+                continue
+            x, y = (u + 0.5 - cx) / fx * z, y1 * z
+            c = min(u // size, columns - 1)
+            best = pixel_noise * noise(z, scale) + pixel_base
+            tried = -1
+            for rr in range(max(r - 1, 0), min(r + 2, rows)):
+                for cc in range(max(c - 1, 0), min(c + 2, columns)):
+                    label = block_labels[rr, cc]
+                    if label < 0 or label == tried:
+                        continue
+                    tried = label
+                    p = planes[label]
+                    residual = abs(p[0] * x + p[1] * y + p[2] * z + p[3])
+                    if residual < best:
+                        best = residual
+                        labels[v, u] = label
+    return labels
+
+
+@njit(cache=True, nogil=True)
+def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, limit_base):
+    """For every label the share of its pixels that some larger label's plane explains as well."""
+    count = len(planes)
+    sizes = np.zeros(count, np.int64)
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if labels[v, u] >= 0:
+                sizes[labels[v, u]] += 1
+    explained = np.zeros(count)
+    for v in range(depth.shape[0]):
+        y1 = (v + 0.5 - cy) / fy
+        for u in range(depth.shape[1]):
+            label = labels[v, u]
+            if label < 0:
+                continue
+            z = float(depth[v, u])
+            x, y = (u + 0.5 - cx) / fx * z, y1 * z
+            limit = limit_noise * noise(z, scale) + limit_base
+            for other in range(count):
+                if sizes[other] > sizes[label]:
+                    p = planes[other]
+                    if abs(p[0] * x + p[1] * y + p[2] * z + p[3]) < limit:
+                        explained[label] += 1.0
+                        break
+    return explained / np.maximum(sizes, 1)
+
+
+@njit(cache=True, nogil=True)
+def segment_moments(depth, fx, fy, cx, cy, labels, count):
+    """Moments [S, 10] of the pixels of every label."""
+    moments = np.zeros((count, MOMENTS))
+    for v in range(depth.shape[0]):
+        y1 = (v + 0.5 - cy) / fy
+        for u in range(depth.shape[1]):
+            label = labels[v, u]
+            if label >= 0:
+                z = float(depth[v, u])
+                add_point(moments[label], (u + 0.5 - cx) / fx * z, y1 * z, z)
+    return moments
+
+
+@njit(cache=True, nogil=True)
+def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
+    """Square metres of every label: the sum of its pixels' footprints z^2 / (fx fy cos)."""
+    areas = np.zeros(len(planes))
+    for v in range(depth.shape[0]):
+        y1 = (v + 0.5 - cy) / fy
+        for u in range(depth.shape[1]):
+            label = labels[v, u]
+            if label >= 0:
+                z = float(depth[v, u])
+                p = planes[label]
+                # With the ray's z at 1 this is the cosine that turns an image area into an area on the plane.
+                cosine = abs(p[0] * (u + 0.5 - cx) / fx + p[1] * y1 + p[2])
+                areas[label] += z * z / (fx * fy * max(cosine, min_cosine))
+    return areas

@@ -1,0 +1,272 @@
+"""The Plane Scene Graph G = (V, E): planes as nodes, observed relations as edges (Sec. 3.2 and 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
+from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
+from activestructure_gym.planes.matching import MatchingConfig, match_segment, same_surface
+from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.quality import (
+    Deficiencies,
+    Quality,
+    QualityConfig,
+    SpaceState,
+    assess_quality,
+    find_deficiencies,
+)
+from activestructure_gym.planes.surface import observe
+from activestructure_gym.planes.surprise import Surprise, SurpriseConfig, information_deficit, structural_surprise
+from activestructure_gym.planes.topology import (
+    TopologyConfig,
+    classify_structural,
+    edge_weights,
+    spanning_forest,
+    tree_betweenness,
+)
+from activestructure_gym.sensors.frame import Frame
+
+if TYPE_CHECKING:
+    import networkx
+
+
+@dataclass(frozen=True)
+class PlaneGraphConfig:
+    """All constants of planes, one part per step."""
+
+    detection: PlaneDetectionConfig = field(default_factory=PlaneDetectionConfig)
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    topology: TopologyConfig = field(default_factory=TopologyConfig)
+    quality: QualityConfig = field(default_factory=QualityConfig)
+    surprise: SurpriseConfig = field(default_factory=SurpriseConfig)
+    cell: float = 0.05  # metres, edge of a tangent grid's cell
+    fusion_rate: float = 0.3  # of the exponential moving average of (n, d)
+    normal_window: int = 10  # keyframes of normal history
+
+    def __post_init__(self) -> None:
+        if not self.cell > 0:
+            raise ValueError(f"cell must be above 0 metres, got {self.cell}")
+        if not 0 <= self.fusion_rate <= 1:
+            raise ValueError(f"fusion_rate must lie in [0, 1], got {self.fusion_rate}")
+        if self.normal_window < 1:
+            raise ValueError(f"normal_window must be at least 1, got {self.normal_window}")
+
+
+@dataclass(frozen=True)
+class GraphUpdate:
+    """What one keyframe did to the graph."""
+
+    detection: PlaneDetection
+    node_ids: tuple[int, ...]  # per segment, the id of the node it belongs to now
+    created: tuple[int, ...]  # ids of new nodes (still in the graph)
+    merged: tuple[tuple[int, int], ...]  # (id that stays, id that went)
+
+
+class PlaneSceneGraph:
+    """Planes of a scene and how they hang together, updated keyframe by keyframe.
+
+    All arrays below are in the order of ``nodes`` and describe the state after the last update. Given the same frames
+    the same graph results; nothing is random.
+    """
+
+    def __init__(self, config: PlaneGraphConfig | None = None) -> None:
+        self.config = config or PlaneGraphConfig()
+        self.nodes: list[PlaneNode] = []  # by id
+        self.keyframes = 0  # updates so far
+        self._next_id = 0
+        self._assess(None)
+
+    def update(self, frame: Frame, *, space_state: SpaceState | None = None) -> GraphUpdate:
+        """Detect the planes of a keyframe and join them.
+
+        ``space_state`` tells whether world points are unknown (0), free (1) or occupied (2); without it only planes
+        and images close a boundary (mode v).
+        """
+        return self.integrate(frame, segment_planes(frame, self.config.detection), space_state=space_state)
+
+    def integrate(
+        self, frame: Frame, detection: PlaneDetection, *, space_state: SpaceState | None = None
+    ) -> GraphUpdate:
+        """Join segments found elsewhere; `update` in two steps."""
+        first_new = self._next_id
+        owner = self._assign(frame, detection.segments)
+        touched = sorted(set(owner))
+        if touched:
+            self._fuse(frame, detection, owner, touched)
+        merged = self._merge(touched)
+        self.keyframes += 1
+        self._assess(space_state)
+        stays = {gone: kept for kept, gone in merged}
+        ids = []
+        for node_id in owner:
+            while node_id in stays:
+                node_id = stays[node_id]
+            ids.append(node_id)
+        created = tuple(node.id for node in self.nodes if node.id >= first_new)
+        return GraphUpdate(detection, tuple(ids), created, tuple(merged))
+
+    def node(self, node_id: int) -> PlaneNode:
+        """The node with this id; KeyError when it was merged into another or never was."""
+        for node in self.nodes:
+            if node.id == node_id:
+                return node
+        raise KeyError(node_id)
+
+    def _assign(self, frame: Frame, segments: tuple[PlaneSegment, ...]) -> list[int]:
+        """Id of the node of every segment; unmatched segments found new nodes that later ones may join."""
+        eye = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 3]
+        right = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 0]
+        owner = []
+        for segment in segments:
+            index = match_segment(segment, eye, self.nodes, self.config.matching)
+            if index is None:
+                self.nodes.append(
+                    PlaneNode(
+                        self._next_id,
+                        segment,
+                        tangent_axes(segment, right),
+                        cell=self.config.cell,
+                        window=self.config.normal_window,
+                    )
+                )
+                self._next_id += 1
+                index = len(self.nodes) - 1
+            owner.append(self.nodes[index].id)
+        return owner
+
+    def _fuse(self, frame: Frame, detection: PlaneDetection, owner: list[int], touched: list[int]) -> None:
+        nodes = [self.node(node_id) for node_id in touched]
+        row = {node_id: k for k, node_id in enumerate(touched)}
+        patches, moments = observe(
+            frame,
+            detection.labels,
+            np.array([row[node_id] for node_id in owner]),
+            [node.surface for node in nodes],
+            np.stack([node.anchor for node in nodes]),
+            reach=self.config.quality.boundary_reach,
+        )
+        for k, node in enumerate(nodes):
+            own = [segment for segment, node_id in zip(detection.segments, owner) if node_id == node.id]
+            node.fuse(own, patches[k], moments[k], self.keyframes, self.config.fusion_rate)
+
+    def _merge(self, touched: list[int]) -> list[tuple[int, int]]:
+        """Unite nodes that have come to satisfy the coplanar mode; the older id stays."""
+        merged: list[tuple[int, int]] = []
+        queue = list(touched)
+        while queue:
+            node_id = queue.pop(0)
+            node = next((n for n in self.nodes if n.id == node_id), None)
+            if node is None:
+                continue
+            # A cheap look at all normals first: most pairs differ there.
+            others = [n for n in self.nodes if n is not node and n.normal @ node.normal > 0.9]
+            for other in others:
+                if same_surface(node, other, self.config.matching):
+                    kept, gone = sorted((node, other), key=lambda n: n.id)
+                    kept.absorb(gone)
+                    self.nodes.remove(gone)
+                    merged.append((kept.id, gone.id))
+                    queue.append(kept.id)  # what it has become may reach further
+                    break
+        return merged
+
+    def _assess(self, space_state: SpaceState | None) -> None:
+        nodes, config = self.nodes, self.config
+        self.normals = np.array([node.normal for node in nodes]).reshape(-1, 3)  # [N, 3]
+        self.offsets = np.array([node.offset for node in nodes], dtype=np.float64)  # [N]
+        self.centroids = np.array([node.centroid for node in nodes]).reshape(-1, 3)  # [N, 3]
+        self.areas = np.array([node.area for node in nodes], dtype=np.float64)  # [N] m^2
+        self.point_counts = np.array([node.point_count for node in nodes], dtype=np.int64)  # [N]
+        topology = config.topology
+        self.weights = edge_weights(self.normals, self.centroids, beta=topology.beta, decay=topology.decay)  # [N, N]
+        together = self._seen_together()
+        self.edges = together & (self.weights <= topology.max_edge_weight)  # [N, N] bool
+        self.tree = spanning_forest(self.weights, self.edges)  # [N, N] bool
+        self.betweenness = tree_betweenness(self.tree)  # [N]
+        self.structural = classify_structural(  # [N] bool
+            self.betweenness, self.tree.sum(axis=1), self.areas, self.point_counts, topology
+        )
+        self.quality: Quality = assess_quality(nodes, self.structural, config.quality, space_state=space_state)
+        self.surprise: Surprise = structural_surprise(
+            self.normals, self.centroids, self.edges, self.tree, config.surprise
+        )
+        self.deficit = information_deficit(self.quality.scores, self.surprise.total)  # [N] gamma, Eq. 10
+        self.deficiencies: Deficiencies = find_deficiencies(nodes, config.quality)
+
+    def _seen_together(self) -> np.ndarray:  # [N, N] bool
+        """Pairs that at least one keyframe showed both of: only those relations have been observed."""
+        count = len(self.nodes)
+        together = np.zeros((count, count), bool)
+        bits = [node.keyframes for node in self.nodes]
+        for i in range(count):
+            for j in range(i):
+                if bits[i] & bits[j]:
+                    together[i, j] = together[j, i] = True
+        return together
+
+    def arrays(self, max_planes: int) -> PlaneArrays:
+        """The graph in fixed-size arrays; with more planes than rows the largest by area are kept."""
+        return encode_planes(self, max_planes)
+
+    def sample_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:  # [N, count, 3], [N, count] bool
+        """Up to ``count`` points of every plane, evenly spread, for visibility tests; and which of them exist."""
+        points = np.zeros((len(self.nodes), count, 3))
+        exists = np.zeros((len(self.nodes), count), bool)
+        for k, node in enumerate(self.nodes):
+            own = node.surface.points(count)
+            points[k, : len(own)] = own
+            exists[k, : len(own)] = True
+        return points, exists
+
+    def as_networkx(self) -> networkx.Graph:
+        """The graph as networkx knows it: nodes by id with their values, edges with ``weight`` and ``tree``."""
+        import networkx
+
+        graph = networkx.Graph()
+        for k, node in enumerate(self.nodes):
+            graph.add_node(
+                node.id,
+                normal=node.normal.copy(),
+                offset=node.offset,
+                centroid=self.centroids[k].copy(),
+                area=node.area,
+                points=node.points,
+                observations=node.observations,
+                structural=bool(self.structural[k]),
+                betweenness=float(self.betweenness[k]),
+                modes=self.quality.modes[k].copy(),
+                quality=float(self.quality.scores[k]),
+                surprise=float(self.surprise.total[k]),
+                deficit=float(self.deficit[k]),
+            )
+        for i, j in zip(*np.nonzero(np.triu(self.edges, 1))):
+            graph.add_edge(
+                self.nodes[i].id, self.nodes[j].id, weight=float(self.weights[i, j]), tree=bool(self.tree[i, j])
+            )
+        return graph
+
+
+def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:  # [3, 3] rows u, v, normal
+    """Tangent frame of a segment by SVD of its points (Eq. 6), fixed by the camera where the SVD leaves it open.
+
+    The sign of u, and u itself for a patch without a long side, follow the image's right, which moves with the scene
+    under a rigid motion of everything.
+    """
+    normal = segment.normal
+    centred = segment.points - segment.points.mean(axis=0)
+    centred = centred - np.outer(centred @ normal, normal)
+    _, spread, directions = np.linalg.svd(centred, full_matrices=False)
+    sideways = camera_right - (camera_right @ normal) * normal
+    if len(spread) > 1 and spread[0] > 1.02 * spread[1] and spread[0] > 1e-9:
+        u = directions[0] - (directions[0] @ normal) * normal
+        u = u if u @ sideways >= 0 else -u
+    elif np.linalg.norm(sideways) > 1e-6:
+        u = sideways
+    else:  # looking along the plane: nothing but the world's axes is left
+        u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    u = u / np.linalg.norm(u)
+    return np.stack([u, np.cross(normal, u), normal])

@@ -1,0 +1,131 @@
+"""One plane of the scene: a node of the Plane Scene Graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from activestructure_gym.planes.detection import PlaneSegment
+from activestructure_gym.planes.detection_kernels import MOMENTS
+from activestructure_gym.planes.surface import Patch, SurfaceGrid
+
+
+class PlaneNode:
+    """A plane as all keyframes so far show it (Sec. 3.2: plane, points, area, observations, centroid, normal history).
+
+    Every point x of it has ``normal . x + offset = 0``; the normal points to the side it is seen from, so the two
+    faces of a thin wall are two nodes.
+    """
+
+    def __init__(self, node_id: int, segment: PlaneSegment, axes: np.ndarray, *, cell: float, window: int) -> None:
+        self.id = node_id  # never used again for another plane
+        self.normal = segment.normal.copy()  # [3] unit, world
+        self.offset = segment.offset  # metres
+        self.surface = SurfaceGrid(segment.centroid, axes, cell)
+        self.anchor = segment.centroid.copy()  # [3] world; point moments are taken about it, to keep their digits
+        self.moments = np.zeros(MOMENTS)
+        self.keyframes = 0  # bit t is set when keyframe t showed the plane
+        self.normals: list[np.ndarray] = []  # [<= window] of [3], one per keyframe, newest last
+        self._window = window
+        self.shift = np.inf  # metres the centroid moved at the last update; inf: there was no update yet
+        self.area_change = np.inf  # relative change of the area at the last update
+
+    @property
+    def observations(self) -> int:
+        """o_i: number of keyframes that showed the plane."""
+        return self.keyframes.bit_count()
+
+    @property
+    def last_keyframe(self) -> int:
+        """Index of the newest keyframe that showed the plane."""
+        return self.keyframes.bit_length() - 1
+
+    @property
+    def area(self) -> float:
+        """a_i in square metres."""
+        return self.surface.area
+
+    @property
+    def centroid(self) -> np.ndarray:  # [3] world
+        """Mean of the seen surface."""
+        return self.surface.centroid
+
+    @property
+    def points(self) -> np.ndarray:  # [K, 3] world
+        """P_i: measured points, thinned to one per cell of the tangent grid."""
+        return self.surface.points()
+
+    @property
+    def point_count(self) -> int:
+        """|P_i|: seen cells with at least one measured point."""
+        return int(np.count_nonzero(self.surface.seen.astype(bool) & (self.surface.hits > 0)))
+
+    @property
+    def rms(self) -> float:
+        """Metres; root mean square distance of every measured point to the plane as it is now."""
+        count = self.moments[0]
+        if count < 1:
+            return 0.0
+        mean = self.moments[1:4] / count
+        second = self.moments[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3) / count
+        height = self.normal @ self.anchor + self.offset
+        square = self.normal @ second @ self.normal + 2.0 * height * (self.normal @ mean) + height**2
+        return float(np.sqrt(max(square, 0.0)))
+
+    def fuse(
+        self,
+        segments: Sequence[PlaneSegment],
+        patch: Patch,
+        moments: np.ndarray,  # [10] of the segments' points about `anchor`
+        keyframe: int,
+        rate: float,
+    ) -> None:
+        """Join one keyframe's segments: exponential moving average of the plane, union of the surface.
+
+        The rate shrinks with the segment's share of the node's area: a glimpse of a corner must not turn a wall.
+        """
+        before = (self.centroid, self.area) if self.keyframes else None
+        for segment in segments:
+            if self.keyframes:
+                share = rate * min(1.0, segment.area / max(self.area, 1e-9))
+                normal = (1.0 - share) * self.normal + share * segment.normal
+                offset = (1.0 - share) * self.offset + share * segment.offset
+                length = np.linalg.norm(normal)
+                self.normal, self.offset = normal / length, float(offset / length)
+        weights = np.array([segment.area for segment in segments])
+        seen_normal = np.average([segment.normal for segment in segments], axis=0, weights=weights + 1e-12)
+        self.normals = [*self.normals, seen_normal / np.linalg.norm(seen_normal)][-self._window :]
+        self.moments += moments
+        self.keyframes |= 1 << keyframe
+        self.surface.seat(self.normal, self.offset)
+        self.surface.add(patch)
+        if before is not None:
+            self._note_change(*before)
+
+    def absorb(self, other: PlaneNode) -> None:
+        """Join another node that turned out to be the same surface; the planes are averaged by area."""
+        before = (self.centroid, self.area)
+        share = other.area / max(self.area + other.area, 1e-9)
+        normal = (1.0 - share) * self.normal + share * other.normal
+        length = np.linalg.norm(normal)
+        self.offset = float(((1.0 - share) * self.offset + share * other.offset) / length)
+        self.normal = normal / length
+        self.moments += _moved(other.moments, other.anchor - self.anchor)
+        self.keyframes |= other.keyframes
+        self.normals = (other.normals + self.normals)[-self._window :]
+        self.surface.seat(self.normal, self.offset)
+        self.surface.absorb(other.surface)
+        self._note_change(*before)
+
+    def _note_change(self, centroid: np.ndarray, area: float) -> None:
+        self.shift = float(np.linalg.norm(self.centroid - centroid))
+        self.area_change = abs(self.area - area) / max(area, 1e-9)
+
+
+def _moved(moments: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Moments of the same points about an anchor such that every point's coordinates grow by ``by`` [3]."""
+    count, first = moments[0], moments[1:4]
+    second = moments[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
+    second = second + np.outer(first, by) + np.outer(by, first) + count * np.outer(by, by)
+    return np.concatenate([[count], first + count * by, second[np.triu_indices(3)]])

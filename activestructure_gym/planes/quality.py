@@ -1,0 +1,267 @@
+"""How well each plane is reconstructed: the eight failure modes, the scalar quality, the deficiency centres (Sec. 3.3).
+
+The paper names the modes; the formulas are ours. They are kept apart on purpose: a hole inside a plane lowers mode
+viii only, a missing corner mode i only, an edge that nobody followed mode v only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.surface import SurfaceGrid
+
+QUALITY_MODES = (
+    "coverage",  # i
+    "density",  # ii
+    "fit",  # iii
+    "observations",  # iv
+    "boundary",  # v
+    "normals",  # vi
+    "stability",  # vii
+    "interior",  # viii
+)
+SPACE_UNKNOWN, SPACE_FREE, SPACE_OCCUPIED = 0, 1, 2
+SpaceState = Callable[[np.ndarray], np.ndarray]  # world points [K, 3] -> uint8 [K]: unknown, free, occupied
+
+
+@dataclass(frozen=True)
+class QualityConfig:
+    """Scales at which a mode becomes bad, and the weights of Eq. 7."""
+
+    density_target: float = 400.0  # ii: points per m^2
+    fit_scale: float = 0.01  # iii: metres rms at which the score is 1/e
+    observations_target: int = 5  # iv: keyframes
+    boundary_reach: float = 0.10  # v: metres from an edge to the other plane that closes it
+    space_step: float = 0.15  # v: metres beyond an edge at which space is asked; more than one voxel of 10 cm
+    normal_angle_deg: float = 15.0  # vi: mean deviation that scores 0
+    shift_scale: float = 0.05  # vii: metres of centroid shift
+    area_scale: float = 0.10  # vii: relative change of the area
+    closing_radius: int = 3  # viii: cells
+    hole_tile: int = 10  # viii: cells; a larger hole gets one centre per tile (0.5 m)
+    min_hole_cells: int = 4  # viii: smaller holes get no centre (they still lower the score)
+    min_hole_radius: float = 1.5  # viii: cells; a thin slit gets no centre either
+    # True is Eq. 6 to the letter. False leaves out holes that no view can fill: cells that were looked through
+    # (a window, a doorway) or that something lies on (a picture, a cupboard's back).
+    count_explained_holes: bool = True
+    weights_structural: tuple[float, ...] = (0.25, 0.05, 0.10, 0.05, 0.05, 0.15, 0.10, 0.25)  # Eq. 7: i, viii, vi
+    weights_object: tuple[float, ...] = (0.10, 0.25, 0.10, 0.15, 0.20, 0.05, 0.05, 0.10)  # Eq. 7: ii, v, iv
+
+    def __post_init__(self) -> None:
+        for name in ("weights_structural", "weights_object"):
+            weights = np.asarray(getattr(self, name))
+            if weights.shape != (8,) or (weights < 0).any() or abs(weights.sum() - 1.0) > 1e-9:
+                raise ValueError(f"{name} must be eight weights of 0 or more that sum to 1, got {tuple(weights)}")
+        for name in ("density_target", "fit_scale", "normal_angle_deg", "shift_scale", "area_scale"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if self.observations_target < 1 or self.closing_radius < 0 or self.hole_tile < 1:
+            raise ValueError("observations_target and hole_tile must be at least 1, closing_radius 0 or more")
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Scores of all planes, 1 = good."""
+
+    modes: np.ndarray  # [N, 8] in [0, 1], columns as in QUALITY_MODES
+    scores: np.ndarray  # [N] q in [0, 1]
+
+
+@dataclass(frozen=True)
+class Deficiencies:
+    """Where planes have holes: targets for the next views."""
+
+    centres: np.ndarray  # [D, 3] world, each on an unseen cell inside a hole
+    normals: np.ndarray  # [D, 3] of the plane, towards the side it is seen from
+    areas: np.ndarray  # [D] m^2 of the part of the hole the centre stands for
+    planes: np.ndarray  # [D] int64 index of the plane
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+
+@dataclass(frozen=True)
+class Interior:
+    """Eq. 6 on one grid."""
+
+    mask: np.ndarray  # [R, C] uint8: I, seen cells after closing, enclosed holes filled
+    missing_share: float  # g = |I \\ O| / |I|
+    hull_cells: int  # cells of the convex hull of the seen cells
+    holes: np.ndarray  # [D, 2] array cells, one per tile of a hole
+    hole_cells: np.ndarray  # [D] cells that each stands for
+
+
+def interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
+    """Closed and filled mask of a plane, and the holes in it (Eq. 6)."""
+    known = surface.memo.get(("interior", config))
+    if isinstance(known, Interior):
+        return known
+    result = _interior(surface, config)
+    surface.memo["interior", config] = result
+    return result
+
+
+def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
+    seen = surface.seen
+    if not seen.any():
+        return Interior(np.zeros_like(seen), 1.0, 0, np.zeros((0, 2), np.int64), np.zeros(0, np.int64))
+    pad = config.closing_radius + 1
+    padded = cv2.copyMakeBorder(seen, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
+    size = 2 * config.closing_radius + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)
+    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros_like(padded)
+    cv2.drawContours(filled, outlines, -1, 1, thickness=cv2.FILLED)
+    hull = np.zeros_like(padded)
+    cv2.fillConvexPoly(hull, cv2.convexHull(np.concatenate(outlines)), 1)
+    mask = np.ascontiguousarray(filled[pad:-pad, pad:-pad])
+    missing = (mask > 0) & (seen == 0)
+    if not config.count_explained_holes:
+        missing &= surface.beside == kernels.UNKNOWN
+    total = int(np.count_nonzero(mask))
+    holes, sizes = _hole_tiles(missing, config)
+    return Interior(mask, np.count_nonzero(missing) / max(total, 1), int(np.count_nonzero(hull)), holes, sizes)
+
+
+def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:
+    """One cell per tile of every hole: the cell nearest to the mean of the tile's cells, so never outside the hole."""
+    nothing = np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
+    if np.count_nonzero(missing) < config.min_hole_cells:
+        return nothing
+    padded = np.pad(missing, 1).astype(np.uint8)
+    count, labels = cv2.connectedComponents(padded, connectivity=8)
+    depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
+    rows, columns = np.nonzero(padded)
+    label = labels[rows, columns]
+    widest = np.zeros(count)
+    np.maximum.at(widest, label, depth[rows, columns])
+    keep = widest[label] >= config.min_hole_radius
+    if not keep.any():
+        return nothing
+    rows, columns, label = rows[keep] - 1, columns[keep] - 1, label[keep].astype(np.int64)
+    # Tiles start at the hole's own corner: the same hole gives the same centres wherever the grid begins.
+    first_row, first_column = np.full(count, 1 << 30), np.full(count, 1 << 30)
+    np.minimum.at(first_row, label, rows)
+    np.minimum.at(first_column, label, columns)
+    tile_row = (rows - first_row[label]) // config.hole_tile
+    tile_column = (columns - first_column[label]) // config.hole_tile
+    _, tile = np.unique(np.stack([label, tile_row, tile_column], axis=1), axis=0, return_inverse=True)
+    tile = tile.ravel()
+    size = np.bincount(tile)
+    mean_row, mean_column = np.bincount(tile, rows) / size, np.bincount(tile, columns) / size
+    away = (rows - mean_row[tile]) ** 2 + (columns - mean_column[tile]) ** 2
+    order = np.lexsort((columns, rows, np.round(away, 6), tile))
+    _, first = np.unique(tile[order], return_index=True)
+    chosen = order[first]
+    large = size >= config.min_hole_cells
+    return np.stack([rows[chosen], columns[chosen]], axis=1)[large], size[large]
+
+
+def boundary_closure(
+    nodes: Sequence[PlaneNode], config: QualityConfig, space_state: SpaceState | None = None
+) -> np.ndarray:  # [N] in [0, 1]
+    """Share of each plane's outer edge beyond which something is known (mode v).
+
+    Known is: what the images of the plane showed beside it, another plane within reach, and - given ``space_state`` -
+    space that is occupied or free. The edges of holes inside the plane belong to mode viii.
+    """
+    if not nodes:
+        return np.zeros(0)
+    surfaces = [node.surface for node in nodes]
+    masks = [interior(surface, config).mask for surface in surfaces]
+    shapes = np.array([mask.shape for mask in masks], dtype=np.int64)
+    starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
+    flat = np.concatenate([mask.ravel() for mask in masks])
+    near = np.concatenate([surface.near.ravel() for surface in surfaces])
+    beside = np.concatenate([surface.beside.ravel() for surface in surfaces])
+    lows = np.stack([surface.low for surface in surfaces])
+    frames = np.stack([surface.frame for surface in surfaces])
+    cell = surfaces[0].cell
+    buffer = np.empty((4 * int(shapes.prod(axis=1).max()) + 1, 3), np.int64)
+    sides, unclosed = np.zeros(len(nodes)), np.zeros(len(nodes))
+    probes, owner = [], []
+    steps = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])  # the kernel's directions
+    for k, surface in enumerate(surfaces):
+        sides[k], count = kernels.open_sides(
+            k, flat, near, beside, starts, shapes, lows, frames, cell, config.boundary_reach, buffer
+        )
+        unclosed[k] = count
+        if space_state is not None and count:
+            step = steps[buffer[:count, 2]]
+            # From the edge cell (one step back) outwards by the distance at which space is asked.
+            cells = buffer[:count, :2] - step + step * (config.space_step / cell)
+            probes.append(surface.cell_centres(cells[:, 0], cells[:, 1]))
+            owner.append(np.full(count, k))
+    if space_state is not None and probes:
+        known = np.asarray(space_state(np.concatenate(probes))) != SPACE_UNKNOWN
+        unclosed -= np.bincount(np.concatenate(owner)[known], minlength=len(nodes))
+    return np.where(sides > 0, 1.0 - unclosed / np.maximum(sides, 1.0), 0.0)
+
+
+def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> float:
+    """Mean alignment of the window's normals with their mean, 1 = all equal, 0 = ``max_angle_deg`` off (mode vi)."""
+    if not len(normals):
+        return 0.0
+    stack = np.asarray(normals)
+    mean = stack.mean(axis=0)
+    length = np.linalg.norm(mean)
+    if not length > 1e-9:
+        return 0.0
+    alignment = np.abs(stack @ (mean / length)).mean()
+    floor = np.cos(np.radians(max_angle_deg))
+    return float(np.clip((alignment - floor) / (1.0 - floor), 0.0, 1.0))
+
+
+def assess_quality(
+    nodes: Sequence[PlaneNode],
+    structural: np.ndarray,  # [N] bool
+    config: QualityConfig | None = None,
+    *,
+    space_state: SpaceState | None = None,
+) -> Quality:
+    """The quality vector of every plane and its weighted sum (Eq. 7). Defined for any plane, however small."""
+    config = config or QualityConfig()
+    modes = np.zeros((len(nodes), 8))
+    target = config.density_target
+    for k, node in enumerate(nodes):
+        surface = node.surface
+        inside = interior(surface, config)
+        hits = surface.hits[surface.seen > 0]
+        if len(hits):
+            modes[k, 0] = min(1.0, np.count_nonzero(inside.mask) / max(inside.hull_cells, 1))
+            # Per cell, so that a dense spot does not pay for a thin one.
+            modes[k, 1] = np.minimum(hits / (target * surface.cell**2), 1.0).mean()
+        modes[k, 2] = np.exp(-node.rms / config.fit_scale)
+        modes[k, 3] = min(1.0, node.observations / config.observations_target)
+        modes[k, 5] = normal_consistency(node.normals, config.normal_angle_deg)
+        # A plane seen once has not shown that it stays: its change is infinite, its score 0.
+        modes[k, 6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
+        modes[k, 7] = 1.0 - inside.missing_share  # Eq. 6
+    if len(nodes):
+        modes[:, 4] = boundary_closure(nodes, config, space_state)
+    weights = np.where(
+        np.asarray(structural, dtype=bool)[:, None], config.weights_structural, config.weights_object
+    )
+    return Quality(modes=modes, scores=(weights * modes).sum(axis=1))  # Eq. 7
+
+
+def find_deficiencies(nodes: Sequence[PlaneNode], config: QualityConfig | None = None) -> Deficiencies:
+    """The holes of all planes as points in the world (C_def), in the order of the planes."""
+    config = config or QualityConfig()
+    centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
+    for k, node in enumerate(nodes):
+        inside = interior(node.surface, config)
+        if len(inside.holes):
+            centres.append(node.surface.cell_centres(inside.holes[:, 0], inside.holes[:, 1]))
+            normals.append(np.repeat(node.normal[None], len(inside.holes), axis=0))
+            areas.append(inside.hole_cells * node.surface.cell**2)
+            owner.append(np.full(len(inside.holes), k, np.int64))
+    return Deficiencies(
+        np.concatenate(centres), np.concatenate(normals), np.concatenate(areas), np.concatenate(owner)
+    )

@@ -1,0 +1,218 @@
+"""The part of a plane that has been seen: a growing grid of cells in the plane's tangent frame.
+
+Everything that asks "where on this plane" reads this grid: area, centroid, points, coverage, boundary, holes. It is
+carried with the plane, not with the world's axes, so a rigid motion of everything changes no cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.sensors.frame import Frame
+
+# Cells a grid grows by at least, so that it is not copied at every keyframe.
+_MARGIN = 16
+# A disc of 2 cells: what counts as near to a seen cell (10 cm at 5 cm cells).
+_NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What one image adds to one grid: arrays over a rectangle of cells."""
+
+    low: np.ndarray  # [2] int64 cell index of the first row and column
+    seen: np.ndarray  # [R, C] uint8
+    hits: np.ndarray  # [R, C] int32 pixels per cell
+    beside: np.ndarray  # [R, C] uint8, see `surface_kernels.look_up_cells`
+
+
+class SurfaceGrid:
+    """Seen cells of one plane.
+
+    The frame is orthonormal: ``axes[0]``, ``axes[1]`` in the plane, ``axes[2]`` its normal; ``origin`` lies on the
+    plane. Cell (0, 0) of the arrays is cell ``low`` of the frame.
+    """
+
+    def __init__(self, origin: np.ndarray, axes: np.ndarray, cell: float) -> None:
+        self.origin = np.array(origin, dtype=np.float64)  # [3] world
+        self.axes = np.array(axes, dtype=np.float64)  # [3, 3] rows
+        self.cell = cell  # metres
+        self.low = np.zeros(2, np.int64)
+        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1
+        self.hits = np.zeros((0, 0), np.int32)  # [R, C] pixels that fell into the cell
+        self.beside = np.zeros((0, 0), np.uint8)  # [R, C] what unseen cells showed: unknown, open or covered
+        self.memo: dict[object, object] = {}  # results of others about this grid, dropped when it changes
+
+    @property
+    def frame(self) -> np.ndarray:  # [12] for the kernels
+        """Origin, two axes, normal."""
+        return np.concatenate([self.origin, self.axes.ravel()])
+
+    def seat(self, normal: np.ndarray, offset: float) -> None:
+        """Put the frame onto the plane ``normal . x + offset = 0`` by the smallest rotation; cells keep their place."""
+        old = self.axes[2]
+        axis = np.cross(old, normal)
+        hat = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        rotation = np.eye(3) + hat + hat @ hat / (1.0 + old @ normal)
+        u = rotation @ self.axes[0]
+        u -= (u @ normal) * normal
+        u /= np.linalg.norm(u)
+        self.axes = np.stack([u, np.cross(normal, u), normal])
+        self.origin = self.origin - (normal @ self.origin + offset) * normal
+        self._forget()
+
+    def add(self, patch: Patch) -> None:
+        """Join what one image showed."""
+        if not patch.seen.size:
+            return
+        self._cover(patch.low, patch.low + patch.seen.shape)
+        r, c = patch.low - self.low
+        window = (slice(r, r + patch.seen.shape[0]), slice(c, c + patch.seen.shape[1]))
+        seen = patch.seen
+        if not seen.any() and not self.seen.any():
+            seen = (patch.hits > 0).astype(np.uint8)  # a sliver between all cell centres still has a place
+        self.seen[window] |= seen
+        self.hits[window] += patch.hits
+        np.copyto(self.beside[window], patch.beside, where=patch.beside > 0)
+        self._forget()
+
+    def absorb(self, other: SurfaceGrid) -> None:
+        """Join another grid of the same plane. Each of our cells asks the other grid: no cell falls between."""
+        if not other.seen.size:
+            return
+        corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
+        ours = np.floor(self._to_cells(corners)).astype(np.int64)
+        low, high = ours.min(axis=0), ours.max(axis=0) + 1
+        rows, columns = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]), indexing="ij")
+        centres = self._to_world(np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5)
+        index = np.floor(other._to_cells(centres)).astype(np.int64) - other.low
+        inside = ((index >= 0) & (index < other.seen.shape)).all(axis=1)
+        index = np.where(inside[:, None], index, 0)
+
+        def ask(array: np.ndarray) -> np.ndarray:
+            return np.where(inside, array[index[:, 0], index[:, 1]], 0).astype(array.dtype).reshape(rows.shape)
+
+        self.add(Patch(low, ask(other.seen), ask(other.hits), ask(other.beside)))
+
+    def _cover(self, low: np.ndarray, high: np.ndarray) -> None:
+        if self.seen.size and (low >= self.low).all() and (high <= self.low + self.seen.shape).all():
+            return
+        if self.seen.size:
+            low, high = np.minimum(low, self.low), np.maximum(high, self.low + self.seen.shape)
+            grown_low = np.where(low < self.low, low - _MARGIN, low)
+            grown_high = np.where(high > self.low + self.seen.shape, high + _MARGIN, high)
+        else:
+            grown_low, grown_high = low, high
+        for name in ("seen", "hits", "beside"):
+            old = getattr(self, name)
+            new = np.zeros(tuple(grown_high - grown_low), old.dtype)
+            if old.size:
+                r, c = self.low - grown_low
+                new[r : r + old.shape[0], c : c + old.shape[1]] = old
+            setattr(self, name, new)
+        self.low = np.array(grown_low, np.int64)
+
+    def _forget(self) -> None:
+        for name in ("_cells", "area", "centroid", "near"):
+            self.__dict__.pop(name, None)
+        self.memo.clear()
+
+    def _to_world(self, cells: np.ndarray) -> np.ndarray:  # [K, 2] -> [K, 3]
+        return self.origin + (cells * self.cell) @ self.axes[:2]
+
+    def _to_cells(self, points: np.ndarray) -> np.ndarray:  # [K, 3] -> [K, 2]
+        return (points - self.origin) @ self.axes[:2].T / self.cell
+
+    def cell_centres(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:  # [K, 3] world
+        """Centres of array cells, on the plane."""
+        return self._to_world(np.stack([rows, columns], axis=1) + self.low + 0.5)
+
+    @cached_property
+    def _cells(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.nonzero(self.seen)
+
+    @cached_property
+    def area(self) -> float:
+        """Square metres: seen cells times the area of a cell."""
+        return len(self._cells[0]) * self.cell**2
+
+    @cached_property
+    def centroid(self) -> np.ndarray:  # [3] world
+        """Mean of the seen cells."""
+        rows, columns = self._cells
+        if not len(rows):
+            return self.origin.copy()
+        return self._to_world((np.array([rows.mean(), columns.mean()]) + self.low + 0.5)[None])[0]
+
+    @cached_property
+    def near(self) -> np.ndarray:  # [R, C] uint8
+        """Seen cells and those within two cells of them."""
+        return cv2.dilate(self.seen, _NEAR) if self.seen.size else self.seen
+
+    def points(self, count: int | None = None) -> np.ndarray:  # [K, 3] world
+        """Centres of the seen cells with at least one measured point; ``count`` of them, evenly spread in row order."""
+        rows, columns = np.nonzero(self.seen.astype(bool) & (self.hits > 0))
+        if not len(rows):
+            rows, columns = self._cells
+        if count is not None and len(rows) > count:
+            pick = (np.arange(count) + 0.5) * len(rows) / count
+            rows, columns = rows[pick.astype(np.int64)], columns[pick.astype(np.int64)]
+        return self.cell_centres(rows, columns)
+
+    def contains(self, points: np.ndarray, *, reach: int = 0) -> np.ndarray:  # [K, 3] world -> [K] bool
+        """Whether the points' feet on the plane fall on seen cells, or within ``reach`` cells of one."""
+        if not self.seen.size:
+            return np.zeros(len(points), bool)
+        mask, low = self.seen, self.low
+        if reach:
+            mask = cv2.dilate(cv2.copyMakeBorder(mask, *(4 * [reach]), cv2.BORDER_CONSTANT, value=0), _disc(reach))
+            low = low - reach
+        index = np.floor(self._to_cells(points)).astype(np.int64) - low
+        inside = ((index >= 0) & (index < mask.shape)).all(axis=1)
+        index = np.where(inside[:, None], index, 0)
+        return inside & (mask[index[:, 0], index[:, 1]] > 0)
+
+
+def _disc(radius: int) -> np.ndarray:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+
+
+def observe(
+    frame: Frame,
+    labels: np.ndarray,  # [H, W] int32, -1 = no plane
+    table: np.ndarray,  # [S] which grid each label belongs to
+    grids: list[SurfaceGrid],
+    anchors: np.ndarray,  # [T, 3] world
+    *,
+    reach: float,  # metres; see `surface_kernels.look_up_cells`
+) -> tuple[list[Patch], np.ndarray]:
+    """What an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
+    depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
+    camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    rotation, translation = np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
+    frames = np.stack([grid.frame for grid in grids])
+    cell = grids[0].cell
+    table = np.asarray(table, dtype=np.int64)
+    image = (depth, labels, table, lens, rotation, translation)
+    extents, moments = kernels.image_sums(*image, frames, anchors, cell)
+    extents += np.array([-2, -2, 2, 2])  # look a little beyond the edge: is there something else?
+    shapes = extents[:, 2:] - extents[:, :2] + 1
+    starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
+    hits = np.zeros(starts[-1], np.int32)
+    seen = np.zeros(starts[-1], np.uint8)
+    beside = np.zeros(starts[-1], np.uint8)
+    kernels.count_hits(*image, frames, cell, extents, starts, hits)
+    kernels.look_up_cells(*image, frames, cell, extents, starts, seen, beside, reach)
+    patches = []
+    for t, shape in enumerate(shapes):
+        part = slice(starts[t], starts[t + 1])
+        patches.append(
+            Patch(extents[t, :2], seen[part].reshape(shape), hits[part].reshape(shape), beside[part].reshape(shape))
+        )
+    return patches, moments

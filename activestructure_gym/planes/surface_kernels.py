@@ -1,0 +1,172 @@
+"""Compiled loops between an image and the tangent grids of planes.
+
+A tangent grid is passed as twelve numbers in the world: its origin, its two axes and its normal. Cell (r, c) of a
+grid covers ``[r, r + 1) x [c, c + 1)`` cells along the axes, seen from the origin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from activestructure_gym.planes.detection_kernels import MOMENTS, add_point
+
+UNKNOWN, OPEN, COVERED = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
+    """One pass over the pixels: extent of every node in its grid, and its new point moments.
+
+    ``table`` [S] maps a label to a row of ``grids`` [T, 12] and ``anchors`` [T, 3] (moments are taken about them).
+    Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
+    """
+    count = len(grids)
+    extents = np.empty((count, 4), np.int64)
+    extents[:, :2] = 1 << 40
+    extents[:, 2:] = -(1 << 40)
+    moments = np.zeros((count, MOMENTS))
+    for v in range(depth.shape[0]):
+        y1 = (v + 0.5 - lens[3]) / lens[1]
+        for u in range(depth.shape[1]):
+            label = labels[v, u]
+            if label < 0:
+                continue
+            t = table[label]
+            z = float(depth[v, u])
+            x, y = (u + 0.5 - lens[2]) / lens[0] * z, y1 * z
+            px = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
+            py = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
+            pz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
+            add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
+            g = grids[t]
+            r = int(np.floor(((px - g[0]) * g[3] + (py - g[1]) * g[4] + (pz - g[2]) * g[5]) / cell))
+            c = int(np.floor(((px - g[0]) * g[6] + (py - g[1]) * g[7] + (pz - g[2]) * g[8]) / cell))
+            extents[t, 0] = min(extents[t, 0], r)
+            extents[t, 1] = min(extents[t, 1], c)
+            extents[t, 2] = max(extents[t, 2], r)
+            extents[t, 3] = max(extents[t, 3], c)
+    return extents, moments
+
+
+@njit(cache=True, nogil=True)
+def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, hits):
+    """Pixels per cell, written to the flat ``hits``; node t owns ``hits[starts[t]:starts[t + 1]]``, row-major."""
+    for v in range(depth.shape[0]):
+        y1 = (v + 0.5 - lens[3]) / lens[1]
+        for u in range(depth.shape[1]):
+            label = labels[v, u]
+            if label < 0:
+                continue
+            t = table[label]
+            z = float(depth[v, u])
+            x, y = (u + 0.5 - lens[2]) / lens[0] * z, y1 * z
+            px = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
+            py = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
+            pz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
+            g = grids[t]
+            r = int(np.floor(((px - g[0]) * g[3] + (py - g[1]) * g[4] + (pz - g[2]) * g[5]) / cell))
+            c = int(np.floor(((px - g[0]) * g[6] + (py - g[1]) * g[7] + (pz - g[2]) * g[8]) / cell))
+            r -= extents[t, 0]
+            c -= extents[t, 1]
+            if 0 <= r <= extents[t, 2] - extents[t, 0] and 0 <= c <= extents[t, 3] - extents[t, 1]:
+                hits[starts[t] + r * (extents[t, 3] - extents[t, 1] + 1) + c] += 1
+
+
+@njit(cache=True, nogil=True)
+def look_up_cells(depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, seen, beside, reach):
+    """Project every cell's centre into the image: does the image show this plane there, or what else?
+
+    Looking cells up in the image (not pixels in the grid) makes a cell seen whatever the density of pixels on it, so
+    that a distant surface has no false holes. ``seen`` is 0 or 1. ``beside`` says why a cell is not seen: OPEN = the
+    view goes through the plane by more than ``reach`` metres, COVERED = something else lies within ``reach`` of it.
+    """
+    height, width = depth.shape
+    for t in range(len(grids)):
+        g = grids[t]
+        # Height of the camera above the plane; the normal points to the side the plane is seen from.
+        camera_height = (
+            (translation[0] - g[0]) * g[9] + (translation[1] - g[1]) * g[10] + (translation[2] - g[2]) * g[11]
+        )
+        index = starts[t]
+        for r in range(extents[t, 0], extents[t, 2] + 1):
+            a = (r + 0.5) * cell
+            for c in range(extents[t, 1], extents[t, 3] + 1):
+                b = (c + 0.5) * cell
+                px = g[0] + a * g[3] + b * g[6] - translation[0]
+                py = g[1] + a * g[4] + b * g[7] - translation[1]
+                pz = g[2] + a * g[5] + b * g[8] - translation[2]
+                z = rotation[0, 2] * px + rotation[1, 2] * py + rotation[2, 2] * pz
+                if z > 0.05:
+                    x = rotation[0, 0] * px + rotation[1, 0] * py + rotation[2, 0] * pz
+                    y = rotation[0, 1] * px + rotation[1, 1] * py + rotation[2, 1] * pz
+                    fu = x / z * lens[0] + lens[2]
+                    fv = y / z * lens[1] + lens[3]
+                    if 0.0 <= fu < width and 0.0 <= fv < height:
+                        u, v = int(fu), int(fv)
+                        label = labels[v, u]
+                        if label >= 0 and table[label] == t:
+                            seen[index] = 1
+                        elif depth[v, u] > 0.0:
+                            above = camera_height * (1.0 - float(depth[v, u]) / z)
+                            if above < -reach:
+                                beside[index] = OPEN
+                            elif above <= reach:
+                                beside[index] = COVERED
+                index += 1
+
+
+@njit(cache=True, nogil=True)
+def open_sides(index, seen, near, beside, starts, shapes, lows, grids, cell, reach, probes):
+    """Sides of node ``index``'s boundary cells, counted, and those that nothing known closes.
+
+    A side is a seen cell with an unseen neighbour in one of four directions. It is closed when the image showed
+    what lies there (``beside``), or when another plane passes within ``reach`` metres of the centre of that neighbour
+    (``near`` = seen, dilated by the reach). The flat arrays hold all grids, node k at ``starts[k]``; ``lows`` [N, 2]
+    is the cell index of each array's first entry.
+
+    Writes for every open side its direction and the cell into ``probes`` [M, 3] (row, column, 0..3) and returns
+    (sides, open sides).
+    """
+    rows, columns = shapes[index]
+    g = grids[index]
+    base = starts[index]
+    sides = 0
+    unclosed = 0
+    for r in range(rows):
+        for c in range(columns):
+            if not seen[base + r * columns + c]:
+                continue
+            for k in range(4):
+                rr = r + (1 if k == 0 else -1 if k == 1 else 0)
+                cc = c + (1 if k == 2 else -1 if k == 3 else 0)
+                inside = 0 <= rr < rows and 0 <= cc < columns
+                if inside and seen[base + rr * columns + cc]:
+                    continue
+                sides += 1
+                if inside and beside[base + rr * columns + cc] != UNKNOWN:
+                    continue
+                a = (rr + lows[index, 0] + 0.5) * cell
+                b = (cc + lows[index, 1] + 0.5) * cell
+                px = g[0] + a * g[3] + b * g[6]
+                py = g[1] + a * g[4] + b * g[7]
+                pz = g[2] + a * g[5] + b * g[8]
+                closed = False
+                for j in range(len(grids)):
+                    if j == index:
+                        continue
+                    h = grids[j]
+                    dx, dy, dz = px - h[0], py - h[1], pz - h[2]
+                    if abs(dx * h[9] + dy * h[10] + dz * h[11]) > reach:
+                        continue
+                    jr = int(np.floor((dx * h[3] + dy * h[4] + dz * h[5]) / cell)) - lows[j, 0]
+                    jc = int(np.floor((dx * h[6] + dy * h[7] + dz * h[8]) / cell)) - lows[j, 1]
+                    if 0 <= jr < shapes[j, 0] and 0 <= jc < shapes[j, 1] and near[starts[j] + jr * shapes[j, 1] + jc]:
+                        closed = True
+                        break
+                if not closed:
+                    probes[unclosed, 0] = rr
+                    probes[unclosed, 1] = cc
+                    probes[unclosed, 2] = k
+                    unclosed += 1
+    return sides, unclosed

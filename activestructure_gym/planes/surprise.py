@@ -1,0 +1,102 @@
+"""Structural surprise of planes and views, and the structural information deficit (Sec. 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_EPSILON = 1e-9
+
+
+@dataclass(frozen=True)
+class SurpriseConfig:
+    """Constants of Eqs. 8 to 11; the paper names the symbols, the values are ours."""
+
+    floor: float = 0.1  # phi_min of all three indicators
+    saturation_degree: int = 3  # tree degree at which a plane counts as fully anchored
+    radius: float = 1.5  # Eq. 8: r, metres between centroids
+    max_angle_deg: float = 45.0  # Eq. 9: theta_max; no acute angle is further from 0 and 90
+    blend: float = 0.5  # Eq. 11: eta, share of the mean against the maximum
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.floor <= 1 or not 0 <= self.blend <= 1:
+            raise ValueError(f"floor and blend must lie in [0, 1], got {self.floor} and {self.blend}")
+        if self.saturation_degree < 1 or not self.radius > 0 or not self.max_angle_deg > 0:
+            raise ValueError("saturation_degree, radius and max_angle_deg must be above 0")
+
+
+@dataclass(frozen=True)
+class Surprise:
+    """The three indicators and their product, each [N] in [0, 1]."""
+
+    connectivity: np.ndarray  # phi^c
+    neighbourhood: np.ndarray  # phi^r
+    geometric: np.ndarray  # phi^g
+    total: np.ndarray  # Phi
+
+
+def connectivity_surprise(degree: np.ndarray, config: SurpriseConfig) -> np.ndarray:
+    """phi^c: falls with the degree in the spanning forest; a dangling plane was seen but not put into context."""
+    return np.maximum(config.floor, 1.0 - degree / config.saturation_degree)
+
+
+def neighbourhood_surprise(
+    centroids: np.ndarray,  # [N, 3]
+    edges: np.ndarray,  # [N, N] bool
+    config: SurpriseConfig,
+) -> np.ndarray:  # [N]
+    """phi^r: share of the near planes that were never related to this one (Eq. 8; printed as phi^c, a misprint).
+
+    Without a plane within the radius nothing is missing, and the floor remains.
+    """
+    near = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) < config.radius
+    np.fill_diagonal(near, False)
+    count = near.sum(axis=1)
+    linked = (near & edges).sum(axis=1)
+    missing = np.where(count > 0, 1.0 - linked / (count + _EPSILON), 0.0)
+    return np.clip(config.floor + (1.0 - config.floor) * missing, 0.0, 1.0)  # Eq. 8
+
+
+def geometric_surprise(
+    normals: np.ndarray,  # [N, 3] unit
+    tree: np.ndarray,  # [N, N] bool
+    config: SurpriseConfig,
+) -> np.ndarray:  # [N]
+    """phi^g: how far the angles to the tree's neighbours are from 0 and 90 degrees (Eq. 9)."""
+    angle = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0.0, 1.0)))
+    # theta is acute by its definition, so 180 degrees of the canonical set can never be the nearest.
+    deviation = np.minimum(np.minimum(angle, 90.0 - angle) / config.max_angle_deg, 1.0)
+    degree = tree.sum(axis=1)
+    mean = (deviation * tree).sum(axis=1) / np.maximum(degree, 1)
+    return config.floor + (1.0 - config.floor) * mean  # Eq. 9
+
+
+def structural_surprise(
+    normals: np.ndarray, centroids: np.ndarray, edges: np.ndarray, tree: np.ndarray, config: SurpriseConfig
+) -> Surprise:
+    """All three indicators; their product is large only where all invariants are violated at once."""
+    c = connectivity_surprise(tree.sum(axis=1), config)
+    r = neighbourhood_surprise(centroids, edges, config)
+    g = geometric_surprise(normals, tree, config)
+    return Surprise(connectivity=c, neighbourhood=r, geometric=g, total=c * r * g)
+
+
+def information_deficit(quality: np.ndarray, surprise: np.ndarray) -> np.ndarray:
+    """gamma = (1 - q) Phi (Eq. 10): large where a plane is under-reconstructed and poorly integrated."""
+    return (1.0 - quality) * surprise
+
+
+def view_surprise(
+    surprise: np.ndarray,  # [N] Phi
+    visible: np.ndarray,  # [C, N] bool
+    config: SurpriseConfig | None = None,
+) -> np.ndarray:  # [C], 0 for a view that sees no plane
+    """Surprise of candidate views: blend of mean and maximum over the planes each one sees (Eq. 11)."""
+    config = config or SurpriseConfig()
+    visible = np.asarray(visible, dtype=bool)
+    if not len(surprise):
+        return np.zeros(len(visible))
+    seen = np.where(visible, surprise, 0.0)
+    mean = seen.sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+    return config.blend * mean + (1.0 - config.blend) * seen.max(axis=1)  # Eq. 11

@@ -1,0 +1,118 @@
+"""The graph over the planes: weights, edges, spanning forest, betweenness, who is structural (Sec. 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+
+@dataclass(frozen=True)
+class TopologyConfig:
+    """Constants of Eqs. 4 and 5; the paper names the symbols, the values are ours."""
+
+    beta: float = 0.5  # Eq. 4: share of normal alignment against proximity, 0..1
+    decay: float = 0.5  # Eq. 4: lambda, per metre
+    max_edge_weight: float = 0.95  # planes that support each other less than this have no edge
+    min_betweenness: float = 0.15  # Eq. 5: tau_c
+    min_degree: int = 3  # Eq. 5: tau_d
+    min_area: float = 1.5  # Eq. 5: tau_a, m^2
+    min_points: int = 400  # Eq. 5: tau_p, points of the thinned set
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.beta <= 1:
+            raise ValueError(f"beta must lie in [0, 1], got {self.beta}")
+        if not self.decay >= 0:
+            raise ValueError(f"decay must be 0 or more, got {self.decay}")
+
+
+def edge_weights(
+    normals: np.ndarray,  # [N, 3] unit
+    centroids: np.ndarray,  # [N, 3] metres, world
+    *,
+    beta: float = 0.5,  # weight of normal alignment, 0..1
+    decay: float = 0.5,  # lambda, per metre
+) -> np.ndarray:  # [N, N] in [0, 1], 0 on the diagonal
+    """Affinity of every pair of planes; small means the pair supports each other (Eq. 4)."""
+    alignment = np.minimum((normals @ normals.T) ** 2, 1.0)
+    distance = np.linalg.norm(centroids[:, None] - centroids[None], axis=2)
+    weights = 1.0 - (beta * alignment + (1.0 - beta) * np.exp(-decay * distance))  # Eq. 4
+    np.fill_diagonal(weights, 0.0)
+    return np.clip(0.5 * (weights + weights.T), 0.0, 1.0)
+
+
+def spanning_forest(
+    weights: np.ndarray,  # [N, N] symmetric
+    edges: np.ndarray,  # [N, N] bool symmetric
+) -> np.ndarray:  # [N, N] bool symmetric
+    """Minimum spanning tree of every connected component.
+
+    Weights that agree to nine digits count as equal and the pair with the lower indices wins: symmetric rooms have
+    exact ties, and the last digit of a rotation must not choose among them.
+    """
+    count = len(weights)
+    tree = np.zeros((count, count), bool)
+    rows, columns = np.nonzero(np.triu(edges, 1))
+    if not len(rows):
+        return tree
+    order = np.lexsort((columns, rows, np.round(weights[rows, columns], 9)))
+    # Ranks instead of weights: unique, and never 0, which a sparse matrix would take for "no edge".
+    rank = np.empty(len(order))
+    rank[order] = np.arange(1, len(order) + 1)
+    found = minimum_spanning_tree(coo_matrix((rank, (rows, columns)), shape=(count, count))).tocoo()
+    tree[found.row, found.col] = True
+    return tree | tree.T
+
+
+def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, no cycles -> [N] in [0, 1]
+    """Betweenness centrality of every node of a forest, normalised as networkx does, in O(N) after the adjacency.
+
+    Removing u from its tree of n nodes leaves components of sizes s_k; the pairs whose path runs through u are
+    ((n - 1)^2 - sum s_k^2) / 2. Normalised by the (N - 1)(N - 2) / 2 pairs of the whole graph.
+    """
+    count = len(tree)
+    centrality = np.zeros(count)
+    if count < 3:
+        return centrality
+    rows, columns = np.nonzero(tree)
+    neighbours: list[list[int]] = [[] for _ in range(count)]
+    for row, column in zip(rows.tolist(), columns.tolist()):
+        neighbours[row].append(column)
+    parent = [-1] * count
+    visited = [False] * count
+    for root in range(count):
+        if visited[root]:
+            continue
+        visited[root] = True
+        order = [root]
+        for node in order:
+            for other in neighbours[node]:
+                if not visited[other]:
+                    visited[other] = True
+                    parent[other] = node
+                    order.append(other)
+        size = len(order)
+        below = dict.fromkeys(order, 1)
+        squares = dict.fromkeys(order, 0)
+        for node in reversed(order):
+            rest = size - below[node]  # everything that hangs above the node
+            centrality[node] = ((size - 1) ** 2 - squares[node] - rest**2) / 2.0
+            if parent[node] >= 0:
+                below[parent[node]] += below[node]
+                squares[parent[node]] += below[node] ** 2
+    return centrality * 2.0 / ((count - 1) * (count - 2))
+
+
+def classify_structural(
+    betweenness: np.ndarray,  # [N]
+    degree: np.ndarray,  # [N] in the forest
+    area: np.ndarray,  # [N] m^2
+    points: np.ndarray,  # [N] number of thinned points
+    config: TopologyConfig | None = None,
+) -> np.ndarray:  # [N] bool
+    """Which planes carry the layout (Eq. 5)."""
+    config = config or TopologyConfig()
+    large = (area >= config.min_area) & (points >= config.min_points)
+    return (betweenness >= config.min_betweenness) | (degree >= config.min_degree) | large  # Eq. 5

@@ -41,11 +41,6 @@ class ReconstructionConfig:
             raise InputError(f"keyframe_every must be at least 1, got {self.keyframe_every}")
         for name in self.gains:
             GAINS.get(name)
-        if self.views.clearance_m < self.motion.min_clearance:
-            raise InputError(
-                f"views.clearance_m ({self.views.clearance_m}) must not be below motion.min_clearance "
-                f"({self.motion.min_clearance}): such a view could never be reached"
-            )
 
 
 # Overrides of the defaults above, by field.

@@ -20,7 +20,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.mapping import Mapper, MappingReport
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import PlaneSceneGraph
-from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.scenes import Scene, check_start_pose
 from activestructure_gym.sensors import Frame, RGBDSensor
 from activestructure_gym.views import CandidatePool, CandidateTable, GainContext, evaluate_gains
 from activestructure_gym.volume import VoxelVolume
@@ -61,8 +61,6 @@ class Reconstruction:
         ``start_pose`` is ``world_from_camera`` [4, 4]; without one, one of the scene's own is drawn from the seed.
         Raises `InputError` if the pose stands inside something or outside the scene.
         """
-        from activestructure_gym.scenes.free_space import check_start_pose
-
         config = self.config
         # One child per consumer: a policy's choices cannot shift the noise, nor the noise the paths.
         choice, noise, mapping, planning, pool = np.random.SeedSequence(seed).spawn(5)
@@ -79,7 +77,13 @@ class Reconstruction:
         self.mapper = Mapper(config.mapper, np.random.default_rng(mapping))
         self.volume = VoxelVolume(scene.bounds, config.volume)
         self.planes = PlaneSceneGraph(config.planes)
-        self.pool = CandidatePool(start_pose[:3, 3], scene.bounds, config.views, int(pool.generate_state(1)[0]))
+        self.pool = CandidatePool(
+            start_pose[:3, 3],
+            scene.bounds,
+            config.views,
+            int(pool.generate_state(1)[0]),
+            clearance_m=config.motion.candidate_clearance,
+        )
         self._planning_rng = np.random.default_rng(planning)
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
@@ -179,7 +183,7 @@ class Reconstruction:
         with self._timed("mapping"):
             self.mapping_report = self.mapper.observe(frame)
         with self._timed("planes"):
-            self.planes.update(frame)
+            self.planes.update(frame, space_state=self.volume.state_at)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         return frame
 

@@ -61,7 +61,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
         "plane_features": Key((P, F), f32, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH, "-", "PLANE_FEATURES of the nodes"),
         "plane_mask": Key((P,), i8, 0, 1, "-", "1 where the row holds a plane"),
-        "plane_edges": Key((P, P), f32, 0, 1, "-", "edge weight w_ij (Eq. 4); 1 where there is no edge"),
+        "plane_edges": Key((P, P), f32, 0, 1, "-", "edge weight w_ij (Eq. 4), small = reliable; 0 = no edge"),
         "plane_tree": Key((P, P), i8, 0, 1, "-", "1 where the edge is in the minimum spanning forest"),
         "candidate_planes": Key((K, P), i8, 0, 1, "-", "1 where the candidate would see the plane"),
     }
@@ -98,11 +98,11 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     mask = np.zeros(size, np.int8)
     mask[:count] = 1
 
-    planes = reconstruction.planes.arrays(max_planes)
+    graph = reconstruction.planes
+    planes = graph.arrays(max_planes)
     seen = np.zeros((size, max_planes), np.int8)
-    rows = int(planes.mask.sum())
-    seen[:count, :rows] = visible_planes(
-        planes.sample_points[:rows], planes.normals[:rows], config.sensor.camera, table.world_from_camera
+    seen[:count, : len(planes.nodes)] = visible_planes(
+        [graph.nodes[i] for i in planes.nodes], config.sensor.camera, table.world_from_camera, reconstruction.volume
     )
 
     quaternion = Rotation.from_matrix(frame.world_from_camera[:3, :3]).as_quat(scalar_first=True, canonical=True)
@@ -116,9 +116,9 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
         "candidates": candidates,
         "candidate_gains": gains,
         "action_mask": mask,
-        "plane_features": planes.features.copy(),
-        "plane_mask": planes.mask.copy(),
-        "plane_edges": planes.edge_weights.copy(),
-        "plane_tree": planes.tree.copy(),
+        "plane_features": planes.features,
+        "plane_mask": planes.mask,
+        "plane_edges": planes.edge_weights,
+        "plane_tree": planes.tree,
         "candidate_planes": seen,
     }

@@ -37,7 +37,7 @@ class ReconstructionEnv(gym.Env[dict[str, np.ndarray], np.int64]):
     One flat `Dict` of arrays, listed in `docs/observation.md` (from `activestructure_gym.envs.observation`): the last
     keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their gains and mask, the Plane Scene Graph
     (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
-    arrays are zero (edges: one) where no plane exists yet. Nothing in it comes from ground truth.
+    arrays are zero where no plane exists yet. Nothing in it comes from ground truth.
 
     ## Rewards
     The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,

@@ -24,7 +24,6 @@ class ViewConfig:
     lattice_step_m: float = 0.5  # horizontal distance of lattice positions (ActiveGAMER's fine stage)
     heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # above the start camera; a flying camera uses them all
     directions: int = 15  # K of the Fibonacci lattice (ActiveGAMER's fine stage)
-    clearance_m: float = 0.3  # least distance of a candidate to anything not known to be free (method.md 5)
     max_candidates: int = 256  # rows of the candidate table
     max_revisits: int = 4  # stored keyframe poses offered on top, worst rendered first (method.md 5)
     visited_distance_m: float = 0.3  # a candidate this near to a visited pose ...
@@ -66,9 +65,15 @@ class CandidateTable:
 class CandidatePool:
     """All views that can still be chosen. An entry is one (lattice position, direction) pair."""
 
-    def __init__(self, anchor: np.ndarray, bounds: np.ndarray, config: ViewConfig, seed: int) -> None:
-        """``anchor`` [3] is the start position, ``bounds`` [2, 3] the workspace, both in metres, world."""
+    def __init__(
+        self, anchor: np.ndarray, bounds: np.ndarray, config: ViewConfig, seed: int, *, clearance_m: float = 0.3
+    ) -> None:
+        """``anchor`` [3] is the start position, ``bounds`` [2, 3] the workspace, both in metres, world.
+
+        ``clearance_m`` is the least distance of a candidate to anything not known to be free.
+        """
         self.config = config
+        self._clearance_m = clearance_m
         self._seed = seed
         step = config.lattice_step_m
         # Whole lattice steps from the anchor that stay inside the workspace.
@@ -115,7 +120,9 @@ class CandidatePool:
     ) -> CandidateTable:
         """The table of this step: reachable open views (a neutral draw if they are too many), then revisits."""
         lengths = np.full(len(self.positions), np.inf, dtype=np.float32)
-        clear = volume.clearance_at(self.positions) >= self.config.clearance_m
+        clear = volume.clearance_at(self.positions) >= self._clearance_m
+        # Where the agent stands it can turn, however narrow it is there.
+        clear |= np.linalg.norm(self.positions - distances.start, axis=1) < 1e-6
         clear &= self._open.any(axis=1)
         if clear.any():
             lengths[clear] = distances.at(self.positions[clear])

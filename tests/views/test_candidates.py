@@ -9,7 +9,7 @@ from activestructure_gym.geometry import look_along, rotation_angle
 from activestructure_gym.views import CandidatePool, ViewConfig
 
 BOUNDS = np.array([[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]])
-ANCHOR = np.array([1.1, 1.2, 1.3])
+ANCHOR = np.array([1.1, 1.15, 1.3])
 NO_REVISITS = np.zeros((0, 4, 4))
 
 
@@ -39,11 +39,11 @@ def pool_and_offer(config: ViewConfig, step: int = 0, reach: float = np.inf, see
 def test_lattice_by_hand() -> None:
     config = ViewConfig(heights_m=(0.0,), directions=3, max_candidates=1000, max_revisits=0)
     pool, table = pool_and_offer(config)
-    # x = 0.1, 0.6 .. 3.6 and y = 0.2, 0.7 .. 2.7 around the anchor; a clearance of 0.3 m cuts both ends.
+    # x = 0.1, 0.6 .. 3.6 and y = 0.15, 0.65 .. 2.65 around the anchor; a clearance of 0.3 m cuts both ends.
     xs = np.unique(table.world_from_camera[:, 0, 3].round(6))
     ys = np.unique(table.world_from_camera[:, 1, 3].round(6))
     np.testing.assert_allclose(xs, np.arange(0.6, 3.61, 0.5))
-    np.testing.assert_allclose(ys, [0.7, 1.2, 1.7, 2.2, 2.7])
+    np.testing.assert_allclose(ys, [0.65, 1.15, 1.65, 2.15, 2.65])
     assert len(table) == 7 * 5 * 3
     assert len(np.unique(table.ids)) == len(table)
     np.testing.assert_allclose(

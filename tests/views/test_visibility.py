@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.views import visible_planes
+from activestructure_gym.volume import OCCUPIED, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
 
@@ -18,20 +21,32 @@ def patch(center: tuple[float, float, float], normal_axis: int) -> np.ndarray:  
 def test_frustum_distance_and_angle() -> None:
     here = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))
     back = look_along(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
-    planes = np.stack(
-        [
-            patch((2.0, 0.0, 0.0), 0),  # ahead, frontal
-            patch((6.0, 0.0, 0.0), 0),  # beyond 5 m
-            patch((2.0, 0.0, -0.2), 2),  # ahead but seen at 84 degrees from its normal
-            patch((0.0, 2.0, 0.0), 1),  # to the left, outside 90 degrees
-            patch((0.1, 0.0, 0.0), 0),  # nearer than 0.2 m
+    planes = [
+        SimpleNamespace(points=points, normal=np.asarray(normal, float))
+        for points, normal in [
+            (patch((2.0, 0.0, 0.0), 0), (-1, 0, 0)),  # ahead, frontal
+            (patch((2.0, 0.0, 0.0), 0), (1, 0, 0)),  # ahead, but its face looks away
+            (patch((6.0, 0.0, 0.0), 0), (-1, 0, 0)),  # beyond 5 m
+            (patch((2.0, 0.0, -0.2), 2), (0, 0, 1)),  # ahead but seen at 84 degrees from its normal
+            (patch((0.0, 2.0, 0.0), 1), (0, -1, 0)),  # to the left, outside 90 degrees
+            (patch((0.1, 0.0, 0.0), 0), (-1, 0, 0)),  # nearer than 0.2 m
         ]
-    )
-    normals = np.array([[1.0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0]])
-    seen = visible_planes(planes, normals, CAMERA, np.stack([here, back]))
-    np.testing.assert_array_equal(seen, [[True, False, False, False, False], [False] * 5])
+    ]
+    seen = visible_planes(planes, CAMERA, np.stack([here, back]))
+    np.testing.assert_array_equal(seen, [[True] + [False] * 5, [False] * 6])
+
+
+def test_what_is_occupied_hides_what_is_behind() -> None:
+    volume = VoxelVolume(np.array([[-1.0, -1, -1], [3.0, 1, 1]]), VolumeConfig())
+    plane = SimpleNamespace(points=patch((2.0, 0.0, 0.0), 0), normal=np.array([-1.0, 0, 0]))
+    here = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))[None]
+    assert visible_planes([plane], CAMERA, here, volume).all()
+    wall = (volume.center_of(np.indices(volume.shape).transpose(1, 2, 3, 0))[..., 0] - 1.0) ** 2 < 0.05**2
+    volume.state[wall] = OCCUPIED
+    assert not visible_planes([plane], CAMERA, here, volume).any()
 
 
 def test_empty_inputs() -> None:
-    assert visible_planes(np.zeros((0, 9, 3)), np.zeros((0, 3)), CAMERA, np.eye(4)[None]).shape == (1, 0)
-    assert visible_planes(np.zeros((2, 9, 3)), np.zeros((2, 3)), CAMERA, np.zeros((0, 4, 4))).shape == (0, 2)
+    plane = SimpleNamespace(points=patch((2.0, 0.0, 0.0), 0), normal=np.array([-1.0, 0, 0]))
+    assert visible_planes([], CAMERA, np.eye(4)[None]).shape == (1, 0)
+    assert visible_planes([plane] * 2, CAMERA, np.zeros((0, 4, 4))).shape == (0, 2)

@@ -1,1 +1,71 @@
-""""""
+"""The command ``asg``: compare policies, look at scenes, see what works here."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.threads import set_passive_waiting
+
+# Written out, and not left to the parser, so that it appears at once.
+HELP = """usage: asg COMMAND [OPTIONS]
+
+ActiveStructure Gym: planners for active 3D reconstruction, compared.
+
+  asg compare    run policies on scenes under one budget; ends with a table, curves and pictures
+  asg scenes     list the scenes known by name, or check one
+  asg doctor     say what works here, what does not, and which package is missing
+  asg bench      measure the speed of the sensor or of the rasteriser
+  asg evaluate   measure finished runs again, from their stored maps alone
+
+  asg COMMAND --help    the options of a command
+  asg --version
+
+Begin with `asg compare`: two planners in a furnished room, in less than a minute, with nothing to download."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(HELP)
+        return 0
+    if arguments[0] == "--version":
+        from activestructure_gym._version import __version__
+
+        print(f"activestructure-gym {__version__}")
+        return 0
+    set_passive_waiting()
+    # As `python -m` does: "my_policy:MyPolicy" is found in the working directory.
+    if os.getcwd() not in sys.path and "" not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        return _run(arguments)
+    except InputError as error:
+        print(f"asg: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("asg: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader (`| head`) has gone; nothing more can be said to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(arguments: Sequence[str]) -> int:
+    import tyro
+
+    from activestructure_gym.errors import unknown_name
+    from activestructure_gym.evaluation.cli.commands import COMMANDS
+
+    name, *rest = arguments
+    if name not in COMMANDS:
+        raise unknown_name("command", name, COMMANDS)
+    try:
+        command = tyro.cli(COMMANDS[name], prog=f"asg {name}", args=rest)
+    except SystemExit as end:  # help, or a mistyped option; tyro has printed what there is to say
+        return end.code if isinstance(end.code, int) else 2
+    return command.run()

@@ -1,1 +1,21 @@
-""""""
+"""What a number means: distances between point sets, and differences between images. Pure functions of arrays."""
+
+from activestructure_gym.evaluation.metrics.geometry import (
+    GeometryScores,
+    SurfaceSamples,
+    completion_distances,
+    geometry_scores,
+    nearest_distances,
+)
+from activestructure_gym.evaluation.metrics.image import depth_l1, psnr, ssim
+
+__all__ = [
+    "GeometryScores",
+    "SurfaceSamples",
+    "completion_distances",
+    "depth_l1",
+    "geometry_scores",
+    "nearest_distances",
+    "psnr",
+    "ssim",
+]

@@ -1,0 +1,53 @@
+"""``asg bench``: how fast the sensor and the rasteriser are here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from activestructure_gym.evaluation.cli.commands import Bench
+from activestructure_gym.evaluation.cli.options import split_list
+from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+
+
+def bench(options: Bench) -> int:
+    """Measure and print one table."""
+    console = Console(highlight=False)
+    with console.status(f"measuring the {options.what}"):
+        if options.what == "sensor":
+            from activestructure_gym.sensors.benchmark import run_sensor_benchmark
+
+            rows = run_sensor_benchmark(split_list([options.scene]))
+        else:
+            from activestructure_gym.splatting.benchmark import run_splatting_benchmark
+
+            rows = run_splatting_benchmark()
+    print_whole(console, rows_table(rows, title=f"{options.what}, frames per second unless said otherwise"))
+    return 0
+
+
+def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
+    """Rows of any names as a table; numbers to three digits."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = plain_table(title)
+    for name in names:
+        numeric = all(isinstance(row.get(name), int | float | type(None)) for row in rows)
+        table.add_column(name.replace("_", " "), justify="right" if numeric else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(_text(row.get(name)) for name in names))
+    return table
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "n/a"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_text(entry)}" for key, entry in value.items())
+    if isinstance(value, tuple | list):
+        return " .. ".join(_text(entry) for entry in value)
+    return str(value)

@@ -1,0 +1,111 @@
+"""The subcommands and their options. Light to import: each one loads what it needs when it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Run policies on scenes under one budget; ends with a table, curves and pictures.
+
+    Without any option: `random` against `pixel_only` in a furnished room, in less than a minute.
+    """
+
+    scenes: tuple[str, ...] = ()
+    """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
+    policies: tuple[str, ...] = ("random", "pixel_only")
+    """Who explores: names, or package.module:Class."""
+    seeds: tuple[str, ...] = ("0",)
+    """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
+    preset: str | None = None
+    """fast, default or paper."""
+    frames: int | None = None
+    """Frame budget of every episode; the preset's if not given."""
+    out: str | None = None
+    """Directory for the results; runs/<date>-<time> if not given."""
+    resume: Switch = False
+    """Go on with the comparison in --out: finished runs are kept and not repeated."""
+    engine: Literal["local", "inline"] = "local"
+    """local: one process per run, several at a time; inline: one after the other in this process."""
+    workers: int = 0
+    """Runs at a time; 0 is one per core."""
+    start: str | None = None
+    """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
+    set: tuple[str, ...] = ()
+    """Changes of the configuration, e.g. sensor.depth_noise=kinect mapper.iterations=8."""
+    views: int | None = None
+    """Held-out views that PSNR and SSIM are measured on."""
+    view_source: Literal["free_space", "recorded"] = "free_space"
+    """Drawn in the scene's free space, or recorded with the scene."""
+
+    def run(self) -> int:
+        """See `compare.compare`."""
+        from activestructure_gym.evaluation.cli.compare import compare
+
+        return compare(self)
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """List the scenes known by name, or check one: size, free space, what of it can be seen."""
+
+    spec: Annotated[str | None, tyro.conf.Positional] = None
+    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=y) or a folder."""
+    picture: str | None = None
+    """Write a picture of the scene to this PNG file."""
+
+    def run(self) -> int:
+        """See `scenes.scenes`."""
+        from activestructure_gym.evaluation.cli.scenes import scenes
+
+        return scenes(self)
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what works here, what does not, and which package is missing."""
+
+    def run(self) -> int:
+        """See `doctor.doctor`."""
+        from activestructure_gym.evaluation.cli.doctor import doctor
+
+        return doctor()
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure the speed of the sensor or of the rasteriser on this machine."""
+
+    what: Annotated[Literal["sensor", "splatting"], tyro.conf.Positional]
+    """The part to measure."""
+    scene: str = "room"
+    """The scene the sensor looks at."""
+
+    def run(self) -> int:
+        """See `bench.bench`."""
+        from activestructure_gym.evaluation.cli.bench import bench
+
+        return bench(self)
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure a finished run again, from its stored map alone, and say whether the numbers are the same."""
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Run directories, or a comparison's directory for all of its runs."""
+
+    def run(self) -> int:
+        """See `evaluate.evaluate`."""
+        from activestructure_gym.evaluation.cli.evaluate import evaluate
+
+        return evaluate(self)
+
+
+COMMANDS = {"compare": Compare, "scenes": Scenes, "doctor": Doctor, "bench": Bench, "evaluate": Evaluate}

@@ -1,0 +1,136 @@
+"""``asg compare``: from the options to the table."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+
+from activestructure_gym.evaluation.cli.commands import Compare
+from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, parse_start, split_list
+from activestructure_gym.evaluation.cli.output import print_whole
+from activestructure_gym.evaluation.threads import core_count
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.comparison import Comparison, Result
+
+# What runs without any option: chosen to end within a minute on two cores from a cold start.
+DEMO = Compare(scenes=("room",), preset="fast", frames=150, views=16)
+
+
+def compare(options: Compare) -> int:
+    """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
+    # Before the slow imports: a directory that cannot be used is known at once.
+    from activestructure_gym.evaluation.store import COMPARISON
+
+    console = Console(highlight=False)
+    demo = not options.scenes
+    if demo:
+        options = _with_demo_defaults(options)
+    directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
+
+    from activestructure_gym.evaluation.comparison import check_output, run_comparison
+
+    check_output(directory, resume=options.resume)
+    comparison = _comparison(options)
+    began = time.monotonic()
+    with console.status("loading") as status:
+        jobs = comparison.prepare(lambda text: status.update(escape(text)))
+    _announce(console, comparison, directory, len(jobs), demo=demo)
+
+    from activestructure_gym.evaluation.cli.progress import LiveProgress
+
+    workers = options.workers or core_count()
+    try:
+        with LiveProgress(console, jobs, workers) as live:
+            result = run_comparison(
+                jobs, directory, live, engine=options.engine, workers=workers, command=_command_line()
+            )
+    except KeyboardInterrupt:
+        if (directory / COMPARISON).is_file():
+            print(f"asg: stopped; finished runs are kept, go on with --out {directory} --resume", file=sys.stderr)
+        return 130
+    return _report(console, result, directory, time.monotonic() - began)
+
+
+def _with_demo_defaults(options: Compare) -> Compare:
+    """The options as given, and the demo's where none is."""
+    return dataclasses.replace(
+        options,
+        scenes=DEMO.scenes,
+        preset=options.preset or DEMO.preset,
+        frames=DEMO.frames if options.frames is None and options.preset is None else options.frames,
+        views=options.views or DEMO.views,
+    )
+
+
+def _comparison(options: Compare) -> Comparison:
+    from activestructure_gym.evaluation.comparison import Comparison
+    from activestructure_gym.evaluation.protocols import StandardProtocol
+
+    protocol = StandardProtocol(view_source=options.view_source)
+    if options.views is not None:
+        protocol = dataclasses.replace(protocol, views=options.views)
+    return Comparison(
+        scenes=split_list(options.scenes),
+        policies=split_list(options.policies),
+        seeds=parse_seeds(options.seeds),
+        preset=options.preset or "default",
+        frame_budget=options.frames,
+        overrides=parse_overrides(options.set),
+        start_pose=parse_start(options.start),
+        protocol=protocol,
+    )
+
+
+def _announce(console: Console, comparison: Comparison, directory: Path, jobs: int, *, demo: bool) -> None:
+    frames = f"{comparison.frame_budget} frames" if comparison.frame_budget else "the preset's frame budget"
+    parts = [
+        _counted(len(comparison.scenes), "scene"),
+        _counted(len(comparison.policies), "policy", "policies"),
+        _counted(len(comparison.seeds), "seed"),
+    ]
+    line = f"[bold]{' x '.join(parts)}[/], preset {comparison.preset}, {frames} per run, into {escape(str(directory))}"
+    console.print(line if jobs > 1 else f"[bold]one run[/], preset {comparison.preset}, into {directory}")
+    if demo:
+        console.print("[dim]This is the demo; `asg compare --help` shows how to choose scenes and policies.")
+
+
+def _report(console: Console, result: Result, directory: Path, seconds: float) -> int:
+    from activestructure_gym.evaluation.report.summary import write_report
+    from activestructure_gym.evaluation.report.tables import rich_table, table_rows
+    from activestructure_gym.evaluation.store import COMPARISON, read_json
+
+    if result.skipped:
+        console.print(f"{_counted(result.skipped, 'run')} finished before and kept")
+    if result.runs:
+        with console.status("drawing"):
+            files = write_report(directory, result.runs, read_json(directory / COMPARISON))
+        console.print()
+        print_whole(console, rich_table(table_rows(result.runs), title=_title(result)))
+        console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Read [bold]{files[-1]}[/]; beside it:")
+        console.print("[dim]  " + "  ".join(file.name for file in files[:-1]))
+    if result.failed:
+        what = _counted(len(result.failed), "run")
+        print(f"asg: {what} failed; what was said is in {directory / 'logs'}", file=sys.stderr)
+    return 1 if result.failed else 0
+
+
+def _title(result: Result) -> str:
+    seeds = len({run.job.seed for run in result.runs})
+    return f"mean ± standard deviation over {seeds} seeds" if seeds > 1 else "one seed"
+
+
+def _counted(number: int, one: str, many: str | None = None) -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+def _command_line(arguments: Sequence[str] | None = None) -> str:
+    return "asg " + shlex.join(sys.argv[1:] if arguments is None else arguments)

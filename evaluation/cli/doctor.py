@@ -1,0 +1,69 @@
+"""``asg doctor``: what works on this machine."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+
+from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+
+
+def doctor() -> int:
+    """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
+    from activestructure_gym.evaluation import machine
+
+    console = Console(highlight=False)
+    hardware = machine.hardware()
+    console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
+    with console.status("trying every backend"):
+        needed, rows = _states()
+    table = plain_table("What works here", "part", "backend", "state")
+    for part, backend, state in rows:
+        good = state.startswith("works")
+        table.add_row(part, escape(backend), f"{'[green]✓[/]' if good else '[yellow]–[/]'} {escape(state)}")
+    print_whole(console, table)
+    versions = plain_table("Versions", "package", "version")
+    for package, version in machine.versions().items():
+        versions.add_row(package, version if version != "missing" else "[red]missing[/]")
+    print_whole(console, versions)
+    broken = [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
+    if broken:
+        console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
+        return 1
+    console.print("[green]✓[/] `asg compare` can run")
+    return 0
+
+
+def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
+    """The backends that the main job needs, and (part, backend, state) of all."""
+    from activestructure_gym.scenes.cache import cache_directory
+    from activestructure_gym.sensors.renderer import renderer_status
+    from activestructure_gym.splatting.backends import backend_status
+
+    rows = [("sensor", name, state) for name, state in renderer_status().items()]
+    rows += [("rasteriser", name, state) for name, state in backend_status().items()]
+    rows.append(("engine", "inline", "works"))
+    rows.append(("engine", "local", "works"))
+    rows.append(("cache", str(cache_directory()), _cache_state()))
+    return {"raycast", "cpu"}, rows
+
+
+def _cache_state() -> str:
+    """Whether what scenes share can be kept on disk."""
+    import tempfile
+
+    from activestructure_gym.scenes.cache import cache_directory
+
+    directory = cache_directory()
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory):
+            pass
+    except OSError as error:
+        return f"cannot be written ({error.strerror}); everything is computed every time. Set ASG_CACHE_DIR"
+    size = sum(file.stat().st_size for file in directory.glob("*.npz"))
+    return f"works, {size / 1e6:.0f} MB"
+
+
+def _memory(hardware: dict[str, str | int]) -> str:
+    return f"{hardware['memory_gb']} GB memory" if hardware["memory_gb"] else "memory unknown"

@@ -1,0 +1,60 @@
+"""From the words of a command line to values; every mistake is one `InputError`."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from activestructure_gym.errors import InputError
+
+# What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
+_NUMBER = re.compile(r"[-+]?\d*\.?\d+")
+
+
+def split_list(words: Sequence[str]) -> tuple[str, ...]:
+    """Words separated by commas or spaces; a comma between numbers of a scene's option separates nothing."""
+    items: list[str] = []
+    for word in words:
+        for number, part in enumerate(word.split(",")):
+            if number and items and "?" in items[-1] and _NUMBER.match(part.partition("&")[0]):
+                items[-1] += f",{part}"
+            elif part.strip():
+                items.append(part.strip())
+    return tuple(items)
+
+
+def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
+    """Whole numbers from 0 on."""
+    seeds = []
+    for text in split_list(words):
+        if not text.isdigit():
+            raise InputError(f"a seed is a whole number from 0 on, got '{text}'")
+        seeds.append(int(text))
+    return tuple(seeds)
+
+
+def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
+    """``x,y,z,yaw`` in metres and degrees."""
+    if text is None:
+        return None
+    try:
+        x, y, z, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got '{text}'") from None
+    return x, y, z, yaw
+
+
+def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
+    """``key=value`` pairs; a value is read as JSON where it is JSON, else as text."""
+    overrides = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not (key and equals):
+            raise InputError(f"--set takes key=value, as in sensor.depth_noise=kinect, got '{word}'")
+        try:
+            overrides[key] = json.loads(value)
+        except json.JSONDecodeError:
+            overrides[key] = {"True": True, "False": False, "None": None}.get(value, value)
+    return overrides

@@ -1,0 +1,89 @@
+"""``asg scenes``: which scenes there are, and whether one is what its user thinks it is."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.commands import Scenes
+from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+
+
+def scenes(options: Scenes) -> int:
+    """List the registered scenes, or describe one and draw it if asked to."""
+    console = Console(highlight=False)
+    if options.spec is None:
+        if options.picture is not None:
+            raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
+        print_whole(console, _registered())
+        console.print(
+            "Options are written as in apartment?seed=3&rooms=4. Any glb, gltf, obj, ply, stl or dae file is a scene "
+            "too, and so is the folder of a Replica or Matterport3D scene: asg scenes FILE checks it."
+        )
+        return 0
+    _check_picture(options.picture)
+    with console.status(f"loading {escape(options.spec)}") as status:
+        facts = describe(options.spec, status.update)
+    table = Table.grid(padding=(0, 2))
+    for name, text in facts["lines"]:
+        table.add_row(f"[bold]{name}[/]", escape(text))
+    print_whole(console, table)
+    if options.picture is not None:
+        from activestructure_gym.evaluation.report.scene_picture import scene_picture
+
+        with console.status("drawing"):
+            scene_picture(facts["scene"]).save(options.picture)
+        console.print(f"picture: {options.picture}")
+    return 0
+
+
+def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
+    """The loaded ``scene``, and ``lines`` of (name, text) about it."""
+    from activestructure_gym.scenes import load_scene
+
+    scene = load_scene(spec)
+    notify("finding free space")
+    space = scene.free_space
+    notify("finding what can be seen")
+    seen = scene.observable_surface
+    extent = scene.bounds[1] - scene.bounds[0]
+    lines = [
+        ("scene", scene.name),
+        ("source", scene.source),
+        ("size", " x ".join(f"{side:.2f}" for side in extent) + " m (x, y, z)"),
+        ("mesh", f"{len(scene.mesh.faces):,} triangles, {len(scene.mesh.textures)} textures"),
+        ("free space", f"{space.volume:.1f} m3, {len(space.start_poses)} start poses"),
+        ("can be seen", f"{seen.area:.1f} m2, {100 * seen.area_share:.0f} % of the surface"),
+        ("recorded views", str(len(scene.evaluation_views)) if scene.evaluation_views is not None else "none"),
+        ("content", scene.content_hash[:16]),
+    ]
+    lines += [("note", note) for note in scene.notes]
+    return {"scene": scene, "lines": lines}
+
+
+def _registered() -> Table:
+    from activestructure_gym.scenes import SCENES
+
+    table = plain_table("Scenes known by name", "name", "options")
+    for name in SCENES:
+        parameters = inspect.signature(SCENES.get(name)).parameters.values()
+        options = [p for p in parameters if p.name != "path"]
+        reads_files = len(options) < len(parameters)
+        shown = ", ".join(p.name if p.default is p.empty else f"{p.name}={p.default}" for p in options)
+        table.add_row(escape(f"{name}:PATH" if reads_files else name), escape(shown))
+    return table
+
+
+def _check_picture(name: str | None) -> None:
+    if name is None:
+        return
+    if Path(name).suffix.lower() != ".png":
+        raise InputError(f"--picture writes PNG files, got '{name}'; give a name that ends with .png")
+    if not Path(name).resolve().parent.is_dir():
+        raise InputError(f"there is no folder '{Path(name).resolve().parent}' to write the picture into")

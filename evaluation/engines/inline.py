@@ -1,0 +1,28 @@
+"""One job after the other in this process: for debugging, and for one core."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from activestructure_gym.evaluation.engines.base import LOGS, Listener, Outcome, run_directory
+from activestructure_gym.evaluation.episode import run_job
+from activestructure_gym.evaluation.jobs import Job
+
+
+def run_inline(jobs: Sequence[Job], directory: Path, listener: Listener, workers: int = 1) -> list[Outcome]:
+    """Run all jobs; one that fails is reported and the others go on. ``workers`` is of no use here."""
+    outcomes = []
+    for job in jobs:
+        outcome = Outcome(job)
+        try:
+            run_job(job, run_directory(directory, job), lambda progress, job=job: listener.progress(job, progress))
+        except Exception as error:  # a third party's policy may raise anything
+            log = directory / LOGS / f"{job.name}.log"
+            log.parent.mkdir(parents=True, exist_ok=True)
+            log.write_text(traceback.format_exc(), encoding="utf-8")
+            outcome = Outcome(job, f"{type(error).__name__}: {error}")
+        listener.ended(outcome)
+        outcomes.append(outcome)
+    return outcomes

@@ -1,0 +1,129 @@
+"""One cell of a comparison's grid: what decides an episode and its numbers, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path, PurePath
+from typing import Any
+
+from activestructure_gym._version import __version__
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.protocols.standard import StandardProtocol
+
+_HASH_DIGITS = 12
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy on one scene with one seed. Equal jobs give equal results, whoever runs them."""
+
+    scene: str  # spec, as `load_scene` takes it
+    policy: str  # name, or "module:Class"
+    seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
+    scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
+    preset: str = "default"
+    frame_budget: int | None = None  # frames; None = the preset's
+    overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields, e.g. (("sensor.depth_noise", "kinect"),)
+    start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed
+    protocol: StandardProtocol = field(default_factory=StandardProtocol)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"a seed is a whole number from 0 on, got {self.seed}")
+        if self.frame_budget is not None and self.frame_budget < 1:
+            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
+        object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
+
+    @cached_property
+    def hash(self) -> str:
+        """Twelve hex digits over everything above but the scene's spec, and over the version of this package."""
+        content = {key: value for key, value in self.as_dict().items() if key != "scene"}
+        text = json.dumps([__version__, content], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
+
+    @property
+    def name(self) -> str:
+        """The name of the job's run directory."""
+        return f"{slug(scene_label(self.scene))}--{slug(self.policy)}--seed{self.seed}--{self.hash}"
+
+    @property
+    def title(self) -> str:
+        """What people read."""
+        return f"{scene_label(self.scene)} · {self.policy} · seed {self.seed}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        content = dataclasses.asdict(self)
+        content["overrides"] = dict(self.overrides)
+        content["protocol"] = self.protocol.parameters()
+        return content
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Job:
+        """The job that `as_dict` described."""
+        values = dict(content)
+        protocol = dict(values.pop("protocol"))
+        if (protocol.pop("name"), protocol.pop("version")) != (StandardProtocol.name, StandardProtocol.version):
+            raise InputError(
+                f"the run was made with protocol '{content['protocol']['name']}' version "
+                f"{content['protocol']['version']}, this version knows '{StandardProtocol.name}' version "
+                f"{StandardProtocol.version}; run it again"
+            )
+        start_pose = values.pop("start_pose")
+        overrides = tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in values.pop("overrides").items())
+        return cls(
+            **values,
+            overrides=overrides,
+            start_pose=None if start_pose is None else tuple(start_pose),
+            protocol=StandardProtocol(**protocol),
+        )
+
+
+def scene_label(spec: str, parts: int = 1) -> str:
+    """A short name for a scene spec: the file's stem, or the registered name with its options.
+
+    ``parts`` > 1 keeps that many of the last folder names, to tell files of one name apart.
+    """
+    kind, path, options = _split_spec(spec)
+    names = PurePath(path).with_suffix("").parts if "/" in path or "." in path else (path,)
+    label = "/".join(names[-parts:]) or path or kind
+    return f"{label}?{options}" if options else label
+
+
+def scene_labels(specs: Iterable[str]) -> dict[str, str]:
+    """Short names that differ for different specs."""
+    specs = list(dict.fromkeys(specs))
+    for parts in (1, 2, 3):
+        labels = {spec: scene_label(spec, parts) for spec in specs}
+        if len(set(labels.values())) == len(specs):
+            return labels
+    return {spec: spec for spec in specs}
+
+
+def absolute_spec(spec: str) -> str:
+    """The same scene, named so that it is found from any working directory."""
+    kind, path, options = _split_spec(spec)
+    if not Path(path).expanduser().exists():
+        return spec
+    path = str(Path(path).expanduser().resolve())
+    return (f"{kind}:" if kind else "") + path + (f"?{options}" if options else "")
+
+
+def _split_spec(spec: str) -> tuple[str, str, str]:
+    """``kind:path?options`` taken apart; what is missing is empty."""
+    if Path(spec).expanduser().exists():
+        return "", spec, ""
+    path, _, options = spec.partition("?")
+    kind, colon, rest = path.partition(":")
+    return (kind, rest, options) if colon and len(kind) > 1 else ("", path, options)  # one letter would be a drive
+
+
+def slug(text: str) -> str:
+    """``text`` as part of a file name on any system."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-.") or "unnamed"

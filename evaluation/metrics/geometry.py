@@ -1,0 +1,101 @@
+"""Accuracy, completion, completion ratio, precision and F-score between reconstructed points and the true surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from activestructure_gym.evaluation.threads import thread_cap
+
+# A point's nearest surface need not be that of its nearest sample; 8 neighbours find it unless the surface is
+# curved within one sample spacing.
+_NEIGHBOURS = 8
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """The true surface as samples that stand for equal shares of its area."""
+
+    points: np.ndarray  # [S, 3] metres, world
+    normals: np.ndarray  # [S, 3] unit, either side
+    area: float  # m^2 of the surface they were drawn from
+
+    @property
+    def disc_radius(self) -> float:  # metres
+        """Radius of a disc of twice one sample's share of the area: 86 % of the surface lies below random discs."""
+        return float(np.sqrt(2.0 * self.area / (np.pi * max(len(self.points), 1))))
+
+
+@dataclass(frozen=True)
+class GeometryScores:
+    """The six numbers; None where they are not defined (no reconstructed point)."""
+
+    accuracy_cm: float | None  # mean distance from a reconstructed point to the true surface
+    sample_accuracy_cm: float | None  # the same to the nearest true *sample*, as most papers print it
+    completion_cm: float | None  # mean distance from a true sample to the nearest reconstructed point
+    completion_ratio: float  # % of the true samples with a reconstructed point nearer than the threshold
+    precision: float  # % of the reconstructed points nearer to the surface than the threshold
+    f_score: float  # % harmonic mean of precision and completion ratio
+
+
+def nearest_distances(queries: np.ndarray, points: np.ndarray) -> np.ndarray:  # [Q] metres
+    """Distance from every query [Q, 3] to the nearest of ``points`` [P, 3]; inf where there are none."""
+    if not len(points) or not len(queries):
+        return np.full(len(queries), np.inf)
+    return cKDTree(points).query(queries, workers=thread_cap())[0]
+
+
+def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:  # [Q], [Q]
+    """Distance from every query to the true surface, and to the nearest true sample; metres.
+
+    Each sample stands for a flat disc around its point, across its normal. The distance to the nearest disc has a
+    twentieth of the bias of the distance to the nearest sample, which for points exactly on the surface is half the
+    sample spacing: 3.4 cm with 200,000 samples on 900 m^2. At an open edge a disc may stick out by its radius.
+    """
+    if not len(surface.points) or not len(queries):
+        nothing = np.full(len(queries), np.inf)
+        return nothing, nothing.copy()
+    neighbours = min(_NEIGHBOURS, len(surface.points))
+    distance, index = cKDTree(surface.points).query(queries, k=neighbours, workers=thread_cap())
+    distance, index = distance.reshape(len(queries), -1), index.reshape(len(queries), -1)
+    offset = queries[:, None, :] - surface.points[index]
+    height = np.abs((offset * surface.normals[index]).sum(axis=-1))
+    sideways = np.sqrt(np.maximum(distance**2 - height**2, 0.0))
+    to_disc = np.hypot(height, np.maximum(sideways - surface.disc_radius, 0.0))
+    return to_disc.min(axis=1), distance[:, 0]
+
+
+def completion_distances(surface: SurfaceSamples, reconstructed: np.ndarray) -> np.ndarray:  # [S] metres
+    """Distance from every true sample to the nearest reconstructed point."""
+    return nearest_distances(surface.points, reconstructed)
+
+
+def geometry_scores(
+    reconstructed: np.ndarray,  # [P, 3] metres, world
+    surface: SurfaceSamples,
+    *,
+    threshold_m: float = 0.05,  # "5 cm" of all the literature; a distance must be below it (strictly)
+) -> GeometryScores:
+    """Acc, Com., C.R., precision and F-score of a set of points against the true surface."""
+    reconstructed = np.asarray(reconstructed, dtype=np.float64).reshape(-1, 3)
+    to_points = completion_distances(surface, reconstructed)
+    ratio = _percent(to_points < threshold_m)
+    if not len(reconstructed):
+        return GeometryScores(None, None, None, ratio, 0.0, 0.0)
+    to_surface, to_sample = surface_distances(reconstructed, surface)
+    precision = _percent(to_surface < threshold_m)
+    f_score = 2.0 * precision * ratio / (precision + ratio) if precision + ratio else 0.0
+    return GeometryScores(
+        accuracy_cm=100.0 * float(to_surface.mean()),
+        sample_accuracy_cm=100.0 * float(to_sample.mean()),
+        completion_cm=100.0 * float(to_points.mean()),
+        completion_ratio=ratio,
+        precision=precision,
+        f_score=f_score,
+    )
+
+
+def _percent(mask: np.ndarray) -> float:
+    return 100.0 * float(np.count_nonzero(mask)) / max(len(mask), 1)

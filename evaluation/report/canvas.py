@@ -1,0 +1,88 @@
+"""Putting images and text on a page, pixel by pixel, without resampling what is to be judged."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from activestructure_gym.evaluation.report.style import INK, PAPER
+
+GAP = 6  # pixels between tiles
+MARGIN = 14
+
+
+@functools.cache
+def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """DejaVu Sans, which matplotlib brings along; Pillow's own font where it is missing."""
+    spec = importlib.util.find_spec("matplotlib")
+    if spec is not None and spec.origin:
+        name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+        path = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf" / name
+        if path.is_file():
+            return ImageFont.truetype(str(path), size)
+    return ImageFont.load_default(size)
+
+
+def text_width(text: str, size: int, *, bold: bool = False) -> int:
+    """Width of one line in pixels."""
+    return round(font(size, bold=bold).getlength(text))
+
+
+def write(
+    image: Image.Image,
+    position: tuple[float, float],
+    text: str,
+    *,
+    size: int = 15,
+    bold: bool = False,
+    fill: tuple[int, int, int] = INK,
+    anchor: str = "la",
+) -> None:
+    """One line of text; ``anchor`` is Pillow's."""
+    ImageDraw.Draw(image).text(position, text, font=font(size, bold=bold), fill=fill, anchor=anchor)
+
+
+def corner_label(image: Image.Image, text: str, *, size: int = 13) -> None:
+    """``text`` on a dark plate in the lower right corner, legible on any picture."""
+    width, height = text_width(text, size, bold=True) + 12, size + 9
+    left, top = image.width - width, image.height - height
+    plate = Image.new("RGBA", (width, height), (0, 0, 0, 165))
+    image.paste(Image.alpha_composite(image.crop((left, top, *image.size)).convert("RGBA"), plate), (left, top))
+    write(image, (left + width / 2, top + height / 2), text, size=size, bold=True, fill=PAPER, anchor="mm")
+
+
+def tile_grid(
+    rows: Sequence[Sequence[Image.Image]],
+    *,
+    title: str,
+    row_labels: Sequence[Sequence[str]] = (),  # lines of text to the left of each row; the first is bold
+    column_labels: Sequence[str] = (),
+) -> Image.Image:
+    """Tiles of one size in rows, with a title above and labels beside."""
+    tile_width, tile_height = rows[0][0].size
+    columns = max(len(row) for row in rows)
+    lines = [line for label in row_labels for line in label]
+    left = MARGIN + (max(text_width(line, 15, bold=True) for line in lines) + MARGIN if lines else 0)
+    top = MARGIN + 30 + (22 if column_labels else 0)
+    width = max(left + columns * (tile_width + GAP) - GAP, MARGIN + text_width(title, 19, bold=True)) + MARGIN
+    page = Image.new("RGB", (width, top + len(rows) * (tile_height + GAP) - GAP + MARGIN), PAPER)
+    write(page, (MARGIN, MARGIN), title, size=19, bold=True)
+    for column, label in enumerate(column_labels):
+        write(page, (left + column * (tile_width + GAP), top - 21), label, size=14)
+    for index, row in enumerate(rows):
+        y = top + index * (tile_height + GAP)
+        for number, line in enumerate(row_labels[index] if row_labels else ()):
+            write(page, (MARGIN, y + 4 + 21 * number), line, size=15, bold=number == 0)
+        for column, tile in enumerate(row):
+            page.paste(tile, (left + column * (tile_width + GAP), y))
+    return page
+
+
+def to_image(array: np.ndarray) -> Image.Image:
+    """An RGB image from [H, W, 3] uint8."""
+    return Image.fromarray(np.ascontiguousarray(array), "RGB")

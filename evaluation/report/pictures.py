@@ -1,0 +1,98 @@
+"""Rendered against true views, and the plan with the path: from a run's stored arrays to pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from activestructure_gym.evaluation.report.canvas import corner_label, tile_grid, to_image
+from activestructure_gym.evaluation.report.plan import draw_plan, legend, plan_arrays
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+    from activestructure_gym.evaluation.store import Run
+    from activestructure_gym.reconstruction import Reconstruction
+
+_STORED_VIEWS = 8  # the first of the held-out views, which are in random order
+_SHOWN_VIEWS = 4
+
+
+def picture_arrays(
+    protocol: StandardProtocol, truth: Truth, reconstruction: Reconstruction, psnr: Sequence[float]
+) -> dict[str, np.ndarray]:
+    """What a run keeps for its pictures: ``rendered`` and ``true`` [n, H, W, 3] uint8, ``psnr`` [n], and the plan's."""
+    count = min(_STORED_VIEWS, len(truth.views))
+    gaussians = reconstruction.mapper.map
+    rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
+    return {
+        "rendered": np.stack([np.rint(255.0 * picture).astype(np.uint8) for picture in rendered]),
+        "true": truth.views.rgb[:count],
+        "psnr": np.asarray(psnr[:count], dtype=np.float64),
+        **plan_arrays(reconstruction),
+    }
+
+
+def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
+    """Truth above, the run's rendering below, PSNR in the corner."""
+    shown = range(min(_SHOWN_VIEWS, len(arrays["true"])))
+    rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
+    return tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]])
+
+
+def run_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
+    """The map seen from above, with what was known to be free, the path, the keyframes and the start."""
+    plan = draw_plan(arrays, trajectory)
+    return _with_legend(tile_grid([[plan]], title=title))
+
+
+def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """The same held-out views, true and as each run renders them. All runs must be of one scene and protocol."""
+    first = runs[0].pictures
+    shown = range(min(_SHOWN_VIEWS, len(first["true"])))
+    rows = [[to_image(first["true"][i]) for i in shown]]
+    labels = [["true view"]]
+    for run in runs:
+        rows.append([_rendered_tile(run.pictures, i) for i in shown])
+        labels.append(_run_label(run, f"{run.metrics['metrics']['psnr']:.2f} dB mean"))
+    columns = [f"view {i + 1}" for i in shown]
+    return tile_grid(rows, title=title, row_labels=labels, column_labels=columns)
+
+
+def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """One plan per run, side by side, in one scale."""
+    plans = [draw_plan(run.pictures, run.trajectory) for run in runs]
+    size = max(plan.width for plan in plans), max(plan.height for plan in plans)
+    tiles = [_on_page(plan, size) for plan in plans]
+    labels = [f"{run.job.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
+    return _with_legend(tile_grid([tiles], title=title, column_labels=labels))
+
+
+def _rendered_tile(arrays: Mapping[str, np.ndarray], index: int) -> Image.Image:
+    tile = to_image(arrays["rendered"][index])
+    corner_label(tile, f"{arrays['psnr'][index]:.1f} dB")
+    return tile
+
+
+def _run_label(run: Run, *more: str) -> list[str]:
+    return [run.job.policy, f"seed {run.job.seed}", *more]
+
+
+def _cost(metrics: Mapping[str, Any]) -> str:
+    return f"{metrics['frames']} frames, {metrics['metres']:.1f} m, C.R. {metrics['completion_ratio']:.1f} %"
+
+
+def _on_page(image: Image.Image, size: tuple[int, int]) -> Image.Image:
+    page = Image.new("RGB", size, (255, 255, 255))
+    page.paste(image, (0, 0))
+    return page
+
+
+def _with_legend(page: Image.Image) -> Image.Image:
+    key = legend()
+    whole = Image.new("RGB", (max(page.width, key.width), page.height + key.height), (255, 255, 255))
+    whole.paste(page, (0, 0))
+    whole.paste(key, (0, page.height))
+    return whole

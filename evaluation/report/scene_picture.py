@@ -1,0 +1,89 @@
+"""A scene at a glance: from above without its ceiling, and as a camera sees it from its start poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import GAP, MARGIN, tile_grid, to_image, write
+from activestructure_gym.evaluation.report.plan import draw_scale_bar, plan_scale
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.sensors.renderer import make_renderer
+
+if TYPE_CHECKING:
+    from activestructure_gym.scenes import Scene
+
+_HEADROOM_M = 0.6  # faces whose middle is higher than this above the start poses (the ceiling) are left out
+_ALTITUDE = 60.0  # the eye's height in scene widths: as good as parallel
+_VIEW = (320, 180)
+_SMOOTH = 3
+
+
+def scene_picture(scene: Scene) -> Image.Image:
+    """The plan with the start poses on the left, four views from them on the right."""
+    poses = scene.free_space.start_poses
+    chosen = [int(index) for index in np.unique(np.linspace(0, len(poses) - 1, 4).round())] if len(poses) else []
+    renderer = make_renderer("raycast", scene)
+    camera = PinholeCamera.from_size(*_VIEW)
+    try:
+        views = [to_image(renderer.render(camera, poses[index], supersample=4)[0]) for index in chosen]
+    finally:
+        renderer.close()
+    extent = scene.bounds[1] - scene.bounds[0]
+    title = f"{scene.name}: {' x '.join(f'{side:.1f}' for side in extent)} m, {len(scene.mesh.faces):,} triangles"
+    plan = _plan(scene, chosen)
+    if not views:
+        return tile_grid([[plan]], title=title)
+    for number, view in enumerate(views, start=1):
+        write(view, (8, 6), str(number), size=16, bold=True, fill=style.PAPER)
+    column = Image.new("RGB", (views[0].width, len(views) * (views[0].height + GAP) - GAP), style.PAPER)
+    for number, view in enumerate(views):
+        column.paste(view, (0, number * (view.height + GAP)))
+    height = max(plan.height, column.height)
+    both = Image.new("RGB", (plan.width + MARGIN + column.width, height), style.PAPER)
+    both.paste(plan, (0, 0))
+    both.paste(column, (plan.width + MARGIN, 0))
+    return tile_grid([[both]], title=title)
+
+
+def _plan(scene: Scene, numbered: list[int]) -> Image.Image:
+    poses = scene.free_space.start_poses
+    low, high = scene.bounds
+    eye_height = float(np.median(poses[:, 2, 3])) if len(poses) else float(low[2] + 1.3)
+    middle = scene.mesh.vertices[scene.mesh.faces, 2].mean(axis=1)
+    keep = middle < eye_height + _HEADROOM_M
+    opened = replace(
+        scene, mesh=replace(scene.mesh, faces=scene.mesh.faces[keep], face_texture=scene.mesh.face_texture[keep])
+    )
+    extent = (high - low)[:2]
+    scale = plan_scale(extent)
+    size = tuple(max(1, int(round(float(side) * scale))) for side in extent)
+    altitude = _ALTITUDE * float(extent.max())
+    camera = PinholeCamera(*size, altitude * scale, altitude * scale, size[0] / 2, size[1] / 2)
+    eye = np.array([*(low[:2] + extent / 2), high[2] + altitude])
+    renderer = make_renderer("raycast", opened)
+    try:
+        colour, depth = renderer.render(camera, look_along(eye, np.array([0.0, 0.0, -1.0])), supersample=4)
+    finally:
+        renderer.close()
+    colour = np.where(depth[..., None] > 0, colour, np.array(style.PAPER, np.uint8)).astype(np.uint8)
+    picture = to_image(colour).resize((size[0] * _SMOOTH, size[1] * _SMOOTH), Image.Resampling.LANCZOS)
+    draw, fine = ImageDraw.Draw(picture), scale * _SMOOTH
+    for index, pose in enumerate(poses):
+        x, y = (pose[:2, 3] - low[:2]) * fine
+        place = (float(x), float(picture.height - y))
+        radius, ahead = 7 * _SMOOTH, 18 * _SMOOTH
+        end = place[0] + ahead * float(pose[0, 2]), place[1] - ahead * float(pose[1, 2])
+        draw.line([place, end], fill=style.PAPER, width=5 * _SMOOTH)
+        draw.line([place, end], fill=style.START, width=3 * _SMOOTH)
+        corners = [place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius]
+        draw.ellipse(corners, fill=style.START, outline=style.PAPER, width=2 * _SMOOTH)
+        if index in numbered:
+            label = str(numbered.index(index) + 1)
+            write(picture, place, label, size=11 * _SMOOTH, bold=True, fill=style.PAPER, anchor="mm")
+    draw_scale_bar(picture, fine)
+    return picture.resize(size, Image.Resampling.LANCZOS)

@@ -1,0 +1,28 @@
+"""One look for all tables, curves and pictures."""
+
+from __future__ import annotations
+
+# Okabe and Ito's colours, told apart by colour-blind readers; the order keeps neighbours far apart.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
+# Line and marker differ too, so that a black-and-white print can be read.
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 3)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+
+INK, FAINT_INK, PAPER = (33, 37, 41), (108, 117, 125), (255, 255, 255)
+UNKNOWN, FREE, OCCUPIED = (222, 226, 230), (250, 250, 247), (73, 80, 87)
+START, END = (0, 158, 115), (213, 94, 0)
+
+
+def colour(index: int) -> str:
+    """The colour of the ``index``-th policy."""
+    return COLOURS[index % len(COLOURS)]
+
+
+def path_colour(share: float) -> tuple[int, int, int]:
+    """From the path's first frame (0) to its last (1): dark blue to yellow, rising in lightness throughout."""
+    stops = ((44, 27, 110), (48, 103, 141), (33, 144, 140), (94, 186, 95), (238, 203, 36))
+    position = min(max(share, 0.0), 1.0) * (len(stops) - 1)
+    low = min(int(position), len(stops) - 2)
+    part = position - low
+    red, green, blue = (round((1 - part) * a + part * b) for a, b in zip(stops[low], stops[low + 1]))
+    return red, green, blue

@@ -1,0 +1,199 @@
+"""The table of a comparison: one row per scene and policy, the best of each scene marked."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from activestructure_gym.evaluation.store import Run
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+AVERAGE = "average"  # the name of the last block: the mean over the scenes
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number of the table."""
+
+    key: str  # in metrics.json, or "seconds"
+    header: str
+    unit: str
+    digits: int
+    best: Literal["lowest", "highest"] | None = None  # None: a cost or a size that has no best
+
+    @property
+    def title(self) -> str:
+        """Header, unit and an arrow towards the better."""
+        arrow = {"lowest": " ↓", "highest": " ↑", None: ""}[self.best]
+        return f"{self.header} ({self.unit}){arrow}" if self.unit else f"{self.header}{arrow}"
+
+
+COLUMNS = (
+    Column("accuracy_cm", "Acc", "cm", 2, "lowest"),
+    Column("completion_cm", "Com.", "cm", 2, "lowest"),
+    Column("completion_ratio", "C.R.", "%", 1, "highest"),
+    Column("precision", "Prec.", "%", 1, "highest"),
+    Column("psnr", "PSNR", "dB", 2, "highest"),
+    Column("ssim", "SSIM", "", 3, "highest"),
+    Column("frames", "frames", "", 0),
+    Column("metres", "path", "m", 1),
+    Column("seconds", "time", "s", 1),
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Mean over the seeds, and how far they lie apart."""
+
+    mean: float | None  # None: not defined in any run
+    deviation: float | None  # sample standard deviation; None with fewer than two runs
+    best: bool = False
+
+    def text(self, digits: int) -> str:
+        """``3.21 ± 0.10``, or ``n/a``."""
+        if self.mean is None:
+            return "n/a"
+        spread = "" if self.deviation is None else f" ± {self.deviation:.{digits}f}"
+        return f"{self.mean:.{digits}f}{spread}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One policy on one scene (or on the average)."""
+
+    scene: str
+    policy: str
+    runs: int
+    cells: dict[str, Cell]
+
+
+def value_of(run: Run, key: str) -> float | None:
+    """A run's number for one column."""
+    return run.timing["total"] if key == "seconds" else run.metrics["metrics"][key]
+
+
+def table_rows(runs: Sequence[Run]) -> list[Row]:
+    """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
+    scenes = list(dict.fromkeys(run.scene for run in runs))
+    policies = list(dict.fromkeys(run.job.policy for run in runs))
+    rows: list[Row] = []
+    for scene in scenes:
+        block = []
+        for policy in policies:
+            cell_runs = [r for r in runs if r.scene == scene and r.job.policy == policy]
+            if cell_runs:
+                cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
+                block.append(Row(scene, policy, len(cell_runs), cells))
+        rows += _marked(block)
+    if len(scenes) > 1:
+        complete = [[row for row in rows if row.policy == policy] for policy in policies]
+        rows += _marked([_average(block) for block in complete if len(block) == len(scenes)])
+    return rows
+
+
+def rich_table(rows: Sequence[Row], *, title: str) -> Table:
+    """For the terminal; the best numbers are bold and green."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="italic dim",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    # A wrapped or shortened number cannot be read: no column gives way.
+    table.add_column("scene", no_wrap=True)
+    table.add_column("policy", no_wrap=True)
+    for column in COLUMNS:
+        table.add_column(column.title.replace(" (", "\n("), justify="right", no_wrap=True)
+    for index, row in enumerate(rows):
+        new_scene = index == 0 or rows[index - 1].scene != row.scene
+        ends_block = index + 1 == len(rows) or rows[index + 1].scene != row.scene
+        cells = [_styled(row.cells[c.key].text(c.digits), row.cells[c.key].best) for c in COLUMNS]
+        table.add_row(escape(row.scene) if new_scene else "", escape(row.policy), *cells, end_section=ends_block)
+    return table
+
+
+def markdown_table(rows: Sequence[Row]) -> str:
+    """For documents; the best numbers are bold."""
+    lines = [
+        "| " + " | ".join(["scene", "policy", *(column.title for column in COLUMNS)]) + " |",
+        "|" + "---|" * 2 + "---:|" * len(COLUMNS),
+    ]
+    for row in rows:
+        cells = []
+        for column in COLUMNS:
+            text = row.cells[column.key].text(column.digits)
+            cells.append(f"**{text}**" if row.cells[column.key].best else text)
+        lines.append("| " + " | ".join([_escaped(row.scene), _escaped(row.policy), *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def runs_csv(runs: Sequence[Run]) -> str:
+    """One line per run with every single number, in full precision."""
+    scalars = [
+        {key: value for key, value in run.metrics["metrics"].items() if not isinstance(value, list | dict)}
+        for run in runs
+    ]
+    names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["scene", "policy", "seed", "preset", "protocol", "job", *names, "seconds"])
+    for run, numbers in zip(runs, scalars):
+        job = run.job
+        identity = [job.scene, job.policy, job.seed, job.preset, job.protocol.name, job.hash]
+        values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
+        writer.writerow([*identity, *values, run.timing["total"]])
+    return text.getvalue()
+
+
+def _over_runs(values: Sequence[float | None]) -> Cell:
+    defined = [float(value) for value in values if value is not None]
+    if not defined:
+        return Cell(None, None)
+    deviation = float(np.std(defined, ddof=1)) if len(defined) > 1 else None
+    return Cell(float(np.mean(defined)), deviation)
+
+
+def _average(block: Sequence[Row]) -> Row:
+    """The mean over scenes of the means over seeds: every scene counts the same."""
+    cells = {}
+    for column in COLUMNS:
+        means = [row.cells[column.key].mean for row in block]
+        cells[column.key] = Cell(None if None in means else float(np.mean([m for m in means if m is not None])), None)
+    return Row(AVERAGE, block[0].policy, sum(row.runs for row in block), cells)
+
+
+def _marked(block: Sequence[Row]) -> list[Row]:
+    """The block with the best of every column marked; equal as printed is equally good, alone is not best."""
+    marked = [dict(row.cells) for row in block]
+    for column in COLUMNS:
+        means = {i: row.cells[column.key].mean for i, row in enumerate(block)}
+        rounded = {i: round(mean, column.digits) for i, mean in means.items() if mean is not None}
+        if column.best is None or len(block) < 2 or not rounded:
+            continue
+        best = min(rounded.values()) if column.best == "lowest" else max(rounded.values())
+        for index, value in rounded.items():
+            cell = block[index].cells[column.key]
+            marked[index][column.key] = Cell(cell.mean, cell.deviation, best=value == best)
+    return [Row(row.scene, row.policy, row.runs, cells) for row, cells in zip(block, marked)]
+
+
+def _styled(text: str, best: bool) -> str:
+    return f"[bold green]{text}[/]" if best else text
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|")

@@ -1,0 +1,177 @@
+"""Run directories: written once, whole or not at all, and readable without us (JSON, JSON lines, npz, PLY).
+
+A comparison's directory::
+
+    compare.json                 the grid: jobs, command, versions, machine
+    jobs/<job name>/             one per finished job
+        .done                    the job's hash; what has no such file is not a result
+        config.json              job, protocol, resolved configuration, scene, versions
+        metrics.json             the numbers and the convergence curve; the same on every machine
+        timing.json              wall-clock seconds by stage, and the machine
+        steps.jsonl              one line per decision
+        trajectory.npz           every executed pose, keyframe indices
+        map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
+        pictures.npz, *.png      rendered and true views, the plan
+    logs/<job name>.log          what a worker wrote to its standard error
+    summary.md, results.csv, *.png
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.jobs import Job, scene_label
+
+FORMAT_VERSION = 1
+DONE = ".done"
+COMPARISON = "compare.json"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished job, read from its directory."""
+
+    directory: Path
+    scene: str  # what people call it; differs between the scenes of a comparison
+    job: Job
+    config: dict[str, Any]
+    metrics: dict[str, Any]
+    timing: dict[str, Any]
+
+    @cached_property
+    def steps(self) -> list[dict[str, Any]]:
+        """One entry per decision."""
+        with open(self.directory / "steps.jsonl", encoding="utf-8") as lines:
+            return [json.loads(line) for line in lines]
+
+    @cached_property
+    def trajectory(self) -> dict[str, np.ndarray]:
+        """``world_from_camera`` [T, 4, 4] and ``keyframes`` [K], indices into it."""
+        return load_arrays(self.directory / "trajectory.npz")
+
+    @cached_property
+    def pictures(self) -> dict[str, np.ndarray]:
+        """What the pictures were drawn from; see `episode.picture_arrays`."""
+        return load_arrays(self.directory / "pictures.npz")
+
+
+def is_done(directory: Path, job: Job) -> bool:
+    """Whether ``directory`` holds the finished result of exactly this job."""
+    try:
+        return (directory / DONE).read_text(encoding="utf-8").strip() == job.hash
+    except OSError:
+        return False
+
+
+def read_run(directory: Path, scene: str | None = None) -> Run:
+    """Open a finished job's directory, with another short name for its scene; raises `InputError` if there is none."""
+    if not (directory / DONE).is_file():
+        raise InputError(f"'{directory}' is not a finished run: it has no {DONE} file")
+    try:
+        content = {name: read_json(directory / f"{name}.json") for name in ("config", "metrics", "timing")}
+        if content["config"]["format"] != FORMAT_VERSION:
+            raise InputError(
+                f"'{directory}' has the run format {content['config']['format']}, this version reads {FORMAT_VERSION}"
+            )
+        job = Job.from_dict(content["config"]["job"])
+        return Run(directory, scene or scene_label(job.scene), job, **content)
+    except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
+        raise InputError(f"'{directory}' cannot be read as a run ({type(error).__name__}: {error})") from error
+
+
+@contextmanager
+def whole_directory(directory: Path) -> Iterator[Path]:
+    """A temporary sibling to write into; it takes the name ``directory`` when the block ends without an error.
+
+    Whatever stood there before (never a finished result: callers skip those) is replaced. After an error, Ctrl-C
+    included, nothing is left behind.
+    """
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    part = directory.with_name(f".{directory.name}.part-{os.getpid()}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir()
+    try:
+        yield part
+        if directory.exists():
+            shutil.rmtree(directory)
+        os.replace(part, directory)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def remove_parts(directory: Path, job_name: str | None = None) -> None:
+    """Remove what killed processes left half-written in ``directory``, of one job or of all."""
+    pattern = f".{job_name or '*'}.part-*"
+    for part in directory.glob(pattern):
+        process = part.name.rpartition("-")[2]
+        if not (process.isdigit() and _alive(int(process))):
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write ``content`` at once: readers see the old file or the new one."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an npz file; never unpickles."""
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def json_line(content: Any) -> str:
+    """One line of a JSON lines file."""
+    return json.dumps(plain(content), allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """The same content in JSON's types. JSON has no NaN and no infinity: they become null."""
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def _alive(process: int) -> bool:
+    if os.name != "posix":  # there os.kill(process, 0) would end the process
+        return process == os.getpid()
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,41 @@
+"""How many threads this process may use, and what to tell the processes it starts."""
+
+from __future__ import annotations
+
+import os
+
+# Libraries read their own variable, once, when they are loaded.
+_COUNT_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def core_count() -> int:
+    """Cores this process may run on."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1
+
+
+def thread_cap() -> int:
+    """Threads one call may use: ``OMP_NUM_THREADS`` where it is set, else one per core."""
+    text = os.environ.get("OMP_NUM_THREADS", "")
+    return int(text) if text.isdigit() and int(text) > 0 else core_count()
+
+
+def set_passive_waiting() -> None:
+    """Let idle OpenMP threads sleep instead of spin; call before torch is imported.
+
+    Two torch processes of two threads on two cores ran 35 times slower with spinning threads
+    (research/libraries.md, trap 1).
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def worker_environment(slots: int) -> dict[str, str]:
+    """The environment for one of ``slots`` processes that run at the same time: the cores are shared out evenly."""
+    environment = dict(os.environ)
+    threads = str(max(1, core_count() // max(1, slots)))
+    environment.update({name: threads for name in _COUNT_VARIABLES})
+    environment["OMP_WAIT_POLICY"] = "PASSIVE"
+    environment["MPLBACKEND"] = "Agg"
+    return environment

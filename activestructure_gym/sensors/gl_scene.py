@@ -101,7 +101,7 @@ def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
     primitives = []
     for texture in np.unique(mesh.face_texture):
         used, faces = np.unique(mesh.faces[mesh.face_texture == texture], return_inverse=True)
-        material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0), doubleSided=True)
+        material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0))
         uv = None
         if texture >= 0:
             # Bilinear without mip maps, as the ray caster does; pyrender counts v from the bottom row.
@@ -147,6 +147,8 @@ class GLScene:
         platform = _Platform(1, 1, device=get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0"))))
         platform.init_context()
         platform.make_current()
+        if not GL.glDepthRange:  # PyOpenGL found only a part of GL, e.g. libOpenGL without libGL
+            raise RuntimeError("libGL is missing or incomplete")
         # Rows of pixels follow each other without padding; pyrender shears textures of odd width without this.
         GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
         GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from activestructure_gym.sensors.gl_scene import GLScene
 
 _REPAIR = (
-    "on Debian install them with 'apt-get install -y --no-install-recommends libegl1 libgl1', "
-    "or use the sensor backend 'raycast', which needs no system library"
+    "on Debian 'apt-get install -y --no-install-recommends libegl1 libgl1' brings them; "
+    "the sensor backend 'raycast' needs no system library"
 )
 
 # One context per scene object and process, shared by all renderers that look at that scene.
@@ -36,8 +36,8 @@ def _import_gl_scene() -> Any:
             f"the sensor backend 'pyrender' draws through EGL, but PYOPENGL_PLATFORM is '{platform}'; "
             "set it to 'egl' or leave it unset"
         )
-    known = set(sys.modules)
-    if "pyrender" not in known:
+    first_time = "pyrender" not in sys.modules
+    if first_time:
         # pyrender's window would need pyglet and X libraries; nothing here opens one.
         viewer = types.ModuleType("pyrender.viewer")
         viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
@@ -45,17 +45,15 @@ def _import_gl_scene() -> Any:
     try:
         from activestructure_gym.sensors import gl_scene
     except Exception as error:
-        # PyOpenGL fails with errors of many types, and half-imported modules would change the error of the next try.
-        for name in set(sys.modules) - known:
-            if name.split(".")[0] in ("pyrender", "OpenGL"):
-                del sys.modules[name]
+        # PyOpenGL fails with errors of many types.
         if isinstance(error, ModuleNotFoundError) and error.name in ("pyrender", "OpenGL"):
             raise InputError("the sensor backend 'pyrender' needs the package: pip install pyrender") from error
+        reason = next((part for part in error.args if isinstance(part, str)), type(error).__name__)
         raise InputError(
-            f"the sensor backend 'pyrender' needs the system libraries EGL and GL ({error}); {_REPAIR}"
+            f"the sensor backend 'pyrender' needs the system libraries EGL and GL ({reason}); {_REPAIR}"
         ) from error
     finally:
-        if "pyrender" not in known:
+        if first_time:
             sys.modules.pop("pyrender.viewer", None)
     return gl_scene
 
@@ -76,7 +74,8 @@ def _context_of(scene: Scene) -> GLScene:
         except Exception as error:
             # EGL is there but cannot start: no driver, no device, no permission.
             raise InputError(
-                f"the sensor backend 'pyrender' could not start OpenGL ({type(error).__name__}: {error}); {_REPAIR}"
+                f"the sensor backend 'pyrender' could not start OpenGL from the system libraries EGL and GL "
+                f"({type(error).__name__}: {error}); {_REPAIR}"
             ) from error
         _contexts[id(scene)] = context
     return context

@@ -10,8 +10,8 @@ import torch
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.backends import BACKENDS, backend_status
-from activestructure_gym.splatting.cpu import Pass
 from activestructure_gym.splatting.reference import rasterize_reference
+from activestructure_gym.splatting.workspace import Lease, fitted
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,19 @@ class _CpuRasterization(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, parameters, camera_from_world, camera, max_alpha):
-        ctx.done = Pass(
-            parameters.detach().contiguous().numpy(), parameters.shape[1], camera,
-            camera_from_world.detach().numpy(), max_alpha,
+        ctx.count = parameters.shape[1]
+        ctx.lease = Lease()
+        ctx.lease.workspace.render(
+            fitted(parameters.detach().contiguous().numpy()), ctx.count, camera, camera_from_world.detach().numpy(),
+            max_alpha=max_alpha,
         )  # fmt: skip
-        return torch.from_numpy(ctx.done.color), torch.from_numpy(ctx.done.depth), torch.from_numpy(ctx.done.alpha)
+        return tuple(torch.from_numpy(picture) for picture in ctx.lease.workspace.pictures())
 
     @staticmethod
     def backward(ctx, by_color, by_depth, by_alpha):
-        gradients = (np.ascontiguousarray(tensor.numpy()) for tensor in (by_color, by_depth, by_alpha))
-        gradient, by_pose, _ = ctx.done.backward(*gradients)
-        by_camera = torch.zeros(4, 4)
-        by_camera[:3] = torch.from_numpy(by_pose)
-        return torch.from_numpy(gradient), by_camera, None, None
+        workspace = ctx.lease.workspace
+        workspace.set_gradient_images(by_color.numpy(), by_depth.numpy(), by_alpha.numpy())
+        gradient, by_camera = torch.zeros(workspace.parameters.shape), torch.zeros(4, 4)
+        array = gradient.numpy()
+        by_camera[:3] = torch.from_numpy(workspace.backward(np.zeros(18, np.float32), array, array, array))
+        return gradient[:, : ctx.count], by_camera, None, None

@@ -12,10 +12,10 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.splatting import kernels
-from activestructure_gym.splatting.ssim import ssim_and_gradient
+from activestructure_gym.splatting.crew import CREW, default_threads
+from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, make_grid, make_view
 
-PARAMETER_ROWS = 14
-MAX_ALPHA = 0.999
+PARAMETER_ROWS = kernels.ROWS
 
 
 @dataclass(frozen=True)
@@ -51,43 +51,6 @@ class StepLosses:
     ssim: float  # mean SSIM (1 = equal); nan where the weights leave it out
 
 
-class Pass:
-    """One forward rendering and what its backward pass needs."""
-
-    def __init__(self, parameters, count, camera: PinholeCamera, camera_from_world, max_alpha=MAX_ALPHA) -> None:
-        self.parameters, self.count, self.camera = parameters, count, camera
-        self.pose = np.ascontiguousarray(camera_from_world, dtype=np.float32)
-        self.lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-        self.log2_max_alpha = np.float32(np.log2(max_alpha))
-        self.records = np.empty((count, 9), np.float32)
-        kernels.project(parameters, count, self.pose, self.lens, camera.width, camera.height, self.records)
-        visible = np.flatnonzero(self.records[:, kernels.RADIUS_Y] >= 0)
-        self.order = visible[np.argsort(self.records[visible, kernels.DEPTH], kind="stable")]
-        shape = (camera.height, camera.width)
-        self.color, self.depth = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
-        transmittance = np.ones(shape, np.float32)
-        colors = parameters[11:]
-        kernels.blend(
-            self.records, self.order, colors, self.log2_max_alpha, self.color, self.depth, transmittance
-        )
-        self.alpha = 1.0 - np.abs(transmittance)
-
-    def backward(self, by_color, by_depth, by_alpha):
-        """Gradient ``[14, count]``, by pose ``[3, 4]`` and moments ``[count, 11]``."""
-        rest = (self.color * by_color).sum(axis=-1) + self.depth * by_depth + self.alpha * by_alpha
-        moments = np.zeros((self.count, 11), np.float32)
-        kernels.blend_backward(
-            self.records, self.order, self.parameters[11:], self.log2_max_alpha, by_color, by_depth, by_alpha,
-            rest, np.ones_like(rest), moments,
-        )  # fmt: skip
-        gradient, by_pose = np.zeros((PARAMETER_ROWS, self.count), np.float32), np.zeros((3, 4), np.float32)
-        kernels.project_backward(
-            self.parameters, self.order, self.records, moments, self.pose, self.lens, self.camera.width,
-            self.camera.height, gradient, by_pose,
-        )  # fmt: skip
-        return gradient, by_pose, moments
-
-
 def render(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
@@ -99,8 +62,11 @@ def render(
 ) -> Rendering:
     """Colour, accumulated depth and alpha of one camera."""
     _check(parameters, count)
-    done = Pass(parameters, count, camera, invert_rigid(world_from_camera), max_alpha)
-    return Rendering(done.color, done.depth, done.alpha)
+    lease = Lease()
+    lease.workspace.render(
+        fitted(parameters), count, camera, invert_rigid(world_from_camera), max_alpha=max_alpha, threads=threads
+    )
+    return Rendering(*lease.workspace.pictures())
 
 
 def render_depth_alpha(
@@ -112,11 +78,18 @@ def render_depth_alpha(
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
     """Depth and alpha of many cameras, for scoring candidates."""
-    renderings = [render(parameters, count, camera, pose) for pose in np.asarray(world_from_camera)]
-    shape = (0, camera.height, camera.width)
-    if not renderings:
-        return np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    return np.stack([r.depth for r in renderings]), np.stack([r.alpha for r in renderings])
+    _check(parameters, count)
+    poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
+    parameters = fitted(parameters)
+    views = np.empty((len(poses), kernels.VIEW_SIZE), np.float32)
+    for view, pose in zip(views, poses):
+        view[:] = make_view(camera, pose)
+    depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
+    tickets = np.zeros(1, np.int64)
+    arguments = (tickets, parameters, views, make_grid(count, parameters.shape[1], camera), depth, alpha)
+    CREW.run(kernels.score, arguments, min(threads or default_threads(), max(1, len(poses))))
+    shape = (len(poses), camera.height, camera.width)
+    return depth.reshape(shape), alpha.reshape(shape)
 
 
 def mapping_step(
@@ -138,29 +111,25 @@ def mapping_step(
 ) -> StepLosses:
     """Render, compare, differentiate, and move the Gaussians that have a weight in some pixel (Adam)."""
     _check(parameters, count)
-    f32 = np.float32
-    done = Pass(parameters, count, camera, invert_rigid(world_from_camera))
-    pixels = camera.width * camera.height
-    difference = done.color - target_rgb
-    by_color = np.sign(difference) * f32(weights.image * weights.l1_share / (3 * pixels))
-    ssim = float("nan")
-    if weights.image > 0 and weights.l1_share < 1:
-        ssim, by_ssim = ssim_and_gradient(done.color, target_rgb)
-        by_color -= f32(weights.image * (1 - weights.l1_share)) * by_ssim
-    mask = (target_depth > 0) & (done.alpha > 0.5)
-    expected = done.depth / np.where(mask, done.alpha, f32(1))
-    error = np.where(mask, expected - target_depth, f32(0))
-    measured = max(1, int(mask.sum()))
-    by_expected = np.sign(error) * f32(weights.depth / measured)
-    by_depth = np.where(mask, by_expected / np.where(mask, done.alpha, f32(1)), f32(0))
-    by_alpha = -by_depth * expected
-    losses = StepLosses(float(np.abs(difference).mean()), float(np.abs(error).sum() / measured), ssim)
-    gradient, _, moments = done.backward(by_color, by_depth, by_alpha)
-    kernels.adam(
-        parameters, first_moment, second_moment, done.order, moments, gradient,
-        np.asarray(learning_rates, f32), f32(beta1), f32(beta2), f32(epsilon),
+    for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
+        if array.shape != parameters.shape or array.dtype != np.float32:
+            raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")
+    rates = np.empty(kernels.ROWS + 4, np.float32)
+    rates[: kernels.ROWS], rates[kernels.ROWS :] = learning_rates, (beta1, beta2, epsilon, 1.0)
+    state = (parameters, first_moment, second_moment)
+    used = tuple(fitted(array) for array in state)
+    lease = Lease()
+    workspace = lease.workspace
+    workspace.render(used[0], count, camera, invert_rigid(world_from_camera), threads=threads)
+    color, depth, ssim = workspace.losses(
+        target_rgb, target_depth,
+        weights.image * weights.l1_share, weights.image * (1 - weights.l1_share), weights.depth,
     )  # fmt: skip
-    return losses
+    workspace.backward(rates, used[1], used[2], used[0])
+    for array, copy in zip(state, used):
+        if copy is not array:
+            array[:] = copy[:, : array.shape[1]]
+    return StepLosses(color, depth, ssim)
 
 
 def _check(parameters: np.ndarray, count: int) -> None:

@@ -1,320 +1,1425 @@
-"""Compiled loops of the CPU rasteriser: project, blend front to back, differentiate, step.
+"""Compiled kernels of the CPU rasteriser, on 16-lane SIMD values.
 
-Everything is float32 and runs over Gaussians in depth order; each touches only the pixels of its ellipse
-alpha >= 1/255, row by row.
+The picture is cut into tiles of 32 x 32 pixels = 8 x 8 blocks of 4 x 4 pixels; a block is one vector, and the blocks of
+a tile that a Gaussian reaches are the bits of one uint64. One rendering goes through
+
+    project  per chunk of 1024 Gaussians: 64-byte records, block bitmaps, how many (tile, Gaussian) entries there are
+    plan     serial: where the entries of every tile and chunk go
+    fill     per chunk: the entries
+    blend    per tile: sort by depth (exact float order, ties by index), blend front to back
+    compare  per rows: losses, SSIM and the gradient image
+    unblend  per tile: front to back again; one 16-float slot of sums per entry
+    step     per chunk: sum the slots, back through the projection, Adam or dense gradients
+
+Every partial result has its own fixed place, so results do not depend on the number of threads. Chunks, tiles and rows
+are handed out by atomic counters.
+
+SIMD types and kernels share this one file on purpose: numba's on-disk cache watches only the file a kernel is in.
+What made it fast and what did not: ``docs/performance.md``.
 """
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
 
 F = np.float32
+LANES = 16
+CHUNK = 1024  # Gaussians per unit of work
+TILE = 32  # pixels
+RECORD = 16  # floats per Gaussian, 64 bytes
+ROWS = 14  # of the parameter array
+
+# ---------------------------------------------------------------------------------------------------------------------
+# 16-lane values: numba types whose operators become LLVM vector instructions (AVX-512, AVX2, SSE or NEON by LLVM).
+
+
+class _Vector(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name=type(self).__name__)
+
+
+class Floats(_Vector):
+    """16 float32."""
+
+
+class Ints(_Vector):
+    """16 int32."""
+
+
+class Mask(_Vector):
+    """16 bits."""
+
+
+floats, ints, mask16 = Floats(), Ints(), Mask()
+_F32, _I32, _I64, _BIT = ir.FloatType(), ir.IntType(32), ir.IntType(64), ir.IntType(1)
+_FLOATS, _INTS, _MASK = (ir.VectorType(element, LANES) for element in (_F32, _I32, _BIT))
+for _numba_type, _llvm_type in ((Floats, _FLOATS), (Ints, _INTS), (Mask, _MASK)):
+
+    @register_model(_numba_type)
+    class _Model(models.PrimitiveModel):
+        def __init__(self, dmm, fe_type, llvm_type=_llvm_type) -> None:
+            super().__init__(dmm, fe_type, llvm_type)
+
+
+def _spread(builder, value):
+    """The same number in every lane (vectors pass)."""
+    if isinstance(value.type, ir.VectorType):
+        return value
+    vector = ir.VectorType(value.type, LANES)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(_I32, 0))
+    return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), ir.Constant(_INTS, [0] * LANES))
+
+
+def _operator(op, operand, scalar, result, emit) -> None:
+    """Register ``op`` for vector-vector, vector-scalar and scalar-vector."""
+    cases = [signature(result, operand, operand)]
+    if scalar is not None:
+        cases += [signature(result, operand, scalar), signature(result, scalar, operand)]
+    infer_global(op)(type("Template", (ConcreteTemplate,), {"cases": cases}))
+
+    def lower(context, builder, sig, args):
+        return emit(builder, _spread(builder, args[0]), _spread(builder, args[1]))
+
+    for case in cases:
+        lower_builtin(op, *case.args)(lower)
+
+
+for _op, _name in (
+    (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv"),
+    (operator.iadd, "fadd"), (operator.isub, "fsub"), (operator.imul, "fmul"),
+):  # fmt: skip
+    _operator(_op, floats, types.float32, floats, lambda b, x, y, name=_name: getattr(b, name)(x, y))
+for _op, _name in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">=")):
+    _operator(_op, floats, types.float32, mask16, lambda b, x, y, name=_name: b.fcmp_ordered(name, x, y))
+for _op, _name in (
+    (operator.add, "add"), (operator.sub, "sub"), (operator.lshift, "shl"), (operator.rshift, "ashr"),
+    (operator.and_, "and_"), (operator.or_, "or_"),
+):  # fmt: skip
+    _operator(_op, ints, types.int32, ints, lambda b, x, y, name=_name: getattr(b, name)(x, y))
+for _op, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
+    _operator(_op, mask16, None, mask16, lambda b, x, y, name=_name: getattr(b, name)(x, y))
+
+
+def _call(builder, name, result, args):
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(result, [arg.type for arg in args]), name
+    )
+    return builder.call(function, args)
+
+
+def _as_floats(kind):
+    return floats if isinstance(kind, Floats) else types.float32
+
+
+def _elementwise(llvm_name, arity):
+    """An intrinsic of ``arity`` float arguments, scalars broadcast."""
+
+    def codegen(context, builder, sig, args):
+        return _call(builder, f"{llvm_name}.v16f32", _FLOATS, [_spread(builder, arg) for arg in args])
+
+    if arity == 1:
+        return intrinsic(lambda typingctx, a: (floats(floats), codegen))
+    return intrinsic(lambda typingctx, a, b, c: (floats(*map(_as_floats, (a, b, c))), codegen))
+
+
+# fmuladd and not fma: without FMA hardware the latter becomes a library call per lane.
+fma = _elementwise("llvm.fmuladd", 3)
+sqrt = _elementwise("llvm.sqrt", 1)
+floor = _elementwise("llvm.floor", 1)
+ceil = _elementwise("llvm.ceil", 1)
+
+
+@intrinsic
+def neg(typingctx, a):
+    return floats(floats), lambda context, builder, sig, args: builder.fneg(args[0])
+
+
+@intrinsic
+def spread(typingctx, a):
+    return floats(types.float32), lambda context, builder, sig, args: _spread(builder, args[0])
+
+
+@intrinsic
+def sel(typingctx, mask, a, b):
+    """Lane by lane ``a if mask else b``."""
+    kind = ints if ints in (a, b) else floats
+    scalar = types.int32 if kind is ints else types.float32
+    arguments = [kind if isinstance(x, _Vector) else scalar for x in (a, b)]
+
+    def codegen(context, builder, sig, args):
+        return builder.select(args[0], _spread(builder, args[1]), _spread(builder, args[2]))
+
+    return kind(mask16, *arguments), codegen
+
+
+@intrinsic
+def bits(typingctx, mask):
+    """The mask as an integer, lane 0 lowest."""
+
+    def codegen(context, builder, sig, args):
+        return builder.zext(builder.bitcast(args[0], ir.IntType(16)), _I64)
+
+    return types.int64(mask16), codegen
+
+
+@intrinsic
+def to_int(typingctx, a):
+    return ints(floats), lambda context, builder, sig, args: builder.fptosi(args[0], _INTS)
+
+
+@intrinsic
+def to_float(typingctx, a):
+    return floats(ints), lambda context, builder, sig, args: builder.sitofp(args[0], _FLOATS)
+
+
+@intrinsic
+def int_bits(typingctx, a):
+    return ints(floats), lambda context, builder, sig, args: builder.bitcast(args[0], _INTS)
+
+
+@intrinsic
+def float_bits(typingctx, a):
+    return floats(ints), lambda context, builder, sig, args: builder.bitcast(args[0], _FLOATS)
+
+
+def _constant(values):
+    def codegen(context, builder, sig, args):
+        return ir.Constant(_FLOATS, [float(value) for value in values])
+
+    return intrinsic(lambda typingctx: (floats(), codegen))
+
+
+lane_index = _constant(range(LANES))
+lane_x = _constant([(lane % 4) + 0.5 for lane in range(LANES)])  # pixel centres within a block
+lane_y = _constant([(lane // 4) + 0.5 for lane in range(LANES)])
+
+
+def _pointer(context, builder, array_type, array, index):
+    data = context.make_array(array_type)(context, builder, value=array).data
+    return builder.gep(data, [index], inbounds=True)
+
+
+@intrinsic
+def load(typingctx, array, index):
+    """16 floats from a C-ordered float32 array, seen as flat."""
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(pointer, _FLOATS.as_pointer()), align=4, typ=_FLOATS)
+
+    return floats(array, types.intp), codegen
+
+
+@intrinsic
+def store(typingctx, array, index, value):
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        builder.store(args[2], builder.bitcast(pointer, _FLOATS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, floats), codegen
+
+
+@intrinsic
+def peek(typingctx, array, index):
+    """One element of a C-ordered array seen as flat, without the wrap-around test of negative indices."""
+
+    def codegen(context, builder, sig, args):
+        return builder.load(_pointer(context, builder, sig.args[0], args[0], args[1]))
+
+    return array.dtype(array, types.intp), codegen
+
+
+@intrinsic
+def poke(typingctx, array, index, value):
+    def codegen(context, builder, sig, args):
+        builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), codegen
+
+
+@intrinsic
+def peek_bits(typingctx, array, index):
+    """The bits of one float32 as int64 (zero extended)."""
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        return builder.zext(builder.load(builder.bitcast(pointer, _I32.as_pointer()), typ=_I32), _I64)
+
+    return types.int64(array, types.intp), codegen
+
+
+@intrinsic
+def poke_bits(typingctx, array, index, value):
+    """Store the low 32 bits of an integer in a float32 array."""
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        builder.store(builder.trunc(args[2], _I32), builder.bitcast(pointer, _I32.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.int64), codegen
+
+
+@intrinsic
+def prefetch(typingctx, array, index):
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [pointer.type, _I32, _I32, _I32])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(function, [pointer, ir.Constant(_I32, 0), ir.Constant(_I32, 3), ir.Constant(_I32, 1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), codegen
+
+
+@intrinsic
+def take_ticket(typingctx, counters, index):
+    """Atomic fetch-and-add of 1."""
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        return builder.atomic_rmw("add", pointer, ir.Constant(_I64, 1), "monotonic")
+
+    return types.int64(counters, types.intp), codegen
+
+
+@intrinsic
+def lowest_bit(typingctx, value):
+    """Index of the lowest set bit of a value that is not 0."""
+
+    def codegen(context, builder, sig, args):
+        return builder.cttz(args[0], ir.Constant(_BIT, 1))
+
+    return types.int64(types.int64), codegen
+
+
+def _transposed(builder, rows):
+    """16 vectors, rows to columns: four rounds of exchanging sub-blocks."""
+    for step in (1, 2, 4, 8):
+        first = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
+        second = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
+        result = list(rows)
+        for i in range(LANES):
+            if not i & step:
+                a, b = rows[i], rows[i | step]
+                result[i] = builder.shuffle_vector(a, b, ir.Constant(_INTS, first))
+                result[i | step] = builder.shuffle_vector(a, b, ir.Constant(_INTS, second))
+        rows = result
+    return rows
+
+
+@intrinsic
+def store_transposed(typingctx, array, index, vectors):
+    """Lane k of the (up to 16) vectors goes to floats ``index + 16 k ...``; missing vectors are zero."""
+
+    def codegen(context, builder, sig, args):
+        rows = cgutils.unpack_tuple(builder, args[2], len(vectors))
+        rows += [ir.Constant(_FLOATS, None)] * (LANES - len(rows))
+        for lane, row in enumerate(_transposed(builder, rows)):
+            position = builder.add(args[1], ir.Constant(_I64, LANES * lane))
+            pointer = _pointer(context, builder, sig.args[0], args[0], position)
+            builder.store(row, builder.bitcast(pointer, _FLOATS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vectors), codegen
+
+
+def _load_columns(context, builder, sig, args):
+    rows = []
+    for lane in range(LANES):
+        position = builder.add(args[1], ir.Constant(_I64, LANES * lane))
+        pointer = _pointer(context, builder, sig.args[0], args[0], position)
+        rows.append(builder.load(builder.bitcast(pointer, _FLOATS.as_pointer()), align=4, typ=_FLOATS))
+    return _transposed(builder, rows)
+
+
+@intrinsic
+def load_transposed(typingctx, array, index):
+    """The inverse of `store_transposed`: 16 vectors, lane k of each from floats ``index + 16 k ...``."""
+
+    def codegen(context, builder, sig, args):
+        return context.make_tuple(builder, sig.return_type, _load_columns(context, builder, sig, args))
+
+    return types.UniTuple(floats, LANES)(array, types.intp), codegen
+
+
+def _sum_plan():
+    """Shuffles of a tree that adds up 16 vectors, and in which lane the sum of each ends."""
+    quarters = range(0, LANES, 4)
+    halves = list(range(8))
+    pairs = [lane for lane in range(LANES) if not lane & 4]
+    plan = [
+        (halves + [LANES + x for x in halves], 8),
+        (pairs + [LANES + x for x in pairs], 4),
+        ([q + x for q in quarters for x in (0, 1, LANES, LANES + 1)], 2),  # from here on within 128 bits: cheap
+        ([q + x for q in quarters for x in (0, 2, LANES, LANES + 2)], 1),
+    ]
+    vectors = [[number] * LANES for number in range(LANES)]
+    for low, _ in plan:
+        vectors = [[(vectors[i] + vectors[i + 1])[x] for x in low] for i in range(0, len(vectors), 2)]
+    return [(low, [x + distance for x in low]) for low, distance in plan], vectors[0]
+
+
+_SUM_ROUNDS, SUM_LANES = _sum_plan()
+
+
+@intrinsic
+def sums(typingctx, vectors):
+    """The sums over the lanes of up to 16 vectors as one vector, in the lane order of `load_sums`."""
+
+    def codegen(context, builder, sig, args):
+        level = cgutils.unpack_tuple(builder, args[0], len(vectors))
+        level += [None] * (LANES - len(level))
+        zero = ir.Constant(_FLOATS, None)
+        for low, high in _SUM_ROUNDS:
+            folded = []
+            for a, b in zip(level[::2], level[1::2]):
+                if a is None and b is None:
+                    folded.append(None)
+                    continue
+                a, b = zero if a is None else a, zero if b is None else b
+                lower = builder.shuffle_vector(a, b, ir.Constant(_INTS, low))
+                upper = builder.shuffle_vector(a, b, ir.Constant(_INTS, high))
+                folded.append(builder.fadd(lower, upper))
+            level = folded
+        return level[0]
+
+    return floats(vectors), codegen
+
+
+@intrinsic
+def load_sums(typingctx, array, index):
+    """From 16 results of `sums` in a row at ``index``: the sum of vector k of result j is lane j of entry k."""
+
+    def codegen(context, builder, sig, args):
+        columns = _load_columns(context, builder, sig, args)
+        ordered = [columns[SUM_LANES.index(k)] for k in range(LANES)]
+        return context.make_tuple(builder, sig.return_type, ordered)
+
+    return types.UniTuple(floats, LANES)(array, types.intp), codegen
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Numbers of the model (gsplat's) and layouts.
+
 NEAR_PLANE = F(0.01)
-BLUR_VARIANCE = F(0.3)
+BLUR_VARIANCE = F(0.3)  # px^2
 MIN_TRANSMITTANCE = F(1e-4)
+CLAMP_MARGIN = 0.3  # of half the image
 LOG2_E = F(1.4426950408889634)
 LOG2_255 = F(7.994353436858858)
-# Columns of a record.
-U, V, XX, XY, YY, LOG2_OPACITY, DEPTH, OPACITY, RADIUS_Y = range(9)
+ROOT = F(0.8493218002880191)  # sqrt(log2(e) / 2): alpha = 2^(lo - t^2 - s^2)
+LN_4 = F(1.3862943611198906)  # 1 / ROOT^2
+SLACK = F(0.01)  # px around every ellipse, far above the rounding of its border
+
+# view: floats of a camera
+POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, VIEW_SIZE = 0, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21
+# grid: integers of a rendering
+COUNT, CAPACITY, WIDTH, HEIGHT, TILES_X, TILES_Y, CHUNKS, BLOCKS_X, BLOCKS_Y, STRIDE, MARGIN, GRID_SIZE = range(12)
+# record: t = L00 dx + L01 dy, s = L11 dy; BOX_X and BOX_Y hold first + last << 16 in blocks; SLOT.. are set by fill
+U, V, L00, L01, L11, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, BOX_X, BOX_Y, BITMAP, SLOT, SLOTS = (*range(13), 14, 15)
+# rows of the array of entries
+KEY, KEY_2, SPLAT_KEY, REACH, SORTED_REACH, SORTED_SPLAT, ENTRY_ROWS = range(7)
+# sums of a slot
+V_, VT, VS, VTT, VTS, VSS, W_RED, W_GREEN, W_BLUE, W_DEPTH, W_ALL = range(11)
+
+_BLOCK_X = np.array([4 * (block % 8) for block in range(64)], np.float32)
+_BLOCK_Y = np.array([4 * (block // 8) for block in range(64)], np.float32)
+_inline = njit(forceinline=True)
+
+
+@_inline
+def _exp2(x):
+    """2 ** x for -126 < x < 126; 1 + f Q(f), so that it is most exact near 1 where 1 - alpha matters."""
+    shifted = x + F(12582912.0)  # 1.5 * 2^23: the low bits now hold the nearest integer
+    f = x - (shifted - F(12582912.0))
+    q = fma(f, fma(f, fma(f, fma(f, F(1.3264725e-3), F(9.6715127e-3)), F(5.5507337e-2)), F(0.24022242)), F(0.69314698))
+    return float_bits(int_bits(fma(f, q, F(1.0))) + (int_bits(shifted) << np.int32(23)))
+
+
+@_inline
+def _log2(x):
+    """log2 of normal positive numbers: exponent, and atanh series of the mantissa in [1/sqrt 2, sqrt 2)."""
+    whole = (int_bits(x) - np.int32(0x3F3504F3)) >> np.int32(23)
+    mantissa = float_bits(int_bits(x) - (whole << np.int32(23)))
+    y = (mantissa - F(1.0)) / (mantissa + F(1.0))
+    square = y * y
+    series = fma(square, fma(square, fma(square, fma(square, F(0.32059890), F(0.41219858)), F(0.57707802)),
+                             F(0.96179669)), F(2.88539008))  # fmt: skip
+    return fma(y, series, to_float(whole))
+
+
+@_inline
+def _least(a, b):
+    return sel(a < b, a, b)
+
+
+@_inline
+def _most(a, b):
+    return sel(a > b, a, b)
+
+
+@_inline
+def _clamped(value, low, high):
+    return _least(_most(value, low), high)
+
+
+@_inline
+def _dot3(a0, a1, a2, b0, b1, b2):
+    return fma(a2, b2, fma(a1, b1, a0 * b0))
+
+
+@_inline
+def _camera_point(parameters, capacity, i, view):
+    mx, my, mz = load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i)
+    x = fma(mz, view[2], fma(my, view[1], fma(mx, view[0], view[3])))
+    y = fma(mz, view[6], fma(my, view[5], fma(mx, view[4], view[7])))
+    z = fma(mz, view[10], fma(my, view[9], fma(mx, view[8], view[11])))
+    return x, y, z
+
+
+@_inline
+def _scale(parameters, capacity, i, axis):
+    return _exp2(_clamped(load(parameters, (7 + axis) * capacity + i) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
+
+
+@_inline
+def _rotation(parameters, capacity, i):
+    """Unit quaternion, 1 / its length before, and the 9 entries of the matrix."""
+    w, x = load(parameters, 3 * capacity + i), load(parameters, 4 * capacity + i)
+    y, z = load(parameters, 5 * capacity + i), load(parameters, 6 * capacity + i)
+    inverse = spread(F(1.0)) / sqrt(fma(w, w, fma(x, x, fma(y, y, z * z))))
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
+    x2, y2, z2 = x + x, y + y, z + z
+    one = spread(F(1.0))
+    matrix = (
+        one - fma(y, y2, z * z2), fma(x, y2, neg(w * z2)), fma(x, z2, w * y2),
+        fma(x, y2, w * z2), one - fma(x, x2, z * z2), fma(y, z2, neg(w * x2)),
+        fma(x, z2, neg(w * y2)), fma(y, z2, w * x2), one - fma(x, x2, y * y2),
+    )  # fmt: skip
+    return (w, x, y, z), inverse, matrix
+
+
+@_inline
+def _jacobian(x, y, inverse_z, view):
+    """J00, J02, J11, J12 of the projection and the clamped slopes."""
+    slope_x = _clamped(x * inverse_z, spread(view[LOW_X]), spread(view[HIGH_X]))
+    slope_y = _clamped(y * inverse_z, spread(view[LOW_Y]), spread(view[HIGH_Y]))
+    j00, j11 = inverse_z * view[FX], inverse_z * view[FY]
+    return j00, neg(j00 * slope_x), j11, neg(j11 * slope_y), slope_x, slope_y
+
+
+@_inline
+def _opacity(parameters, capacity, i):
+    """Opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
+    e = _exp2(_clamped(load(parameters, 10 * capacity + i) * neg(spread(LOG2_E)), spread(F(-80.0)), spread(F(80.0))))
+    one_more = e + F(1.0)
+    opacity = spread(F(1.0)) / one_more
+    return opacity, e * opacity, neg(_log2(one_more))
+
+
+@_inline
+def _project_block(parameters, i, view, grid, records):
+    """Records of Gaussians i .. i + 15; returns the bits of those that reach a pixel block of the image."""
+    capacity = grid[CAPACITY]
+    x, y, z = _camera_point(parameters, capacity, i, view)
+    live = (z >= NEAR_PLANE) & (lane_index() < F(grid[COUNT] - i))
+    if bits(live) == 0:
+        return np.int64(0)
+    inverse_z = spread(F(1.0)) / sel(live, z, F(1.0))
+    u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
+    j00, j02, j11, j12, _, _ = _jacobian(x, y, inverse_z, view)
+    # A cheap bound first: 3.34 sigma of the largest axis through the norm of the Jacobian *at the clamped slope*.
+    largest = _most(
+        load(parameters, 7 * capacity + i),
+        _most(load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)),
+    )
+    largest = _exp2(_clamped(largest * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
+    norm = _dot3(j00, j02, j11, j00, j02, j11) + j12 * j12
+    reach = sqrt(fma(norm * largest, largest, BLUR_VARIANCE)) * F(3.34)
+    width, height = F(grid[WIDTH]), F(grid[HEIGHT])
+    live = live & (u + reach > F(0.0)) & (u - reach < width) & (v + reach > F(0.0)) & (v - reach < height)
+    if bits(live) == 0:
+        return np.int64(0)
+
+    s0, s1, s2 = (
+        _scale(parameters, capacity, i, 0), _scale(parameters, capacity, i, 1), _scale(parameters, capacity, i, 2)
+    )  # fmt: skip
+    _, _, r = _rotation(parameters, capacity, i)
+    a0, a1, a2 = fma(j02, view[8], j00 * view[0]), fma(j02, view[9], j00 * view[1]), fma(j02, view[10], j00 * view[2])
+    b0, b1, b2 = fma(j12, view[8], j11 * view[4]), fma(j12, view[9], j11 * view[5]), fma(j12, view[10], j11 * view[6])
+    p0, p1, p2 = (
+        _dot3(a0, a1, a2, r[0], r[3], r[6]) * s0,
+        _dot3(a0, a1, a2, r[1], r[4], r[7]) * s1,
+        _dot3(a0, a1, a2, r[2], r[5], r[8]) * s2,
+    )
+    n0, n1, n2 = (
+        _dot3(b0, b1, b2, r[0], r[3], r[6]) * s0,
+        _dot3(b0, b1, b2, r[1], r[4], r[7]) * s1,
+        _dot3(b0, b1, b2, r[2], r[5], r[8]) * s2,
+    )
+    xx, yy = _dot3(p0, p1, p2, p0, p1, p2), _dot3(n0, n1, n2, n0, n1, n2)
+    xy = _dot3(p0, p1, p2, n0, n1, n2)
+    # |p x n|^2 instead of xx yy - xy^2: no cancellation for needles.
+    c0, c1, c2 = fma(p1, n2, neg(p2 * n1)), fma(p2, n0, neg(p0 * n2)), fma(p0, n1, neg(p1 * n0))
+    determinant = fma(xx + yy, BLUR_VARIANCE, _dot3(c0, c1, c2, c0, c1, c2)) + BLUR_VARIANCE * BLUR_VARIANCE
+    xx, yy = xx + BLUR_VARIANCE, yy + BLUR_VARIANCE
+    _, _, log_opacity = _opacity(parameters, capacity, i)
+    inside = log_opacity + LOG2_255  # t^2 + s^2 up to here is seen
+    live = live & (inside >= F(0.0)) & (determinant > F(0.0))
+    inside = sel(live, inside, F(0.0))
+    one = spread(F(1.0))
+    root_yy, root_determinant = sqrt(yy), sqrt(determinant)
+    l11 = one / root_yy * ROOT
+    l00 = root_yy / root_determinant * ROOT
+    l01 = neg(xy) / (root_yy * root_determinant) * ROOT
+
+    # The box of the ellipse in blocks whose pixel centres it can contain.
+    root = sqrt(inside) * (one / ROOT)
+    root_xx = sqrt(xx)
+    radius_x, radius_y = root * root_xx + SLACK, root * root_yy + SLACK
+    far = spread(F(1e6))
+    quarter = F(0.25)
+    box_x0 = _most(ceil((_most(u - radius_x, neg(far)) - F(3.5)) * quarter), spread(F(0.0)))
+    box_y0 = _most(ceil((_most(v - radius_y, neg(far)) - F(3.5)) * quarter), spread(F(0.0)))
+    box_x1 = _least(floor((_least(u + radius_x, far) - F(0.5)) * quarter), spread(F(grid[BLOCKS_X] - 1)))
+    box_y1 = _least(floor((_least(v + radius_y, far) - F(0.5)) * quarter), spread(F(grid[BLOCKS_Y] - 1)))
+    live = live & (box_x0 <= box_x1) & (box_y0 <= box_y1)
+    if bits(live) == 0:
+        return np.int64(0)
+
+    # One byte of blocks per band of four pixel rows, from the ellipse's x-interval over the band.
+    skew, half = l01 / l00, one / l00
+    turning = xy / root_xx * root  # dy of the rightmost point
+    low = int_bits(spread(F(0.0)))
+    high = low
+    ones = low + np.int32(1)
+    for band in range(8):
+        top = fma(box_y0 + F(band), F(4.0), F(0.5)) - v
+        from_y, to_y = _most(top, neg(radius_y)), _least(top + F(3.0), radius_y)
+        at = _clamped(turning, from_y, to_y)
+        step = l11 * at
+        right = u - skew * at + half * sqrt(_most(inside - step * step, spread(F(0.0)))) + SLACK
+        at = _clamped(neg(turning), from_y, to_y)
+        step = l11 * at
+        left = u - skew * at - half * sqrt(_most(inside - step * step, spread(F(0.0)))) - SLACK
+        first = _most(ceil((left - F(3.5)) * quarter), box_x0) - box_x0
+        last = _least(floor((right - F(0.5)) * quarter), box_x1) - box_x0
+        some = (from_y <= to_y) & (first <= last) & (box_y0 + F(band) <= box_y1)
+        first, last = _least(first, spread(F(8.0))), _clamped(last, spread(F(0.0)), spread(F(7.0)))
+        byte = ((ones + ones) << to_int(last)) - (ones << to_int(first))
+        byte = sel(some, byte, np.int32(0))
+        if band < 4:
+            low = low | (byte << np.int32(8 * band))
+        else:
+            high = high | (byte << np.int32(8 * band - 32))
+    box_x = to_int(box_x0) + (to_int(box_x1) << np.int32(16))
+    box_y = to_int(box_y0) + (to_int(box_y1) << np.int32(16))
+    store_transposed(
+        records, RECORD * i,
+        (
+            u, v, l00, l01, l11, log_opacity,
+            load(parameters, 11 * capacity + i), load(parameters, 12 * capacity + i),
+            load(parameters, 13 * capacity + i), z,
+            float_bits(box_x), float_bits(box_y), float_bits(low), float_bits(high),
+        ),
+    )  # fmt: skip
+    return bits(live)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Which tiles a Gaussian reaches.
+
+_U64 = np.uint64
+_COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in range(8)], np.uint64)
+
+
+@njit
+def _reach_of_large(records, base, tile_x, tile_y, last_x):
+    """Blocks of a tile that an ellipse larger than 8 x 8 blocks touches; scalar, the same intervals as the bitmap."""
+    u, v = peek(records, base + U), peek(records, base + V)
+    l00, l01, l11 = peek(records, base + L00), peek(records, base + L01), peek(records, base + L11)
+    inside = peek(records, base + LOG_OPACITY) + LOG2_255
+    root = np.sqrt(max(inside, F(0.0)))
+    radius_y = root / l11 + SLACK
+    width = np.sqrt(l01 * l01 + l11 * l11)
+    turning = -l01 * root / (l11 * width)
+    reach = _U64(0)
+    for band in range(8):
+        top = F(4 * (8 * tile_y + band)) + F(0.5) - v
+        from_y, to_y = max(top, -radius_y), min(top + F(3.0), radius_y)
+        if from_y > to_y:
+            continue
+        at = min(max(turning, from_y), to_y)
+        right = u - l01 / l00 * at + np.sqrt(max(inside - l11 * at * l11 * at, F(0.0))) / l00 + SLACK
+        at = min(max(-turning, from_y), to_y)
+        left = u - l01 / l00 * at - np.sqrt(max(inside - l11 * at * l11 * at, F(0.0))) / l00 - SLACK
+        origin = F(TILE * tile_x)
+        first = np.int64(max(np.ceil((max(left - origin, F(-1e6)) - F(3.5)) * F(0.25)), F(0.0)))
+        last = np.int64(min(np.floor((min(right - origin, F(1e6)) - F(0.5)) * F(0.25)), F(min(7, last_x - 8 * tile_x))))
+        if first <= last:
+            reach |= _U64((2 << last) - (1 << first)) << _U64(8 * band)
+    return reach
+
+
+@_inline
+def _reach(records, base, x0, y0, x1, y1, tile_x, tile_y):
+    """The 64 blocks of a tile as bits: the Gaussian's own bitmap moved to the tile's corner."""
+    if x1 - x0 > 7 or y1 - y0 > 7:
+        return _reach_of_large(records, base, tile_x, tile_y, x1)
+    reach = _U64(peek_bits(records, base + BITMAP)) | (_U64(peek_bits(records, base + BITMAP + 1)) << _U64(32))
+    x, y = x0 - 8 * tile_x, y0 - 8 * tile_y
+    if y >= 0:
+        reach = reach << _U64(8 * y)
+    else:
+        reach = reach >> _U64(-8 * y)
+    if x >= 0:
+        return (reach & peek(_COLUMNS_KEPT, x)) << _U64(x)
+    return (reach >> _U64(-x)) & peek(_COLUMNS_KEPT, -x)
+
+
+@_inline
+def _box(records, base):
+    x, y = peek_bits(records, base + BOX_X), peek_bits(records, base + BOX_Y)
+    return x & 0xFFFF, y & 0xFFFF, x >> 16, y >> 16
+
+
+@njit
+def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries):
+    """Project 1024 Gaussians and count their entries per tile."""
+    tiles_x = grid[TILES_X]
+    tiles = tiles_x * grid[TILES_Y]
+    for tile in range(tiles):
+        poke(histogram, chunk * tiles + tile, np.int32(0))
+    entries = 0
+    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+        seen = _project_block(parameters, i, view, grid, records)
+        poke(visible, i // LANES, np.int32(seen))
+        while seen != 0:
+            base = RECORD * (i + lowest_bit(seen))
+            seen &= seen - 1
+            x0, y0, x1, y1 = _box(records, base)
+            for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
+                for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
+                    if _reach(records, base, x0, y0, x1, y1, tile_x, tile_y) != _U64(0):
+                        at = chunk * tiles + tile_y * tiles_x + tile_x
+                        poke(histogram, at, peek(histogram, at) + np.int32(1))
+                        entries += 1
+    chunk_entries[chunk] = entries
 
 
 @njit(cache=True, nogil=True)
-def _exp2(power):
-    """2 ** power for -126 < power < 127: nearest integer by exponent bits, the rest by a degree 5 minimax."""
-    whole = np.floor(power + F(0.5))
-    f = power - whole
-    value = F(1.3276472e-3)
-    value = value * f + F(9.6755413e-3)
-    value = value * f + F(5.5507133e-2)
-    value = value * f + F(0.24022120)
-    value = value * f + F(0.69314697)
-    value = value * f + F(1.00000007)
-    return value * np.int32((np.int32(whole) + np.int32(127)) << np.int32(23)).view(np.float32)
+def plan(grid, histogram, chunk_entries, tile_start):
+    """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots."""
+    tiles, chunks = grid[TILES_X] * grid[TILES_Y], grid[CHUNKS]
+    for tile in range(tiles + 1):
+        tile_start[tile] = 0
+    for chunk in range(chunks):
+        for tile in range(tiles):
+            tile_start[tile] += peek(histogram, chunk * tiles + tile)
+    total = 0
+    for tile in range(tiles + 1):
+        entries = tile_start[tile]
+        tile_start[tile] = total
+        total += entries
+    for chunk in range(chunks):
+        for tile in range(tiles):
+            entries = peek(histogram, chunk * tiles + tile)
+            poke(histogram, chunk * tiles + tile, np.int32(tile_start[tile]))
+            tile_start[tile] += entries
+    for tile in range(tiles, 0, -1):  # each start has moved to the next one's
+        tile_start[tile] = tile_start[tile - 1]
+    tile_start[0] = 0
+    slots = 0
+    for chunk in range(chunks):
+        entries = chunk_entries[chunk]
+        chunk_entries[chunk] = slots
+        slots += entries
+    return total
 
 
-@njit(cache=True, nogil=True)
-def _rotation(w, x, y, z):
-    two, one = F(2.0), F(1.0)
-    return (
-        one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
-        two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
-        two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
+@njit
+def _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries):
+    """Write the entries of a chunk; the slots of one Gaussian lie side by side."""
+    tiles_x = grid[TILES_X]
+    tiles, room = tiles_x * grid[TILES_Y], entries.shape[1]
+    slot = chunk_entries[chunk]
+    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+        seen = np.int64(peek(visible, i // LANES))
+        while seen != 0:
+            splat = i + lowest_bit(seen)
+            base = RECORD * splat
+            seen &= seen - 1
+            depth = _U64(peek_bits(records, base + DEPTH)) << _U64(32)
+            x0, y0, x1, y1 = _box(records, base)
+            poke_bits(records, base + SLOT, slot)
+            first = slot
+            for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
+                for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
+                    reach = _reach(records, base, x0, y0, x1, y1, tile_x, tile_y)
+                    if reach != _U64(0):
+                        counter = chunk * tiles + tile_y * tiles_x + tile_x
+                        at = np.int64(peek(histogram, counter))
+                        poke(histogram, counter, np.int32(at + 1))
+                        poke(entries, KEY * room + at, depth | _U64(at))
+                        poke(entries, REACH * room + at, reach)
+                        poke(entries, SPLAT_KEY * room + at, _U64(splat) | (_U64(slot) << _U64(32)))
+                        slot += 1
+            poke_bits(records, base + SLOTS, slot - first)
+
+
+@njit
+def _sort_tile(start, stop, entries, digits):
+    """Order the entries of a tile by depth, ties by index: radix on the float's bits (positive floats sort as such)."""
+    room = entries.shape[1]
+    source, target = KEY * room, KEY_2 * room
+    count = stop - start
+    if count <= 32:
+        for i in range(start + 1, stop):
+            key = peek(entries, source + i)
+            j = i - 1
+            while j >= start and peek(entries, source + j) > key:
+                poke(entries, source + j + 1, peek(entries, source + j))
+                j -= 1
+            poke(entries, source + j + 1, key)
+    else:
+        differ = _U64(0)
+        common = peek(entries, source + start)
+        for i in range(start, stop):
+            differ |= peek(entries, source + i) ^ common
+        for shift in range(32, 64, 8):
+            if (differ >> _U64(shift)) & _U64(255) == _U64(0):
+                continue  # a digit all keys share
+            for digit in range(256):
+                poke(digits, digit, np.int64(0))
+            for i in range(start, stop):
+                digit = np.int64((peek(entries, source + i) >> _U64(shift)) & _U64(255))
+                poke(digits, digit, peek(digits, digit) + 1)
+            place = start
+            for digit in range(256):
+                step = peek(digits, digit)
+                poke(digits, digit, place)
+                place += step
+            for i in range(start, stop):
+                key = peek(entries, source + i)
+                digit = np.int64((key >> _U64(shift)) & _U64(255))
+                place = peek(digits, digit)
+                poke(digits, digit, place + 1)
+                poke(entries, target + place, key)
+            source, target = target, source
+    for i in range(start, stop):
+        at = np.int64(peek(entries, source + i) & _U64(0xFFFFFFFF))
+        poke(entries, SORTED_REACH * room + i, peek(entries, REACH * room + at))
+        poke(entries, SORTED_SPLAT * room + i, peek(entries, SPLAT_KEY * room + at))
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Blending a tile, forwards and backwards. A pixel that has stopped keeps minus its transmittance.
+
+
+@_inline
+def _open_tile(tile, grid, state, width):
+    """Transmittance 1 in the image's pixels, -1 outside; returns the blocks with pixels as bits."""
+    tiles_x = grid[TILES_X]
+    alive = 0
+    for block in range(64):
+        x = TILE * (tile % tiles_x) + 4 * (block & 7)
+        y = TILE * (tile // tiles_x) + 4 * (block >> 3)
+        if x < grid[WIDTH] and y < grid[HEIGHT]:
+            alive |= 1 << block
+        inside = (lane_x() < F(grid[WIDTH] - x)) & (lane_y() < F(grid[HEIGHT] - y))
+        store(state, width * block, sel(inside, F(1.0), F(-1.0)))
+    return alive
+
+
+@_inline
+def _alpha(records, base, block, along, across, max_alpha):
+    """t, s, alpha (0 below 1/255) and which lanes are below the limit, for the 16 pixels of a block."""
+    bx, by = peek(_BLOCK_X, block), peek(_BLOCK_Y, block)
+    l11 = peek(records, base + L11)
+    t = fma(spread(peek(records, base + L00)), bx, fma(spread(peek(records, base + L01)), by, along))
+    s = fma(spread(l11), by, across)
+    power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
+    alpha = _exp2(power)
+    free = alpha <= max_alpha
+    alpha = sel(power >= neg(spread(LOG2_255)), _least(alpha, spread(max_alpha)), F(0.0))
+    return t, s, alpha, free
+
+
+def _make_blend(with_color):
+    """The forward kernel of a tile; scoring candidates leaves colour out."""
+    width = 80 if with_color else 32  # floats of state per block: transmittance, (r, g, b,) depth
+
+    @njit
+    def blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha):
+        room, tiles_x = entries.shape[1], grid[TILES_X]
+        x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
+        alive = _open_tile(tile, grid, state, width)
+        zero = spread(F(0.0))
+        for block in range(64):
+            for offset in range(width * block + LANES, width * (block + 1), LANES):
+                store(state, offset, zero)
+        max_alpha = view[MAX_ALPHA]
+        for entry in range(start, stop):
+            if alive == 0:
+                break
+            reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
+            if reach == 0:
+                continue
+            base = RECORD * np.int64(peek(entries, SORTED_SPLAT * room + entry) & _U64(0xFFFFFFFF))
+            dx, dy = lane_x() - (peek(records, base + U) - F(x)), lane_y() - (peek(records, base + V) - F(y))
+            along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
+            across = dy * peek(records, base + L11)
+            z = spread(peek(records, base + DEPTH))
+            r, g, b = (
+                spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
+                spread(peek(records, base + BLUE)),
+            )  # fmt: skip
+            while reach != 0:
+                block = lowest_bit(reach)
+                reach &= reach - 1
+                at = width * block
+                _, _, opaque, _ = _alpha(records, base, block, along, across, max_alpha)
+                before = load(state, at)
+                after = fma(neg(opaque), before, before)
+                goes_on = after > MIN_TRANSMITTANCE
+                weight = sel(goes_on, opaque * before, F(0.0))
+                if bits(goes_on) != 0xFFFF:
+                    after = sel(goes_on, after, _least(before, neg(before)))
+                    if bits(after > F(0.0)) == 0:
+                        alive &= ~(1 << block)
+                store(state, at, after)
+                store(state, at + 16, fma(weight, z, load(state, at + 16)))
+                if with_color:
+                    store(state, at + 32, fma(weight, r, load(state, at + 32)))
+                    store(state, at + 48, fma(weight, g, load(state, at + 48)))
+                    store(state, at + 64, fma(weight, b, load(state, at + 64)))
+        for row in range(min(TILE, grid[HEIGHT] - y)):
+            for column in range(min(TILE, grid[WIDTH] - x)):
+                at = width * (8 * (row >> 2) + (column >> 2)) + 4 * (row & 3) + (column & 3)
+                pixel = (y + row) * grid[WIDTH] + x + column
+                poke(alpha, pixel, F(1.0) - abs(peek(state, at)))
+                poke(depth, pixel, peek(state, at + 16))
+                if with_color:
+                    place = (y + row) * grid[STRIDE] + grid[MARGIN] + 3 * (x + column)
+                    poke(color, place, peek(state, at + 32))
+                    poke(color, place + 1, peek(state, at + 48))
+                    poke(color, place + 2, peek(state, at + 64))
+
+    return blend_tile
+
+
+_blend_tile = _make_blend(True)
+_blend_tile_without_color = _make_blend(False)
+
+
+@njit
+def _unblend_tile(
+    tile, start, stop, entries, records, view, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, slots
+):
+    """Front to back: the rest R = C.gC + D gD + A gA loses each Gaussian's share as it passes (no division, no order
+    reversal), and v = alpha dL/dalpha = w s - alpha / (1 - alpha) R with s = c.gC + z gD + gA.
+    """
+    width = 112  # transmittance, rest, gradient by r, g, b, depth, alpha
+    room, tiles_x = entries.shape[1], grid[TILES_X]
+    x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
+    alive = _open_tile(tile, grid, state, width)
+    zero = spread(F(0.0))
+    for block in range(64):
+        for offset in range(width * block + LANES, width * (block + 1), LANES):
+            store(state, offset, zero)
+    for row in range(min(TILE, grid[HEIGHT] - y)):
+        for column in range(min(TILE, grid[WIDTH] - x)):
+            at = width * (8 * (row >> 2) + (column >> 2)) + 4 * (row & 3) + (column & 3)
+            pixel = (y + row) * grid[WIDTH] + x + column
+            place = (y + row) * grid[STRIDE] + grid[MARGIN] + 3 * (x + column)
+            rest = peek(depth, pixel) * peek(by_depth, pixel) + peek(alpha, pixel) * peek(by_alpha, pixel)
+            poke(state, at + 80, peek(by_depth, pixel))
+            poke(state, at + 96, peek(by_alpha, pixel))
+            for channel in range(3):
+                gradient = peek(by_color, place + channel)
+                rest += gradient * peek(color, place + channel)
+                poke(state, at + 32 + 16 * channel, gradient)
+            poke(state, at + 16, rest)
+    max_alpha = view[MAX_ALPHA]
+    for entry in range(start, stop):
+        packed = peek(entries, SORTED_SPLAT * room + entry)
+        slot = LANES * np.int64(packed >> _U64(32))
+        reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
+        if reach == 0:
+            store(slots, slot, zero)
+            continue
+        base = RECORD * np.int64(packed & _U64(0xFFFFFFFF))
+        dx, dy = lane_x() - (peek(records, base + U) - F(x)), lane_y() - (peek(records, base + V) - F(y))
+        along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
+        across = dy * peek(records, base + L11)
+        r, g, b, z = (
+            spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
+            spread(peek(records, base + BLUE)), spread(peek(records, base + DEPTH)),
+        )  # fmt: skip
+        m0, m1, m2, m3, m4, m5 = zero, zero, zero, zero, zero, zero
+        w_r, w_g, w_b, w_z, w_all = zero, zero, zero, zero, zero
+        while reach != 0:
+            block = lowest_bit(reach)
+            reach &= reach - 1
+            at = width * block
+            t, s, opaque, free = _alpha(records, base, block, along, across, max_alpha)
+            before = load(state, at)
+            after = fma(neg(opaque), before, before)
+            goes_on = after > MIN_TRANSMITTANCE
+            weight = sel(goes_on, opaque * before, F(0.0))
+            if bits(goes_on) != 0xFFFF:
+                after = sel(goes_on, after, _least(before, neg(before)))
+                if bits(after > F(0.0)) == 0:
+                    alive &= ~(1 << block)
+            store(state, at, after)
+            g_r, g_g, g_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+            g_z = load(state, at + 80)
+            term = weight * fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, load(state, at + 96)))))
+            rest = load(state, at + 16) - term
+            store(state, at + 16, rest)
+            w_r, w_g, w_b = fma(weight, g_r, w_r), fma(weight, g_g, w_g), fma(weight, g_b, w_b)
+            w_z, w_all = fma(weight, g_z, w_z), w_all + weight
+            v = term - opaque / (F(1.0) - opaque) * rest
+            v = sel(goes_on & free, v, F(0.0))
+            vt, vs = v * t, v * s
+            m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
+            m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
+        store(slots, slot, sums((m0, m1, m2, m3, m4, m5, w_r, w_g, w_b, w_z, w_all)))
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# From the slots back to the parameters.
+
+
+@_inline
+def _add_outer(pose, seen, a0, a1, a2, b0, b1, b2):
+    """pose[3 j + k] += a_j b_k in the lanes that count."""
+    a0, a1, a2 = sel(seen, a0, F(0.0)), sel(seen, a1, F(0.0)), sel(seen, a2, F(0.0))
+    b0, b1, b2 = sel(seen, b0, F(0.0)), sel(seen, b1, F(0.0)), sel(seen, b2, F(0.0))
+    store(pose, 0, fma(a0, b0, load(pose, 0)))
+    store(pose, LANES, fma(a0, b1, load(pose, LANES)))
+    store(pose, LANES * 2, fma(a0, b2, load(pose, LANES * 2)))
+    store(pose, LANES * 3, fma(a1, b0, load(pose, LANES * 3)))
+    store(pose, LANES * 4, fma(a1, b1, load(pose, LANES * 4)))
+    store(pose, LANES * 5, fma(a1, b2, load(pose, LANES * 5)))
+    store(pose, LANES * 6, fma(a2, b0, load(pose, LANES * 6)))
+    store(pose, LANES * 7, fma(a2, b1, load(pose, LANES * 7)))
+    store(pose, LANES * 8, fma(a2, b2, load(pose, LANES * 8)))
+
+
+@_inline
+def _axis_gradient(axis, scale, row, covariance, lens, view, seen, gradient, pose):
+    """One axis of the Gaussian: writes the derivative by its log-scale, adds to the pose's, returns the derivatives by
+    the axis' direction (3) and by J00, J02, J11, J12.
+    """
+    s00, s01, s11 = covariance
+    j00, j02, j11, j12 = lens
+    k0, k1, k2 = axis[0] * scale, axis[1] * scale, axis[2] * scale
+    t0 = _dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))  # turned into the camera
+    t1 = _dot3(k0, k1, k2, spread(view[4]), spread(view[5]), spread(view[6]))
+    t2 = _dot3(k0, k1, k2, spread(view[8]), spread(view[9]), spread(view[10]))
+    b0, b1 = fma(j02, t2, j00 * t0), fma(j12, t2, j11 * t1)
+    by_b0, by_b1 = fma(s01, b1, s00 * b0) * F(2.0), fma(s11, b1, s01 * b0) * F(2.0)
+    by_t0, by_t1, by_t2 = j00 * by_b0, j11 * by_b1, fma(j12, by_b1, j02 * by_b0)
+    _add_outer(pose, seen, by_t0, by_t1, by_t2, k0, k1, k2)
+    d0 = fma(by_t2, view[8], fma(by_t1, view[4], by_t0 * view[0]))
+    d1 = fma(by_t2, view[9], fma(by_t1, view[5], by_t0 * view[1]))
+    d2 = fma(by_t2, view[10], fma(by_t1, view[6], by_t0 * view[2]))
+    store(gradient, LANES * row, _dot3(k0, k1, k2, d0, d1, d2))
+    return d0 * scale, d1 * scale, d2 * scale, by_b0 * t0, by_b0 * t2, by_b1 * t1, by_b1 * t2
+
+
+@njit
+def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose):
+    """Derivatives of Gaussians i .. i + 15: into ``gradient [14 * 16]`` and, summed up, into ``pose [12 * 16]``.
+
+    ``sums_of [16 * 16]`` holds the sums of every Gaussian (zero for those without any). Returns which had a weight.
+    """
+    capacity = grid[CAPACITY]
+    m = load_sums(sums_of, 0)
+    seen = m[W_ALL] > F(0.0)
+    if bits(seen) == 0:
+        return np.int64(0)
+    record = load_transposed(records, RECORD * i)
+    l00, l01, l11 = sel(seen, record[L00], F(0.0)), sel(seen, record[L01], F(0.0)), sel(seen, record[L11], F(0.0))
+    by_u, by_v = l00 * m[VT] * LN_4, fma(l01, m[VT], l11 * m[VS]) * LN_4
+    half = F(0.5) * LN_4 * LN_4
+    first, second = fma(l01, m[VTT], l11 * m[VTS]), fma(l01, m[VTS], l11 * m[VSS])
+    s00, s01, s11 = l00 * l00 * m[VTT] * half, l00 * first * half, fma(l01, first, l11 * second) * half
+
+    x, y, z = _camera_point(parameters, capacity, i, view)
+    z = _most(z, spread(NEAR_PLANE))
+    inverse_z = spread(F(1.0)) / z
+    j00, j02, j11, j12, slope_x, slope_y = _jacobian(x, y, inverse_z, view)
+    (q0, q1, q2, q3), inverse_length, r = _rotation(parameters, capacity, i)
+    s0, s1, s2 = (
+        _scale(parameters, capacity, i, 0), _scale(parameters, capacity, i, 1), _scale(parameters, capacity, i, 2)
+    )  # fmt: skip
+    covariance, lens = (s00, s01, s11), (j00, j02, j11, j12)
+    h0, h3, h6, x00, x02, x11, x12 = _axis_gradient(
+        (r[0], r[3], r[6]), s0, 7, covariance, lens, view, seen, gradient, pose
+    )
+    h1, h4, h7, y00, y02, y11, y12 = _axis_gradient(
+        (r[1], r[4], r[7]), s1, 8, covariance, lens, view, seen, gradient, pose
+    )
+    h2, h5, h8, z00, z02, z11, z12 = _axis_gradient(
+        (r[2], r[5], r[8]), s2, 9, covariance, lens, view, seen, gradient, pose
+    )
+    by_j00, by_j02, by_j11, by_j12 = x00 + y00 + z00, x02 + y02 + z02, x11 + y11 + z11, x12 + y12 + z12
+    h = (h0, h1, h2, h3, h4, h5, h6, h7, h8)
+    g0 = fma(q1, h[7] - h[5], fma(q2, h[2] - h[6], q3 * (h[3] - h[1])))
+    g1 = fma(q2, h[3] + h[1], fma(q3, h[6] + h[2], fma(q0, h[7] - h[5], q1 * (h[4] + h[8]) * F(-2.0))))
+    g2 = fma(q1, h[3] + h[1], fma(q3, h[7] + h[5], fma(q0, h[2] - h[6], q2 * (h[0] + h[8]) * F(-2.0))))
+    g3 = fma(q1, h[6] + h[2], fma(q2, h[7] + h[5], fma(q0, h[3] - h[1], q3 * (h[0] + h[4]) * F(-2.0))))
+    along = fma(q0, g0, fma(q1, g1, fma(q2, g2, q3 * g3)))
+    twice = inverse_length + inverse_length
+    store(gradient, LANES * 3, (g0 - q0 * along) * twice)
+    store(gradient, LANES * 4, (g1 - q1 * along) * twice)
+    store(gradient, LANES * 5, (g2 - q2 * along) * twice)
+    store(gradient, LANES * 6, (g3 - q3 * along) * twice)
+
+    # The camera point: through the mean's pixel, the depth channel and the Jacobian.
+    square = inverse_z * inverse_z
+    f_x, f_y = square * view[FX], square * view[FY]
+    inside_x = (x * inverse_z >= view[LOW_X]) & (x * inverse_z <= view[HIGH_X])
+    inside_y = (y * inverse_z >= view[LOW_Y]) & (y * inverse_z <= view[HIGH_Y])
+    moved_x, moved_y = sel(inside_x, f_x * by_j02, F(0.0)), sel(inside_y, f_y * by_j12, F(0.0))
+    by_x, by_y = j00 * by_u - moved_x, j11 * by_v - moved_y
+    by_z = m[W_DEPTH] - fma(f_x, fma(x, by_u, by_j00), f_y * fma(y, by_v, by_j11))
+    # J02 = -fx clamp(x / z) / z: outside the clamp only its last factor moves.
+    by_z = by_z + fma(slope_x, fma(f_x, by_j02, moved_x), slope_y * fma(f_y, by_j12, moved_y))
+    mx, my, mz = load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i)
+    _add_outer(pose, seen, by_x, by_y, by_z, mx, my, mz)
+    store(pose, LANES * 9, load(pose, LANES * 9) + sel(seen, by_x, F(0.0)))
+    store(pose, LANES * 10, load(pose, LANES * 10) + sel(seen, by_y, F(0.0)))
+    store(pose, LANES * 11, load(pose, LANES * 11) + sel(seen, by_z, F(0.0)))
+    store(gradient, 0, fma(by_z, view[8], fma(by_y, view[4], by_x * view[0])))
+    store(gradient, LANES, fma(by_z, view[9], fma(by_y, view[5], by_x * view[1])))
+    store(gradient, LANES * 2, fma(by_z, view[10], fma(by_y, view[6], by_x * view[2])))
+    _, complement, _ = _opacity(parameters, capacity, i)
+    store(gradient, LANES * 10, complement * m[V_])
+    store(gradient, LANES * 11, m[W_RED])
+    store(gradient, LANES * 12, m[W_GREEN])
+    store(gradient, LANES * 13, m[W_BLUE])
+    return bits(seen)
+
+
+@njit
+def _step_chunk(
+    chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts,
+    scratch,
+):
+    """Gather the slots of 1024 Gaussians and either step them (Adam) or write their dense gradient.
+
+    ``rates [18]``: 14 learning rates, beta1, beta2, epsilon, and 1 for Adam or 0 for the gradient.
+    ``scratch [42 * 16]``: gathered sums, gradient, pose.
+    """
+    capacity, zero = grid[CAPACITY], spread(F(0.0))
+    sums_of, own, pose = scratch[: 16 * LANES], scratch[16 * LANES : 30 * LANES], scratch[30 * LANES :]
+    for k in range(12):
+        store(pose, LANES * k, zero)
+    beta1, beta2, epsilon, stepping = rates[14], rates[15], rates[16], rates[17] > F(0.0)
+    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+        seen = np.int64(peek(visible, i // LANES))
+        if seen == 0:
+            continue
+        for lane in range(LANES):
+            total = zero
+            if (seen >> lane) & 1:
+                base = RECORD * (i + lane)
+                slot = peek_bits(records, base + SLOT)
+                for at in range(slot, slot + peek_bits(records, base + SLOTS)):
+                    total = total + load(slots, LANES * at)
+            store(sums_of, LANES * lane, total)
+        seen = _splat_gradient(parameters, i, view, grid, records, sums_of, own, pose)
+        if seen == 0:
+            continue
+        mask = load_sums(sums_of, 0)[W_ALL] > F(0.0)
+        for row in range(ROWS):
+            g = sel(mask, load(own, LANES * row), F(0.0))
+            at = row * capacity + i
+            if not stepping:
+                store(gradient, at, g)
+                continue
+            # Differences are masked, not results: a select before a store becomes a slow masked store.
+            m, s = load(first_moment, at), load(second_moment, at)
+            m = m + sel(mask, (g - m) * (F(1.0) - beta1), F(0.0))
+            s = s + sel(mask, (g * g - s) * (F(1.0) - beta2), F(0.0))
+            store(first_moment, at, m)
+            store(second_moment, at, s)
+            step = m / (sqrt(s) + epsilon) * rates[row]
+            store(parameters, at, load(parameters, at) - sel(mask, step, F(0.0)))
+    store(
+        pose_parts, LANES * chunk,
+        sums((
+            load(pose, 0), load(pose, 16), load(pose, 32), load(pose, 48), load(pose, 64), load(pose, 80),
+            load(pose, 96), load(pose, 112), load(pose, 128), load(pose, 144), load(pose, 160), load(pose, 176),
+        )),
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def project(parameters, count, pose, lens, width, height, records):
-    """Fill ``records [count, 9]``; RADIUS_Y = -1 marks what cannot be seen."""
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    margin_x, margin_y = F(0.15) * F(width) / fx, F(0.15) * F(height) / fy
-    for i in range(count):
-        records[i, RADIUS_Y] = F(-1.0)
-        mx, my, mz = parameters[0, i], parameters[1, i], parameters[2, i]
-        x = pose[0, 0] * mx + pose[0, 1] * my + pose[0, 2] * mz + pose[0, 3]
-        y = pose[1, 0] * mx + pose[1, 1] * my + pose[1, 2] * mz + pose[1, 3]
-        z = pose[2, 0] * mx + pose[2, 1] * my + pose[2, 2] * mz + pose[2, 3]
-        if not z >= NEAR_PLANE:
-            continue
-        opacity = F(1.0) / (F(1.0) + np.exp(-parameters[10, i]))
-        log2_opacity = np.log2(opacity)
-        if not log2_opacity >= -LOG2_255:
-            continue
-        kx = min(max(x / z, -cx / fx - margin_x), (F(width) - cx) / fx + margin_x)
-        ky = min(max(y / z, -cy / fy - margin_y), (F(height) - cy) / fy + margin_y)
-        q0, q1, q2, q3 = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
-        norm = F(1.0) / np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-        r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation(q0 * norm, q1 * norm, q2 * norm, q3 * norm)
-        j00, j02, j11, j12 = fx / z, -fx * kx / z, fy / z, -fy * ky / z
-        xx, xy, yy, cross = BLUR_VARIANCE, F(0.0), BLUR_VARIANCE, F(0.0)
-        # Rows of J R (2x3), then times each column of Rq diag(s).
-        a0 = j00 * pose[0, 0] + j02 * pose[2, 0]
-        a1 = j00 * pose[0, 1] + j02 * pose[2, 1]
-        a2 = j00 * pose[0, 2] + j02 * pose[2, 2]
-        b0 = j11 * pose[1, 0] + j12 * pose[2, 0]
-        b1 = j11 * pose[1, 1] + j12 * pose[2, 1]
-        b2 = j11 * pose[1, 2] + j12 * pose[2, 2]
-        s0, s1, s2 = np.exp(parameters[7, i]), np.exp(parameters[8, i]), np.exp(parameters[9, i])
-        p0, p1, p2 = (a0 * r00 + a1 * r10 + a2 * r20) * s0, (a0 * r01 + a1 * r11 + a2 * r21) * s1, (
-            a0 * r02 + a1 * r12 + a2 * r22
-        ) * s2
-        n0, n1, n2 = (b0 * r00 + b1 * r10 + b2 * r20) * s0, (b0 * r01 + b1 * r11 + b2 * r21) * s1, (
-            b0 * r02 + b1 * r12 + b2 * r22
-        ) * s2
-        xx = p0 * p0 + p1 * p1 + p2 * p2
-        yy = n0 * n0 + n1 * n1 + n2 * n2
-        xy = p0 * n0 + p1 * n1 + p2 * n2
-        # |p x n|^2 instead of xx yy - xy^2: no cancellation for needles.
-        c0, c1, c2 = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0
-        cross = c0 * c0 + c1 * c1 + c2 * c2
-        determinant = cross + BLUR_VARIANCE * (xx + yy) + BLUR_VARIANCE * BLUR_VARIANCE
-        xx += BLUR_VARIANCE
-        yy += BLUR_VARIANCE
-        extent = F(2.0) * (log2_opacity + LOG2_255) / LOG2_E  # 2 ln(255 o)
-        radius_x, radius_y = np.sqrt(extent * xx), np.sqrt(extent * yy)
-        u, v = fx * x / z + cx, fy * y / z + cy
-        if not (u + radius_x > 0 and u - radius_x < width and v + radius_y > 0 and v - radius_y < height):
-            continue
-        inverse = F(1.0) / determinant
-        records[i, U], records[i, V], records[i, DEPTH] = u, v, z
-        records[i, XX], records[i, XY], records[i, YY] = yy * inverse, -xy * inverse, xx * inverse
-        records[i, LOG2_OPACITY], records[i, OPACITY] = log2_opacity, opacity
-        records[i, RADIUS_Y] = radius_y + F(1e-3)
+# ---------------------------------------------------------------------------------------------------------------------
+# Losses. Colour images here are rows of STRIDE floats: MARGIN zeros, the pixels interleaved, zeros; the blur of one
+# channel is then a blur with steps of three floats.
+
+_HALF_TAPS = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+_TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
+_C1, _C2 = F(0.01**2), F(0.03**2)
+# terms of a row: sums of |colour difference|, SSIM, |depth error|, and how many pixels have a depth to compare
+TERM_COLOR, TERM_SSIM, TERM_DEPTH, TERM_MEASURED, TERMS = range(5)
+
+
+@njit
+def _blur_along(buffer, at):
+    """Horizontal blur of one row buffer at 16 floats."""
+    total = load(buffer, at) * _TAPS[5]
+    for k in range(1, 6):
+        total = fma(load(buffer, at - 3 * k) + load(buffer, at + 3 * k), _TAPS[5 + k], total)
+    return total
+
+
+@njit
+def _ssim_row(row, grid, image, target, maps, buffers):
+    """Sum of SSIM over a row; its derivatives by mean, variance and covariance go to ``maps [3, H, STRIDE]``."""
+    height, stride, margin = grid[HEIGHT], grid[STRIDE], grid[MARGIN]
+    length = 3 * grid[WIDTH]
+    first, last = max(row - 5, 0), min(row + 6, height)
+    for column in range(margin, margin + length, LANES):
+        mean_x, mean_y = spread(F(0.0)), spread(F(0.0))
+        squares, product = mean_x, mean_x
+        for k in range(first, last):
+            x, y = load(image, k * stride + column), load(target, k * stride + column)
+            tap = spread(_TAPS[k - row + 5])
+            tap_x, tap_y = x * tap, y * tap
+            mean_x, mean_y = mean_x + tap_x, mean_y + tap_y
+            squares, product = fma(tap_x, x, fma(tap_y, y, squares)), fma(tap_x, y, product)
+        store(buffers, column, mean_x)
+        store(buffers, stride + column, mean_y)
+        store(buffers, 2 * stride + column, squares)
+        store(buffers, 3 * stride + column, product)
+    total = spread(F(0.0))
+    plane = height * stride
+    for column in range(margin, margin + length, LANES):
+        mx, my = _blur_along(buffers, column), _blur_along(buffers, stride + column)
+        squares = _blur_along(buffers, 2 * stride + column)
+        product = _blur_along(buffers, 3 * stride + column)
+        both = fma(mx, mx, my * my)
+        n1, n2 = fma(mx + mx, my, _C1), fma(product - mx * my, F(2.0), _C2)
+        d1, d2 = both + _C1, squares - both + _C2
+        inverse = spread(F(1.0)) / (d1 * d2)
+        value = n1 * n2 * inverse
+        inside = lane_index() < F(margin + length - column)
+        total = total + sel(inside, value, F(0.0))
+        by_mean = fma(my, (n2 - n1) * inverse, mx * value * ((d1 - d2) * inverse)) * F(2.0)
+        at = row * stride + column
+        store(maps, at, sel(inside, by_mean, F(0.0)))
+        store(maps, plane + at, sel(inside, neg(value * d1 * inverse), F(0.0)))
+        store(maps, 2 * plane + at, sel(inside, n1 * inverse * F(2.0), F(0.0)))
+    return _lane_sum(total)
+
+
+@njit
+def _lane_sum(vector):
+    parts = np.empty(LANES, np.float32)
+    store(parts, 0, vector)
+    total = F(0.0)
+    for lane in range(LANES):
+        total += parts[lane]
+    return total
+
+
+@njit
+def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, with_ssim):
+    """The loss terms of one row."""
+    at = TERMS * row
+    terms[at + TERM_SSIM] = _ssim_row(row, grid, image, target, maps, buffers) if with_ssim else F(0.0)
+    start = row * grid[STRIDE] + grid[MARGIN]
+    total = spread(F(0.0))
+    for column in range(start, start + 3 * grid[WIDTH], LANES):
+        difference = load(image, column) - load(target, column)  # both are 0 in the margin
+        total = total + _most(difference, neg(difference))
+    terms[at + TERM_COLOR] = _lane_sum(total)
+    error, measured = F(0.0), 0
+    for pixel in range(row * grid[WIDTH], (row + 1) * grid[WIDTH]):
+        if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > F(0.5):
+            error += abs(peek(depth, pixel) / peek(alpha, pixel) - peek(target_depth, pixel))
+            measured += 1
+    terms[at + TERM_DEPTH] = error
+    terms[at + TERM_MEASURED] = F(measured)
+
+
+@njit
+def _differentiate_row(
+    row, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha, buffers
+):
+    """The gradient image of one row. ``factors``: of sign(difference), of the SSIM gradient, of sign(depth error)."""
+    height, stride, margin = grid[HEIGHT], grid[STRIDE], grid[MARGIN]
+    length, plane = 3 * grid[WIDTH], height * stride
+    of_sign, of_ssim, of_depth = factors[0], factors[1], factors[2]
+    first, last = max(row - 5, 0), min(row + 6, height)
+    if of_ssim != F(0.0):
+        for column in range(margin, margin + length, LANES):
+            a, b, c = spread(F(0.0)), spread(F(0.0)), spread(F(0.0))
+            for k in range(first, last):
+                at, tap = k * stride + column, spread(_TAPS[k - row + 5])
+                a = fma(load(maps, at), tap, a)
+                b = fma(load(maps, plane + at), tap, b)
+                c = fma(load(maps, 2 * plane + at), tap, c)
+            store(buffers, column, a)
+            store(buffers, stride + column, b)
+            store(buffers, 2 * stride + column, c)
+    for column in range(margin, margin + length, LANES):
+        at = row * stride + column
+        x, y = load(image, at), load(target, at)
+        gradient = sel(x > y, of_sign, sel(x < y, neg(spread(of_sign)), F(0.0)))
+        if of_ssim != F(0.0):
+            by_mean = _blur_along(buffers, column)
+            by_variance = _blur_along(buffers, stride + column)
+            by_covariance = _blur_along(buffers, 2 * stride + column)
+            gradient = fma(fma(x + x, by_variance, fma(y, by_covariance, by_mean)), of_ssim, gradient)
+        store(by_color, at, sel(lane_index() < F(margin + length - column), gradient, F(0.0)))
+    for pixel in range(row * grid[WIDTH], (row + 1) * grid[WIDTH]):
+        of_pixel, of_alpha = F(0.0), F(0.0)
+        if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > F(0.5):
+            expected = peek(depth, pixel) / peek(alpha, pixel)
+            error = expected - peek(target_depth, pixel)
+            sign = of_depth if error > F(0.0) else -of_depth if error < F(0.0) else F(0.0)
+            of_pixel = sign / peek(alpha, pixel)
+            of_alpha = -of_pixel * expected
+        poke(by_depth, pixel, of_pixel)
+        poke(by_alpha, pixel, of_alpha)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Entry points: every thread calls the same one; tickets hand out the units of work.
 
 
 @njit(cache=True, nogil=True)
-def _row_range(record, row, width):
-    """First and last + 1 column of the row that the ellipse can reach."""
-    dy = F(row) + F(0.5) - record[V]
-    xx, xy, yy = record[XX], record[XY], record[YY]
-    extent = F(2.0) * (record[LOG2_OPACITY] + LOG2_255) / LOG2_E
-    skew = xy / xx
-    room = (extent - (yy - xy * skew) * dy * dy) / xx
-    if not room > 0:
-        if not room > F(-0.01) / xx:
-            return 0, 0
-        room = F(0.0)
-    half = np.sqrt(room) + F(0.01)
-    centre = record[U] - skew * dy
-    left, right = max(centre - half, F(0.0)), min(centre + half, F(width))
-    if right <= left:
-        return 0, 0
-    return np.int64(left), min(np.int64(right) + 1, width)
+def project(tickets, parameters, view, grid, records, visible, histogram, chunk_entries):
+    while True:
+        chunk = take_ticket(tickets, 0)
+        if chunk >= grid[CHUNKS]:
+            return
+        _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
 
 
 @njit(cache=True, nogil=True)
-def blend(records, order, colors, log2_max_alpha, image, depth, transmittance):
-    """Front to back. ``transmittance`` ends negative where the pixel stopped early."""
-    height, width = depth.shape
-    for i in order:
-        record = records[i]
-        z, r, g, b = record[DEPTH], colors[0, i], colors[1, i], colors[2, i]
-        scale = F(-0.5) * LOG2_E
-        xx, xy, yy = scale * record[XX], F(2.0) * scale * record[XY], scale * record[YY]
-        first = max(np.int64(record[V] - record[RADIUS_Y]), 0)
-        last = min(np.int64(max(record[V] + record[RADIUS_Y], F(0.0))) + 1, height)
-        for row in range(first, last):
-            start, stop = _row_range(record, row, width)
-            dy = F(row) + F(0.5) - record[V]
-            for column in range(start, stop):
-                before = transmittance[row, column]
-                dx = F(column) + F(0.5) - record[U]
-                power = record[LOG2_OPACITY] + (xx * dx + xy * dy) * dx + yy * dy * dy
-                if before < 0 or power < -LOG2_255:
-                    continue
-                weight = _exp2(min(power, log2_max_alpha)) * before
-                after = before - weight
-                if after <= MIN_TRANSMITTANCE:
-                    transmittance[row, column] = -before
-                    continue
-                transmittance[row, column] = after
-                image[row, column, 0] += weight * r
-                image[row, column, 1] += weight * g
-                image[row, column, 2] += weight * b
-                depth[row, column] += weight * z
+def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
+    while True:
+        chunk = take_ticket(tickets, 1)
+        if chunk >= grid[CHUNKS]:
+            return
+        _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
 
 
 @njit(cache=True, nogil=True)
-def blend_backward(records, order, colors, log2_max_alpha, by_image, by_depth, by_alpha, rest, transmittance, moments):
-    """Front to back again; ``rest`` starts as C.gC + D gD + A gA and loses each term as it passes.
-
-    ``moments [count, 11]``: sums of v = alpha dL/dalpha times (1, dx, dy, dx^2, dx dy, dy^2), of the weight times the
-    gradients of (r, g, b, depth), and of the weight.
-    """
-    height, width = by_depth.shape
-    for i in order:
-        record = records[i]
-        z, r, g, b = record[DEPTH], colors[0, i], colors[1, i], colors[2, i]
-        scale = F(-0.5) * LOG2_E
-        xx, xy, yy = scale * record[XX], F(2.0) * scale * record[XY], scale * record[YY]
-        first = max(np.int64(record[V] - record[RADIUS_Y]), 0)
-        last = min(np.int64(max(record[V] + record[RADIUS_Y], F(0.0))) + 1, height)
-        m = moments[i]
-        for row in range(first, last):
-            start, stop = _row_range(record, row, width)
-            dy = F(row) + F(0.5) - record[V]
-            for column in range(start, stop):
-                before = transmittance[row, column]
-                dx = F(column) + F(0.5) - record[U]
-                power = record[LOG2_OPACITY] + (xx * dx + xy * dy) * dx + yy * dy * dy
-                if before < 0 or power < -LOG2_255:
-                    continue
-                alpha = _exp2(min(power, log2_max_alpha))
-                weight = alpha * before
-                after = before - weight
-                if after <= MIN_TRANSMITTANCE:
-                    transmittance[row, column] = -before
-                    continue
-                transmittance[row, column] = after
-                g0, g1, g2 = by_image[row, column, 0], by_image[row, column, 1], by_image[row, column, 2]
-                gd = by_depth[row, column]
-                term = weight * (r * g0 + g * g1 + b * g2 + z * gd + by_alpha[row, column])
-                rest[row, column] -= term
-                m[6] += weight * g0
-                m[7] += weight * g1
-                m[8] += weight * g2
-                m[9] += weight * gd
-                m[10] += weight
-                if power <= log2_max_alpha:
-                    v = term - alpha / (F(1.0) - alpha) * rest[row, column]
-                    m[0] += v
-                    m[1] += v * dx
-                    m[2] += v * dy
-                    m[3] += v * dx * dx
-                    m[4] += v * dx * dy
-                    m[5] += v * dy * dy
+def blend(tickets, view, grid, records, tile_start, entries, color, depth, alpha):
+    state, digits = np.empty(64 * 80, np.float32), np.empty(256, np.int64)
+    while True:
+        tile = take_ticket(tickets, 2)
+        if tile >= grid[TILES_X] * grid[TILES_Y]:
+            return
+        start, stop = tile_start[tile], tile_start[tile + 1]
+        _sort_tile(start, stop, entries, digits)
+        _blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha)
 
 
 @njit(cache=True, nogil=True)
-def project_backward(parameters, order, records, moments, pose, lens, width, height, gradient, by_pose):
-    """From the moments of each Gaussian to ``gradient [14, count]`` and ``by_pose [3, 4]``."""
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    low_x, high_x = -cx / fx - F(0.15) * F(width) / fx, (F(width) - cx) / fx + F(0.15) * F(width) / fx
-    low_y, high_y = -cy / fy - F(0.15) * F(height) / fy, (F(height) - cy) / fy + F(0.15) * F(height) / fy
-    half, two = F(0.5), F(2.0)
-    rotation, scaled = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
-    turned, by_turned = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
-    by_scaled, by_point = np.empty((3, 3), np.float32), np.empty(3, np.float32)
-    for i in order:
-        m = moments[i]
-        if not m[10] > 0:
-            continue
-        p00, p01, p11 = records[i, XX], records[i, XY], records[i, YY]
-        # dL/d mean2d = P S1, dL/d covariance = 1/2 P S2 P (dx is pixel minus mean).
-        by_u, by_v = p00 * m[1] + p01 * m[2], p01 * m[1] + p11 * m[2]
-        t00, t01 = p00 * m[3] + p01 * m[4], p00 * m[4] + p01 * m[5]
-        t10, t11 = p01 * m[3] + p11 * m[4], p01 * m[4] + p11 * m[5]
-        s00, s01, s11 = half * (t00 * p00 + t01 * p01), half * (t00 * p01 + t01 * p11), half * (t10 * p01 + t11 * p11)
-        gradient[10, i] = (F(1.0) - records[i, OPACITY]) * m[0]
-        gradient[11, i], gradient[12, i], gradient[13, i] = m[6], m[7], m[8]
+def compare(tickets, grid, image, depth, alpha, target, target_depth, maps, terms, with_ssim):
+    buffers = np.zeros(4 * grid[STRIDE], np.float32)
+    while True:
+        row = 8 * take_ticket(tickets, 3)
+        if row >= grid[HEIGHT]:
+            return
+        for own in range(row, min(row + 8, grid[HEIGHT])):
+            _compare_row(own, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, with_ssim)
 
-        x = pose[0, 0] * parameters[0, i] + pose[0, 1] * parameters[1, i] + pose[0, 2] * parameters[2, i] + pose[0, 3]
-        y = pose[1, 0] * parameters[0, i] + pose[1, 1] * parameters[1, i] + pose[1, 2] * parameters[2, i] + pose[1, 3]
-        z = records[i, DEPTH]
-        q0, q1, q2, q3 = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
-        norm = F(1.0) / np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-        q0, q1, q2, q3 = q0 * norm, q1 * norm, q2 * norm, q3 * norm
-        (
-            rotation[0, 0], rotation[0, 1], rotation[0, 2],
-            rotation[1, 0], rotation[1, 1], rotation[1, 2],
-            rotation[2, 0], rotation[2, 1], rotation[2, 2],
-        ) = _rotation(q0, q1, q2, q3)  # fmt: skip
-        for k in range(3):
-            scale = np.exp(parameters[7 + k, i])
-            for j in range(3):
-                scaled[j, k] = rotation[j, k] * scale
-        for j in range(3):
-            for k in range(3):
-                turned[j, k] = pose[j, 0] * scaled[0, k] + pose[j, 1] * scaled[1, k] + pose[j, 2] * scaled[2, k]
-        inside_x, inside_y = low_x <= x / z <= high_x, low_y <= y / z <= high_y
-        tx, ty = min(max(x / z, low_x), high_x), min(max(y / z, low_y), high_y)
-        j00, j02, j11, j12 = fx / z, -fx * tx / z, fy / z, -fy * ty / z
-        by_j00, by_j02, by_j11, by_j12 = F(0.0), F(0.0), F(0.0), F(0.0)
-        for k in range(3):
-            b0 = j00 * turned[0, k] + j02 * turned[2, k]
-            b1 = j11 * turned[1, k] + j12 * turned[2, k]
-            by_b0, by_b1 = two * (s00 * b0 + s01 * b1), two * (s01 * b0 + s11 * b1)
-            by_turned[0, k], by_turned[1, k], by_turned[2, k] = j00 * by_b0, j11 * by_b1, j02 * by_b0 + j12 * by_b1
-            by_j00 += by_b0 * turned[0, k]
-            by_j02 += by_b0 * turned[2, k]
-            by_j11 += by_b1 * turned[1, k]
-            by_j12 += by_b1 * turned[2, k]
-        by_point[0], by_point[1] = fx / z * by_u, fy / z * by_v
-        by_point[2] = m[9] - (fx * x * by_u + fy * y * by_v + fx * by_j00 + fy * by_j11) / (z * z)
-        # j02 = -fx clamp(x/z) / z: inside both factors move, outside only the last.
-        by_point[2] += (fx * tx * by_j02 + fy * ty * by_j12) / (z * z)
-        if inside_x:
-            by_point[0] -= fx / (z * z) * by_j02
-            by_point[2] += fx * tx / (z * z) * by_j02
-        if inside_y:
-            by_point[1] -= fy / (z * z) * by_j12
-            by_point[2] += fy * ty / (z * z) * by_j12
-        for j in range(3):
-            by_pose[j, 3] += by_point[j]
-            gradient[j, i] = pose[0, j] * by_point[0] + pose[1, j] * by_point[1] + pose[2, j] * by_point[2]
-            for k in range(3):
-                by_pose[j, k] += by_point[j] * parameters[k, i]
-                for n in range(3):
-                    by_pose[j, k] += by_turned[j, n] * scaled[k, n]
-                by_scaled[j, k] = (
-                    pose[0, j] * by_turned[0, k] + pose[1, j] * by_turned[1, k] + pose[2, j] * by_turned[2, k]
-                )
-        for k in range(3):
-            gradient[7 + k, i] = (
-                scaled[0, k] * by_scaled[0, k] + scaled[1, k] * by_scaled[1, k] + scaled[2, k] * by_scaled[2, k]
+
+@njit(cache=True, nogil=True)
+def differentiate(
+    tickets, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha
+):
+    buffers = np.zeros(4 * grid[STRIDE], np.float32)
+    while True:
+        row = 8 * take_ticket(tickets, 4)
+        if row >= grid[HEIGHT]:
+            return
+        for own in range(row, min(row + 8, grid[HEIGHT])):
+            _differentiate_row(
+                own, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha,
+                buffers,
+            )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def unblend(
+    tickets, view, grid, records, tile_start, entries, color, depth, alpha, by_color, by_depth, by_alpha, slots
+):
+    state = np.empty(64 * 112, np.float32)
+    while True:
+        tile = take_ticket(tickets, 5)
+        if tile >= grid[TILES_X] * grid[TILES_Y]:
+            return
+        _unblend_tile(
+            tile, tile_start[tile], tile_start[tile + 1], entries, records, view, grid, state, color, depth, alpha,
+            by_color, by_depth, by_alpha, slots,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def step(
+    tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts
+):
+    scratch = np.empty(42 * LANES, np.float32)
+    while True:
+        chunk = take_ticket(tickets, 6)
+        if chunk >= grid[CHUNKS]:
+            return
+        _step_chunk(
+            chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
+            pose_parts, scratch,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def score(tickets, parameters, views, grid, depth, alpha):
+    """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
+    chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]
+    records = np.empty(max(grid[COUNT] + LANES, 1) * RECORD, np.float32)
+    visible = np.empty(chunks * (CHUNK // LANES), np.int32)
+    histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
+    tile_start, digits = np.empty(tiles + 1, np.int64), np.empty(256, np.int64)
+    state, no_color = np.empty(64 * 32, np.float32), np.empty(0, np.float32)
+    entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
+    pixels = grid[WIDTH] * grid[HEIGHT]
+    while True:
+        camera = take_ticket(tickets, 0)
+        if camera >= views.shape[0]:
+            return
+        view = views[camera]
+        for chunk in range(chunks):
+            _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
+        total = plan(grid, histogram, chunk_entries, tile_start)
+        if total > entries.shape[1]:
+            entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
+        for chunk in range(chunks):
+            _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
+        own_depth = depth[camera * pixels : (camera + 1) * pixels]
+        own_alpha = alpha[camera * pixels : (camera + 1) * pixels]
+        for tile in range(tiles):
+            start, stop = tile_start[tile], tile_start[tile + 1]
+            _sort_tile(start, stop, entries, digits)
+            _blend_tile_without_color(
+                tile, start, stop, entries, records, view, grid, state, no_color, own_depth, own_alpha
             )
-            scale = np.exp(parameters[7 + k, i])
-            for j in range(3):
-                by_scaled[j, k] *= scale  # now the derivative by the rotation
-        h = by_scaled
-        gw = two * (q1 * (h[2, 1] - h[1, 2]) + q2 * (h[0, 2] - h[2, 0]) + q3 * (h[1, 0] - h[0, 1]))
-        gx = two * (
-            -two * q1 * (h[1, 1] + h[2, 2]) + q2 * (h[1, 0] + h[0, 1]) + q3 * (h[2, 0] + h[0, 2])
-            + q0 * (h[2, 1] - h[1, 2])
-        )
-        gy = two * (
-            q1 * (h[1, 0] + h[0, 1]) - two * q2 * (h[0, 0] + h[2, 2]) + q3 * (h[2, 1] + h[1, 2])
-            + q0 * (h[0, 2] - h[2, 0])
-        )
-        gz = two * (
-            q1 * (h[2, 0] + h[0, 2]) + q2 * (h[2, 1] + h[1, 2]) - two * q3 * (h[0, 0] + h[1, 1])
-            + q0 * (h[1, 0] - h[0, 1])
-        )
-        along = q0 * gw + q1 * gx + q2 * gy + q3 * gz
-        gradient[3, i], gradient[4, i] = (gw - q0 * along) * norm, (gx - q1 * along) * norm
-        gradient[5, i], gradient[6, i] = (gy - q2 * along) * norm, (gz - q3 * along) * norm
-
-
-@njit(cache=True, nogil=True)
-def adam(parameters, first, second, order, moments, gradient, rates, beta1, beta2, epsilon):
-    """Visible-only Adam without bias correction: Gaussians with a weight in some pixel move, the rest stand still."""
-    one = F(1.0)
-    for i in order:
-        if not moments[i, 10] > 0:
-            continue
-        for row in range(14):
-            g = gradient[row, i]
-            m = beta1 * first[row, i] + (one - beta1) * g
-            s = beta2 * second[row, i] + (one - beta2) * g * g
-            first[row, i], second[row, i] = m, s
-            parameters[row, i] -= rates[row] * m / (np.sqrt(s) + epsilon)

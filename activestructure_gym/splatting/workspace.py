@@ -1,0 +1,227 @@
+"""Buffers of one rendering and the order in which the kernels run on them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting.crew import CREW, default_threads
+
+MAX_ALPHA = 0.999
+_NO_FLOATS = np.empty(0, np.float32)
+
+
+def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: float = MAX_ALPHA) -> np.ndarray:
+    """The floats of a camera as the kernels read them (``kernels.POSE ...``)."""
+    view = np.empty(k.VIEW_SIZE, np.float32)
+    view[: k.FX] = np.asarray(camera_from_world, dtype=np.float64)[:3].reshape(-1)
+    view[k.FX : k.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
+    margin_x, margin_y = 0.5 * k.CLAMP_MARGIN * camera.width, 0.5 * k.CLAMP_MARGIN * camera.height
+    view[k.LOW_X] = (-camera.cx - margin_x) / camera.fx
+    view[k.HIGH_X] = (camera.width - camera.cx + margin_x) / camera.fx
+    view[k.LOW_Y] = (-camera.cy - margin_y) / camera.fy
+    view[k.HIGH_Y] = (camera.height - camera.cy + margin_y) / camera.fy
+    view[k.MAX_ALPHA] = max_alpha
+    return view
+
+
+def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
+    """The integers of a rendering as the kernels read them (``kernels.COUNT ...``)."""
+    grid = np.empty(k.GRID_SIZE, np.int64)
+    grid[k.COUNT], grid[k.CAPACITY], grid[k.WIDTH], grid[k.HEIGHT] = count, capacity, camera.width, camera.height
+    grid[k.TILES_X], grid[k.TILES_Y] = -(-camera.width // k.TILE), -(-camera.height // k.TILE)
+    grid[k.BLOCKS_X], grid[k.BLOCKS_Y] = -(-camera.width // 4), -(-camera.height // 4)
+    grid[k.CHUNKS] = -(-count // k.CHUNK)
+    grid[k.MARGIN] = k.LANES
+    grid[k.STRIDE] = 2 * k.LANES + k.LANES * -(-3 * camera.width // k.LANES)
+    return grid
+
+
+def fitted(parameters: np.ndarray) -> np.ndarray:
+    """The array itself if the kernels can use it as it is, else a copy padded to a multiple of 16 columns."""
+    rows, columns = parameters.shape
+    if columns % k.LANES == 0 and parameters.flags.c_contiguous and parameters.flags.writeable:
+        return parameters
+    padded = np.zeros((rows, -(-columns // k.LANES) * k.LANES), np.float32)
+    padded[:, :columns] = parameters
+    return padded
+
+
+def flat(image: np.ndarray) -> np.ndarray:
+    """A plain float32 vector: numba would compile another kernel for read-only or strided ones."""
+    return np.require(image, np.float32, ["C", "W"]).reshape(-1)
+
+
+class Workspace:
+    """Reused between renderings: grows, never shrinks, allocates nothing in a steady state."""
+
+    def __init__(self) -> None:
+        self._buffers: dict[str, np.ndarray] = {}
+        self.tickets = np.zeros(8, np.int64)
+        self.entries = np.empty((k.ENTRY_ROWS, 0), np.uint64)
+
+    def _buffer(self, name: str, size: int, dtype: type = np.float32) -> np.ndarray:
+        """A flat buffer of at least ``size`` elements; zero when new."""
+        buffer = self._buffers.get(name)
+        if buffer is None or len(buffer) < size:
+            buffer = self._buffers[name] = np.zeros(size + size // 4, dtype)
+        return buffer
+
+    def _image(self, name: str) -> np.ndarray:
+        """A padded colour image; its margins must be zero, so another size means a new buffer."""
+        shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
+        name = f"{name} {shape}"
+        if name not in self._buffers:
+            self._buffers[name] = np.zeros(shape[0] * shape[1], np.float32)
+        return self._buffers[name]
+
+    def render(
+        self,
+        parameters: np.ndarray,  # [14, capacity] float32, capacity a multiple of 16
+        count: int,
+        camera: PinholeCamera,
+        camera_from_world: np.ndarray,  # [4, 4]
+        *,
+        max_alpha: float = MAX_ALPHA,
+        threads: int | None = None,
+    ) -> None:
+        """Forward: fills ``color`` (padded), ``depth`` and ``alpha`` and keeps what the backward pass needs."""
+        self.threads = threads or default_threads()
+        self.parameters, self.camera = parameters, camera
+        self.view = make_view(camera, camera_from_world, max_alpha)
+        self.grid = grid = make_grid(count, parameters.shape[1], camera)
+        chunks, tiles = int(grid[k.CHUNKS]), int(grid[k.TILES_X] * grid[k.TILES_Y])
+        pixels = camera.width * camera.height
+        self.records = self._buffer("records", chunks * k.CHUNK * k.RECORD)
+        self.visible = self._buffer("visible", chunks * k.CHUNK // k.LANES, np.int32)
+        histogram = self._buffer("histogram", chunks * tiles, np.int32)
+        chunk_entries = self._buffer("chunk entries", chunks, np.int64)
+        self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
+        self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
+        self.color = self._image("color")
+        self.tickets[:] = 0
+        found = (self.records, self.visible, histogram, chunk_entries)
+        self._run(k.project, parameters, self.view, grid, *found)
+        self.total = k.plan(grid, histogram, chunk_entries, self.tile_start)
+        if self.total > self.entries.shape[1]:
+            self.entries = np.empty((k.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
+        self._run(k.fill, grid, *found, self.entries)
+        self._run(
+            k.blend, self.view, grid, self.records, self.tile_start, self.entries, self.color, self.depth, self.alpha
+        )
+
+    def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
+        height, width = self.camera.height, self.camera.width
+        shape, pixels = (height, width), height * width
+        return (
+            self.pixels_of(self.color),
+            self.depth[:pixels].reshape(shape).copy(),
+            self.alpha[:pixels].reshape(shape).copy(),
+        )
+
+    def show(self, image: np.ndarray, camera: PinholeCamera, *, threads: int | None = None) -> None:
+        """Take ``image [H, W, 3]`` as if it had been rendered, over nothing (for losses alone)."""
+        self.threads = threads or default_threads()
+        self.camera, self.grid = camera, make_grid(0, 0, camera)
+        self.tickets[:] = 0
+        self.color = self._padded("color", image)
+        self.depth = self._buffer("depth", camera.width * camera.height)
+        self.alpha = self._buffer("alpha", camera.width * camera.height)
+
+    def pixels_of(self, image: np.ndarray) -> np.ndarray:  # [H, W, 3], a copy
+        """A padded colour image without its margins."""
+        margin, width = int(self.grid[k.MARGIN]), self.camera.width
+        rows = image.reshape(self.camera.height, int(self.grid[k.STRIDE]))
+        return rows[:, margin : margin + 3 * width].copy().reshape(-1, width, 3)
+
+    def _padded(self, name: str, image: np.ndarray) -> np.ndarray:
+        """``image [H, W, 3]`` in the kernels' layout."""
+        margin, buffer = int(self.grid[k.MARGIN]), self._image(name)
+        rows = buffer.reshape(self.camera.height, int(self.grid[k.STRIDE]))
+        rows[:, margin : margin + 3 * self.camera.width] = np.asarray(image).reshape(self.camera.height, -1)
+        return buffer
+
+    def losses(
+        self,
+        target_rgb: np.ndarray,  # [H, W, 3] float32
+        target_depth: np.ndarray,  # [H, W] float32
+        of_color: float,  # weight of the mean |colour difference|
+        of_ssim: float,  # weight of 1 - SSIM
+        of_depth: float,  # weight of the mean |depth error|
+    ) -> tuple[float, float, float]:
+        """Mean colour difference, depth error and SSIM (nan if its weight is 0); fills the gradient images."""
+        height, width = self.camera.height, self.camera.width
+        target = self._padded("target", target_rgb)
+        target_depth = flat(target_depth)
+        maps = self._maps() if of_ssim else _NO_FLOATS
+        terms = self._buffer("terms", height * k.TERMS)
+        images = (self.color, self.depth, self.alpha, target, target_depth, maps)
+        self._run(k.compare, self.grid, *images, terms, bool(of_ssim))
+        sums = terms[: height * k.TERMS].reshape(height, k.TERMS).sum(axis=0, dtype=np.float64)
+        measured = max(1.0, sums[k.TERM_MEASURED])
+        values = 3 * height * width
+        factors = np.array([of_color / values, -of_ssim / values, of_depth / measured], np.float32)
+        self.by_color = self._image("by color")
+        self.by_depth = self._buffer("by depth", height * width)
+        self.by_alpha = self._buffer("by alpha", height * width)
+        self._run(k.differentiate, self.grid, *images, factors, self.by_color, self.by_depth, self.by_alpha)
+        ssim = sums[k.TERM_SSIM] / values if of_ssim else float("nan")
+        return sums[k.TERM_COLOR] / values, sums[k.TERM_DEPTH] / measured, ssim
+
+    def _maps(self) -> np.ndarray:
+        shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
+        name = f"maps {shape}"
+        if name not in self._buffers:
+            self._buffers[name] = np.zeros(3 * shape[0] * shape[1], np.float32)
+        return self._buffers[name]
+
+    def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
+        """Derivatives of any loss by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
+        self.by_color = self._padded("by color", by_color)
+        self.by_depth = flat(by_depth)
+        self.by_alpha = flat(by_alpha)
+
+    def backward(
+        self,
+        rates: np.ndarray,  # [18] float32: 14 learning rates, beta1, beta2, epsilon, 1 = Adam / 0 = gradient
+        first_moment: np.ndarray,  # [14, capacity] float32
+        second_moment: np.ndarray,  # [14, capacity] float32
+        gradient: np.ndarray,  # [14, capacity] float32, zeros
+    ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
+        """From the gradient images to an Adam step in place, or to ``gradient``."""
+        chunks = int(self.grid[k.CHUNKS])
+        slots = self._buffer("slots", self.total * k.LANES)
+        self.tickets[:] = 0
+        self._run(
+            k.unblend, self.view, self.grid, self.records, self.tile_start, self.entries, self.color, self.depth,
+            self.alpha, self.by_color, self.by_depth, self.by_alpha, slots,
+        )  # fmt: skip
+        pose_parts = self._buffer("pose parts", chunks * k.LANES)
+        self._run(
+            k.step, self.parameters, first_moment, second_moment, rates, self.view, self.grid, self.records,
+            self.visible, slots, gradient, pose_parts,
+        )  # fmt: skip
+        total = pose_parts[: chunks * k.LANES].reshape(chunks, k.LANES).sum(axis=0, dtype=np.float64)
+        ordered = total[[k.SUM_LANES.index(number) for number in range(12)]].astype(np.float32)
+        return np.concatenate([ordered[:9].reshape(3, 3), ordered[9:, None]], axis=1)
+
+    def _run(self, kernel, *arguments) -> None:
+        CREW.run(kernel, (self.tickets, *arguments), self.threads)
+
+
+class Lease:
+    """A workspace from the pool, given back when the lease is dropped (whoever needs the state keeps the lease)."""
+
+    _free: list[Workspace] = []  # list.append and list.pop are atomic
+
+    def __init__(self) -> None:
+        try:
+            self.workspace = Lease._free.pop()
+        except IndexError:
+            self.workspace = Workspace()
+
+    def __del__(self) -> None:
+        if len(Lease._free) < 4:
+            Lease._free.append(self.workspace)

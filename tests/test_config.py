@@ -1,0 +1,50 @@
+"""Presets, overrides, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from activestructure_gym.config import PRESETS, ReconstructionConfig, configure
+from activestructure_gym.errors import InputError
+
+
+def test_presets_differ_from_the_default_only_where_they_say_so() -> None:
+    assert configure() == configure("default") == ReconstructionConfig()
+    for name in PRESETS:
+        assert isinstance(configure(name), ReconstructionConfig)
+    assert configure("fast").sensor.width == 96
+    # The paper's sensor: 60 x 90 degrees at f = 600, 2000 frames.
+    paper = configure("paper")
+    camera = paper.sensor.camera
+    assert (camera.width, camera.height, paper.frame_budget) == (1200, 680, 2000)
+    assert camera.fx == pytest.approx(600)
+
+
+def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
+    nested = configure("fast", {"sensor": {"depth_noise": "kinect", "width": 64}})
+    dotted = configure("fast", {"sensor.depth_noise": "kinect", "sensor.width": 64})
+    mixed = configure("fast", {"sensor.depth_noise": "kinect", "sensor": {"width": 64}})
+    assert nested == dotted == mixed
+    assert nested.sensor == dataclasses.replace(configure("fast").sensor, depth_noise="kinect", width=64)
+    assert configure("default", {"gains": ["pixel", "hole_area"]}).gains == ("pixel", "hole_area")
+
+
+@pytest.mark.parametrize(
+    ("preset", "overrides", "message"),
+    [
+        ("fats", {}, "unknown preset 'fats'; did you mean 'fast'"),
+        ("fast", {"frame_buget": 3}, "'frame_buget'; did you mean 'frame_budget'"),
+        ("fast", {"sensor.depth_nois": "x"}, "unknown field of SensorConfig 'depth_nois'"),
+        ("fast", {"frame_budget": 0}, "the frame budget must be at least 1, got 0"),
+        ("fast", {"keyframe_every": 0}, "keyframe_every must be at least 1"),
+        ("fast", {"gains": ("pixl",)}, "unknown gain 'pixl'; did you mean 'pixel'"),
+        ("fast", {"views.directions": 0}, "directions"),
+        ("fast", {"sensor.width": 0}, "width"),
+        ("fast", {"frame_budget": "many"}, "cannot be used"),
+    ],
+)
+def test_a_bad_configuration_gets_one_clear_sentence(preset: str, overrides: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        configure(preset, overrides)

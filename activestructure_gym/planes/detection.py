@@ -21,6 +21,7 @@ class PlaneDetectionConfig:
 
     depth_noise_scale: float = 1.0  # times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2; 0 = trust depth fully
     max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot tell a plane from its neighbour
+    max_incidence_deg: float = 80.0  # between ray and normal; closer to edge-on neither normal nor extent is known
     block_columns: int = 40  # blocks across the image; divided by sqrt(depth_noise_scale) where that is above 1
     min_block: int = 4  # pixels, edge of the smallest block
     block_sigma: float = 1.6  # a block is planar below block_sigma * sigma + block_tolerance
@@ -38,8 +39,9 @@ class PlaneDetectionConfig:
     explained_sigma: float = 2.0
     explained_tolerance: float = 0.004  # metres
     merge_angle_deg: float = 4.0  # coplanar segments of one image become one
-    merge_sigma: float = 2.0
-    merge_tolerance: float = 0.03  # metres, centroid to plane, both ways
+    merge_sigma: float = 1.0  # of the smaller one's centroid to the larger one's plane
+    merge_tolerance: float = 0.01  # metres
+    merge_back: float = 3.0  # times as much from the larger one's centroid: a small piece's tilt acts on a long lever
     merge_reach: float = 4.0  # metres between the centroids (the graph's relaxed threshold)
     max_points: int = 256  # kept per segment
 
@@ -141,6 +143,8 @@ def _block_regions(
     needed = max(3.0, config.block_valid_share * size * size)
     limit = config.block_sigma * _noise(mean[:, 2], scale) + config.block_tolerance
     accepted = (flat[:, 0] >= needed) & (planes[:, 4] < limit)
+    # The plane's distance from the camera over the block's: the cosine between ray and normal.
+    accepted &= planes[:, 3] > np.cos(np.radians(config.max_incidence_deg)) * np.linalg.norm(mean, axis=1)
     order = np.argsort(planes[:, 4], kind="stable")
     # Standard deviation of the fitted normal in radians: sigma * sqrt(12) / (block edge * sqrt(pixels)), for a square
     # of uniformly spread points; far blocks of a noisy sensor need it.
@@ -176,7 +180,8 @@ def _refine(
     Noise breaks a tilted piece out of a wall now and then, and blocks across a far edge look like a chamfer.
     """
     scale = config.depth_noise_scale
-    pixel = (scale, config.pixel_sigma, config.pixel_tolerance, config.max_depth)
+    edge_on = np.cos(np.radians(config.max_incidence_deg))
+    pixel = (scale, config.pixel_sigma, config.pixel_tolerance, config.max_depth, edge_on)
     labels = kernels.refine_pixels(depth, *lens, size, block_labels, planes, *pixel)
     shares = kernels.explained_shares(
         depth, *lens, labels, planes, scale, config.explained_sigma, config.explained_tolerance
@@ -201,11 +206,10 @@ def _merge_coplanar(
     while alive.sum() > 1:
         normal, d = planes[:, :3], planes[:, 3]
         across = np.abs(normal @ mean.T + d[:, None])  # [i, j]: centroid of j to the plane of i
-        gap = np.maximum(across, across.T)
+        larger = moments[:, 0, None] >= moments[None, :, 0]
+        gap = np.maximum(np.where(larger, across, across.T), np.where(larger, across.T, across) / config.merge_back)
         z = np.maximum(mean[:, None, 2], mean[None, :, 2])
-        limit = config.merge_tolerance + config.merge_sigma * (
-            config.depth_noise_scale * 0.0019 * (z - 0.4) ** 2
-        )
+        limit = config.merge_tolerance + config.merge_sigma * _noise(z, config.depth_noise_scale)
         reach = np.linalg.norm(mean[:, None] - mean[None], axis=2)
         able = (normal @ normal.T > cosine) & (gap < limit) & (reach < config.merge_reach)
         able &= alive[:, None] & alive[None] & ~np.eye(len(moments), dtype=bool)

@@ -144,8 +144,13 @@ def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link
 
 
 @njit(cache=True, nogil=True)
-def refine_pixels(depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixel_noise, pixel_base, max_depth):
-    """Give every pixel to the closest plane among those of its own and the eight surrounding blocks."""
+def refine_pixels(
+    depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixel_noise, pixel_base, max_depth, min_cosine
+):
+    """Give every pixel to the closest plane among those of its own and the eight surrounding blocks.
+
+    Pixels that see the plane at less than ``min_cosine`` between ray and normal stay without.
+    """
     height, width = depth.shape
     rows, columns = block_labels.shape
     labels = np.full((height, width), -1, np.int32)
@@ -168,7 +173,7 @@ def refine_pixels(depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixe
                     tried = label
                     p = planes[label]
                     residual = abs(p[0] * x + p[1] * y + p[2] * z + p[3])
-                    if residual < best:
+                    if residual < best and p[3] * p[3] > min_cosine * min_cosine * (x * x + y * y + z * z):
                         best = residual
                         labels[v, u] = label
     return labels

@@ -19,7 +19,7 @@ from activestructure_gym.planes.quality import (
     assess_quality,
     find_deficiencies,
 )
-from activestructure_gym.planes.surface import observe
+from activestructure_gym.planes.surface import cross, observe
 from activestructure_gym.planes.surprise import Surprise, SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.topology import (
     TopologyConfig,
@@ -267,6 +267,6 @@ def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:
     elif np.linalg.norm(sideways) > 1e-6:
         u = sideways
     else:  # looking along the plane: nothing but the world's axes is left
-        u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        u = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     u = u / np.linalg.norm(u)
-    return np.stack([u, np.cross(normal, u), normal])
+    return np.stack([u, cross(normal, u), normal])

@@ -134,7 +134,10 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     nothing = np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
     if np.count_nonzero(missing) < config.min_hole_cells:
         return nothing
-    padded = np.pad(missing, 1).astype(np.uint8)
+    # Work on the rectangle that holds them: most grids are large and most holes small.
+    some_rows, some_columns = np.flatnonzero(missing.any(axis=1)), np.flatnonzero(missing.any(axis=0))
+    top, left = some_rows[0], some_columns[0]
+    padded = np.pad(missing[top : some_rows[-1] + 1, left : some_columns[-1] + 1], 1).astype(np.uint8)
     count, labels = cv2.connectedComponents(padded, connectivity=8)
     depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
     rows, columns = np.nonzero(padded)
@@ -144,7 +147,7 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     keep = widest[label] >= config.min_hole_radius
     if not keep.any():
         return nothing
-    rows, columns, label = rows[keep] - 1, columns[keep] - 1, label[keep].astype(np.int64)
+    rows, columns, label = rows[keep] - 1 + top, columns[keep] - 1 + left, label[keep].astype(np.int64)
     # Tiles start at the hole's own corner: the same hole gives the same centres wherever the grid begins.
     first_row, first_column = np.full(count, 1 << 30), np.full(count, 1 << 30)
     np.minimum.at(first_row, label, rows)
@@ -218,6 +221,29 @@ def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> f
     return float(np.clip((alignment - floor) / (1.0 - floor), 0.0, 1.0))
 
 
+def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
+    """All modes but the boundary: they change only when a keyframe shows the plane."""
+    known = node.surface.memo.get(("modes", config))
+    if isinstance(known, np.ndarray):
+        return known
+    modes = np.zeros(8)
+    surface = node.surface
+    inside = interior(surface, config)
+    hits = surface.hits[surface.seen > 0]
+    if len(hits):
+        modes[0] = min(1.0, np.count_nonzero(inside.mask) / max(inside.hull_cells, 1))
+        # Per cell, so that a dense spot does not pay for a thin one.
+        modes[1] = np.minimum(hits / (config.density_target * surface.cell**2), 1.0).mean()
+    modes[2] = np.exp(-node.rms / config.fit_scale)
+    modes[3] = min(1.0, node.observations / config.observations_target)
+    modes[5] = normal_consistency(node.normals, config.normal_angle_deg)
+    # A plane seen once has not shown that it stays: its change is infinite, its score 0.
+    modes[6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
+    modes[7] = 1.0 - inside.missing_share  # Eq. 6
+    surface.memo["modes", config] = modes
+    return modes
+
+
 def assess_quality(
     nodes: Sequence[PlaneNode],
     structural: np.ndarray,  # [N] bool
@@ -227,22 +253,7 @@ def assess_quality(
 ) -> Quality:
     """The quality vector of every plane and its weighted sum (Eq. 7). Defined for any plane, however small."""
     config = config or QualityConfig()
-    modes = np.zeros((len(nodes), 8))
-    target = config.density_target
-    for k, node in enumerate(nodes):
-        surface = node.surface
-        inside = interior(surface, config)
-        hits = surface.hits[surface.seen > 0]
-        if len(hits):
-            modes[k, 0] = min(1.0, np.count_nonzero(inside.mask) / max(inside.hull_cells, 1))
-            # Per cell, so that a dense spot does not pay for a thin one.
-            modes[k, 1] = np.minimum(hits / (target * surface.cell**2), 1.0).mean()
-        modes[k, 2] = np.exp(-node.rms / config.fit_scale)
-        modes[k, 3] = min(1.0, node.observations / config.observations_target)
-        modes[k, 5] = normal_consistency(node.normals, config.normal_angle_deg)
-        # A plane seen once has not shown that it stays: its change is infinite, its score 0.
-        modes[k, 6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
-        modes[k, 7] = 1.0 - inside.missing_share  # Eq. 6
+    modes = np.array([_own_modes(node, config) for node in nodes]).reshape(-1, 8)
     if len(nodes):
         modes[:, 4] = boundary_closure(nodes, config, space_state)
     weights = np.where(

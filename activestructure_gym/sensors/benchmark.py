@@ -58,7 +58,7 @@ def run_sensor_benchmark(
     """One row per scene and size: frames per second of each renderer as median, 10th and 90th percentile.
 
     ``ratio`` is the median over frames of pyrender's time divided by ray casting's (above 1: ray casting is faster).
-    Where pyrender cannot run its numbers are None and ``pyrender`` says why. Scenes are given as specs of
+    Where pyrender cannot run its numbers are None and ``note`` says why. Scenes are given as specs of
     `load_scene`; a wrong one raises `InputError`.
     """
     from activestructure_gym.scenes.library import load_scene
@@ -79,20 +79,17 @@ def run_sensor_benchmark(
                 row: dict[str, Any] = {
                     "scene": scene.name,
                     "triangles": len(scene.mesh.faces),
-                    "width": width,
-                    "height": height,
+                    "size": f"{width}x{height}",
                     "supersample": supersample,
                     "frames": repeats * len(poses),
                 }
                 for index, name in enumerate(("raycast", "pyrender")):
-                    p10, median, p90 = (
-                        np.percentile(1.0 / seconds[index], (10, 50, 90)).tolist()
-                        if index < len(names)
-                        else (None, None, None)
-                    )
-                    row |= {f"{name}_fps": median, f"{name}_fps_p10": p10, f"{name}_fps_p90": p90}
+                    rates = 1.0 / seconds[index] if index < len(names) else None
+                    row[f"{name}_fps"] = None if rates is None else float(np.median(rates))
+                    row[f"{name}_p10_p90"] = None if rates is None else tuple(np.percentile(rates, (10, 90)).tolist())
                 row["ratio"] = float(np.median(seconds[1] / seconds[0])) if len(names) == 2 else None
-                row["pyrender"] = status
+                if status != "works":
+                    row["note"] = status
                 rows.append(row)
         finally:
             for renderer in renderers:

@@ -16,6 +16,7 @@ from activestructure_gym.evaluation.jobs import Job, absolute_spec, scene_labels
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.store import Run
 from activestructure_gym.evaluation.threads import core_count
+from activestructure_gym.evaluation.warmup import warming_up
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes import Scene
@@ -51,9 +52,11 @@ class Comparison:
         """
         self._check_policies()
         hashes = {}
-        for number, spec in enumerate(self.scenes, start=1):
-            notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
-            hashes[spec] = self._check_scene(spec).content_hash
+        with warming_up(self.policies, self.overrides):
+            for number, spec in enumerate(self.scenes, start=1):
+                notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
+                hashes[spec] = self._check_scene(spec).content_hash
+            notify("compiling (the first time only)")
         return [
             Job(
                 scene=scene,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from activestructure_gym.evaluation.report.style import INK, PAPER
+from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 
 GAP = 6  # pixels between tiles
 MARGIN = 14
@@ -47,13 +47,21 @@ def write(
     ImageDraw.Draw(image).text(position, text, font=font(size, bold=bold), fill=fill, anchor=anchor)
 
 
-def corner_label(image: Image.Image, text: str, *, size: int = 13) -> None:
-    """``text`` on a dark plate in the lower right corner, legible on any picture."""
+def corner_label(image: Image.Image, text: str, *, size: int = 13, at_top: bool = False) -> None:
+    """``text`` on a dark plate, legible on any picture: in the lower right corner, or in the upper left."""
     width, height = text_width(text, size, bold=True) + 12, size + 9
-    left, top = image.width - width, image.height - height
+    left, top = (0, 0) if at_top else (image.width - width, image.height - height)
+    box = (left, top, left + width, top + height)
     plate = Image.new("RGBA", (width, height), (0, 0, 0, 165))
-    image.paste(Image.alpha_composite(image.crop((left, top, *image.size)).convert("RGBA"), plate), (left, top))
+    image.paste(Image.alpha_composite(image.crop(box).convert("RGBA"), plate), (left, top))
     write(image, (left + width / 2, top + height / 2), text, size=size, bold=True, fill=PAPER, anchor="mm")
+
+
+def framed(page: Image.Image, tile: Image.Image, place: tuple[int, int]) -> None:
+    """Put a tile on a page with a hair line around it, so that a white edge can be told from the page."""
+    x, y = place
+    page.paste(tile, place)
+    ImageDraw.Draw(page).rectangle([x - 1, y - 1, x + tile.width, y + tile.height], outline=HAIR)
 
 
 def tile_grid(
@@ -62,6 +70,7 @@ def tile_grid(
     title: str,
     row_labels: Sequence[Sequence[str]] = (),  # lines of text to the left of each row; the first is bold
     column_labels: Sequence[str] = (),
+    frames: bool = True,  # hair lines around the tiles
 ) -> Image.Image:
     """Tiles of one size in rows, with a title above and labels beside."""
     tile_width, tile_height = rows[0][0].size
@@ -79,7 +88,8 @@ def tile_grid(
         for number, line in enumerate(row_labels[index] if row_labels else ()):
             write(page, (MARGIN, y + 4 + 21 * number), line, size=15, bold=number == 0)
         for column, tile in enumerate(row):
-            page.paste(tile, (left + column * (tile_width + GAP), y))
+            place = left + column * (tile_width + GAP), y
+            framed(page, tile, place) if frames else page.paste(tile, place)
     return page
 
 

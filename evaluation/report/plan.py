@@ -19,6 +19,7 @@ _LONGEST_SIDE = 640  # pixels; larger scenes are drawn smaller
 _SMOOTH = 3  # everything drawn by line is drawn this much larger and averaged
 _BAND_M = 0.5  # free and occupied are those of this height above and below the camera
 _HEADROOM_M = 0.35  # Gaussians higher than this above the camera's start (ceiling, lamps) would hide the rest
+_FILLS = {"not seen": style.UNKNOWN, "free": style.FREE, "occupied": style.OCCUPIED}
 _ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as parallel
 
 
@@ -61,7 +62,7 @@ def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndar
 
 def legend() -> Image.Image:
     """The key to `draw_plan`'s signs, as a strip."""
-    entries = ("start", "end", "path, first to last frame", "keyframe, looking ahead", "not seen", "free")
+    entries = ("start", "end", "path, first to last frame", "keyframe, looking ahead", *_FILLS)
     widths = [44 + text_width(entry, 13) + 18 for entry in entries]
     strip = Image.new("RGB", (2 * MARGIN + sum(widths), 34), style.PAPER)
     draw, x, y = ImageDraw.Draw(strip), MARGIN, 12
@@ -76,8 +77,7 @@ def legend() -> Image.Image:
         elif entry.startswith("keyframe"):
             _keyframe(draw, (x + 10, y), (1.0, 0.0), 1)
         else:
-            fill = style.UNKNOWN if entry == "not seen" else style.FREE
-            draw.rectangle([x + 6, y - 7, x + 28, y + 7], fill=fill, outline=style.FAINT_INK)
+            draw.rectangle([x + 6, y - 7, x + 28, y + 7], fill=_FILLS[entry], outline=style.FAINT_INK)
         write(strip, (x + 38, y), entry, size=13, anchor="lm")
         x += width
     return strip

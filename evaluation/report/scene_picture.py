@@ -9,7 +9,15 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.canvas import GAP, MARGIN, tile_grid, to_image, write
+from activestructure_gym.evaluation.report.canvas import (
+    GAP,
+    MARGIN,
+    corner_label,
+    framed,
+    tile_grid,
+    to_image,
+    write,
+)
 from activestructure_gym.evaluation.report.plan import draw_scale_bar, plan_scale
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.sensors.renderer import make_renderer
@@ -39,15 +47,18 @@ def scene_picture(scene: Scene) -> Image.Image:
     if not views:
         return tile_grid([[plan]], title=title)
     for number, view in enumerate(views, start=1):
-        write(view, (8, 6), str(number), size=16, bold=True, fill=style.PAPER)
-    column = Image.new("RGB", (views[0].width, len(views) * (views[0].height + GAP) - GAP), style.PAPER)
+        corner_label(view, str(number), size=14, at_top=True)
+    # Below each other beside a tall plan, in two columns beside a flat one.
+    columns = 1 if plan.height > 2.5 * _VIEW[1] else 2
+    rows = -(-len(views) // columns)
+    beside = plan.width + MARGIN
+    size = beside + columns * (_VIEW[0] + GAP) - GAP, max(plan.height, rows * (_VIEW[1] + GAP) - GAP)
+    both = Image.new("RGB", (size[0] + 2, size[1] + 2), style.PAPER)
+    both.paste(plan, (1, 1))
     for number, view in enumerate(views):
-        column.paste(view, (0, number * (view.height + GAP)))
-    height = max(plan.height, column.height)
-    both = Image.new("RGB", (plan.width + MARGIN + column.width, height), style.PAPER)
-    both.paste(plan, (0, 0))
-    both.paste(column, (plan.width + MARGIN, 0))
-    return tile_grid([[both]], title=title)
+        row, column = divmod(number, columns)
+        framed(both, view, (1 + beside + column * (_VIEW[0] + GAP), 1 + row * (_VIEW[1] + GAP)))
+    return tile_grid([[both]], title=title, frames=False)
 
 
 def _plan(scene: Scene, numbered: list[int]) -> Image.Image:

@@ -1,0 +1,164 @@
+"""The command line from outside: what is said, what is returned, what is left on disk."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from activestructure_gym._version import __version__
+from activestructure_gym.evaluation.cli import HELP, main
+
+
+@pytest.fixture(autouse=True)
+def somewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ASG_CACHE_DIR", str(tmp_path.parent / "cache"))
+
+
+def test_help_names_every_command_and_loads_nothing_heavy():
+    script = (
+        "import sys; from activestructure_gym.evaluation.cli import main; code = main(['--help']);"
+        "print([m for m in ('torch', 'numba', 'scipy', 'matplotlib', 'cv2', 'trimesh', 'rich', 'tyro')"
+        " if m in sys.modules], code)"
+    )
+    from activestructure_gym.evaluation.cli.commands import COMMANDS
+
+    environment = {"PYTHONPATH": ":".join(sys.path), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+    assert done.stdout.splitlines()[-1] == "[] 0", done.stdout + done.stderr
+    assert all(f"asg {name} " in done.stdout for name in COMMANDS)
+
+
+def test_version_and_no_argument(capsys):
+    assert main(["--version"]) == 0 and capsys.readouterr().out.split() == ["activestructure-gym", __version__]
+    assert main([]) == 0 and capsys.readouterr().out.strip() == HELP
+
+
+@pytest.mark.parametrize("command", ["compare", "scenes", "doctor", "bench", "evaluate"])
+def test_every_command_explains_itself(command, capsys):
+    assert main([command, "--help"]) == 0
+    assert f"usage: asg {command}" in capsys.readouterr().out
+
+
+def write_obj(path, vertices, faces="f 1 2 3\n"):
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in vertices) + faces)
+
+
+@pytest.fixture
+def bad_meshes(tmp_path):
+    write_obj(tmp_path / "empty.obj", [(0, 0, 0), (1, 0, 0)], faces="")
+    write_obj(tmp_path / "nan.obj", [(0, 0, 0), ("nan", 0, 0), (0, 3, 0)])
+    corners = 1000 * np.array([(x, y, z) for x in (0, 5) for y in (0, 4) for z in (0, 2.6)])
+    faces = "f 1 2 4 3\nf 5 6 8 7\nf 1 2 6 5\nf 3 4 8 7\nf 1 3 7 5\nf 2 4 8 6\n"
+    write_obj(tmp_path / "millimetres.obj", corners, faces)
+    (tmp_path / "text.glb").write_text("this is no mesh")
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["compare", "--scenes", "missing.glb"], ["missing.glb"]),
+        (["compare", "--scenes", "empty.obj"], ["empty.obj", "no triangles"]),
+        (["compare", "--scenes", "nan.obj"], ["nan.obj", "NaN"]),
+        (["compare", "--scenes", "millimetres.obj"], ["millimetres.obj", "units=mm"]),
+        (["compare", "--scenes", "text.glb"], ["text.glb"]),
+        (["compare", "--scenes", "bx"], ["unknown scene 'bx'", "did you mean 'box'"]),
+        (["compare", "--scenes", "box", "--start", "0.01,0.01,1.3,0"], ["start"]),
+        (["compare", "--scenes", "box", "--start", "90,90,1.3,0"], ["start"]),
+        (["compare", "--scenes", "box", "--policies", "frontire"], ["unknown policy 'frontire'"]),
+        (["compare", "--scenes", "box", "--frames", "0"], ["frame budget must be at least 1, got 0"]),
+        (["compare", "--scenes", "box", "--frames", "-5"], ["frame budget must be at least 1, got -5"]),
+        (["compare", "--scenes", "box", "--seeds", "one"], ["whole number", "'one'"]),
+        (["compare", "--scenes", "box", "--preset", "quick"], ["unknown preset 'quick'"]),
+        (["compare", "--scenes", "box", "--set", "sensor.widht=3"], ["did you mean 'width'"]),
+        (["compare", "--scenes", "box", "--views", "0"], ["at least 1"]),
+        (["scenes", "missing.obj"], ["missing.obj"]),
+        (["scenes", "--picture", "a.png"], ["needs a scene"]),
+        (["scenes", "box", "--picture", "a.jpg"], [".png"]),
+        (["evaluate", "nothing"], ["nothing", "not a finished run"]),
+        (["compre"], ["unknown command 'compre'", "did you mean 'compare'"]),
+    ],
+)
+def test_bad_input_is_one_sentence_and_two_and_nothing_is_written(arguments, words, bad_meshes, tmp_path, capsys):
+    if arguments[0] == "compare":
+        arguments = [*arguments, "--out", "out"]
+    before = sorted(tmp_path.rglob("*"))
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert all(word in captured.err for word in words), captured.err
+    assert captured.err.startswith("asg: ") and captured.err.count("\n") == 1 and "Traceback" not in captured.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_foreign_directory_is_not_written_into(tmp_path, capsys):
+    (tmp_path / "thesis.tex").touch()
+    assert main(["compare", "--scenes", "box", "--out", "."]) == 2
+    assert "holds other files" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("option", [["--frmes", "3"], ["--frames", "many"], ["--engine", "warp"]])
+def test_mistyped_options_end_with_two(option, capsys):
+    assert main(["compare", *option]) == 2
+    assert option[0] in "".join(capsys.readouterr())
+
+
+def test_ctrl_c_ends_with_130(monkeypatch, capsys):
+    from activestructure_gym.evaluation.cli import commands
+
+    def interrupt(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands.Doctor, "run", interrupt)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "asg: stopped\n"
+
+
+def test_doctor_names_every_backend_and_the_missing_package(monkeypatch, capsys):
+    from activestructure_gym.sensors import renderer
+
+    states = {"raycast": "works", "pyrender": "package pyrender is missing: pip install 'this[extra]'"}
+    monkeypatch.setattr(renderer, "renderer_status", lambda: states)
+    assert main(["doctor"]) == 0
+    out = capsys.readouterr().out
+    for word in ("raycast", "pip install 'this[extra]'", "cpu", "gsplat", "reference", "inline", "local", "embreex"):
+        assert word in out
+
+
+def test_doctor_fails_where_the_main_job_cannot_run(monkeypatch, capsys):
+    from activestructure_gym.sensors import renderer
+
+    monkeypatch.setattr(renderer, "renderer_status", lambda: {"raycast": "package embreex is missing"})
+    assert main(["doctor"]) == 1
+    assert "sensor raycast does not work" in capsys.readouterr().out
+
+
+def test_scenes_are_listed_and_described(capsys, tmp_path):
+    assert main(["scenes"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in ("apartment", "box", "replica:PATH", "rooms=3"))
+    assert main(["scenes", "box?size=4,3,2.5", "--picture", "box.png"]) == 0
+    out = capsys.readouterr().out
+    assert "triangles" in out and "free space" in out and "can be seen" in out
+    from PIL import Image
+
+    with Image.open(tmp_path / "box.png") as image:
+        assert min(image.size) > 200
+
+
+def test_bench_prints_what_was_measured(monkeypatch, capsys):
+    from activestructure_gym.sensors import benchmark
+
+    rows = [{"scene": "box", "size": (160, 90), "raycast": 123.456, "pyrender": None}]
+    monkeypatch.setattr(benchmark, "run_sensor_benchmark", lambda scenes: rows if scenes == ("box",) else [])
+    assert main(["bench", "sensor", "--scene", "box"]) == 0
+    out = capsys.readouterr().out
+    assert "160 .. 90" in out and "123" in out and "n/a" in out
+
+
+def test_json_of_a_record_is_plain():
+    from activestructure_gym.evaluation import machine
+
+    json.dumps([machine.versions(), machine.hardware()], allow_nan=False)

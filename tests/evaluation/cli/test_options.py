@@ -1,0 +1,45 @@
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, parse_start, split_list
+
+
+@pytest.mark.parametrize(
+    "words, items",
+    [
+        (["box,room"], ("box", "room")),
+        (["box", "room"], ("box", "room")),
+        (["box, room,"], ("box", "room")),
+        (["box?size=4,3,2.5,room"], ("box?size=4,3,2.5", "room")),
+        (["box?size=4,3,2.5&seed=1,room?seed=2"], ("box?size=4,3,2.5&seed=1", "room?seed=2")),
+        (["box?seed=1", "2.glb"], ("box?seed=1", "2.glb")),
+        ([], ()),
+    ],
+)
+def test_commas_and_spaces_separate_but_not_inside_a_scenes_numbers(words, items):
+    assert split_list(words) == items
+
+
+def test_seeds():
+    assert parse_seeds(["0,1", "7"]) == (0, 1, 7)
+    for text in ("-1", "1.5", "x"):
+        with pytest.raises(InputError, match="whole number"):
+            parse_seeds([text])
+
+
+def test_start():
+    assert parse_start("-1,2,1.4,90") == (-1.0, 2.0, 1.4, 90.0)
+    assert parse_start(None) is None
+    for text in ("1,2,3", "1,2,3,north", ""):
+        with pytest.raises(InputError, match="x,y,z,yaw"):
+            parse_start(text)
+
+
+def test_overrides():
+    words = ["sensor.width=96", "sensor.depth_noise=kinect", "a=True", "b=[0.0, 0.3]", "c=x=y"]
+    assert parse_overrides(words) == {
+        "sensor.width": 96, "sensor.depth_noise": "kinect", "a": True, "b": [0.0, 0.3], "c": "x=y"
+    }  # fmt: skip
+    for word in ("sensor.width", "=3"):
+        with pytest.raises(InputError, match="key=value"):
+            parse_overrides([word])

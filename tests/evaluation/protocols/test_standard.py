@@ -1,0 +1,119 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.metrics import SurfaceSamples
+from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+from activestructure_gym.evaluation.views import HeldOutViews
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.mapping import GaussianMap
+
+PROTOCOL = StandardProtocol(views=2, view_width=32, view_height=18)
+
+
+def gaussians(means: np.ndarray, *, opacity: float, sigma: float = 0.04, grey: float = 0.5) -> np.ndarray:  # [14, n]
+    block = np.zeros((14, len(means)), np.float32)
+    block[0:3] = means.T
+    block[3] = 1.0
+    block[7:10] = np.log(sigma)
+    block[10] = np.log(opacity / (1 - opacity))
+    block[11:14] = grey
+    return block
+
+
+@pytest.fixture(scope="module")
+def wall() -> Truth:
+    """A grey wall one metre in front of two cameras, which see nothing else."""
+    grid = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 61), np.linspace(-1, 1, 41)), axis=-1).reshape(-1, 2)
+    points = np.column_stack([grid, np.ones(len(grid))])
+    camera = PinholeCamera.from_size(32, 18)
+    views = HeldOutViews(
+        camera=camera,
+        world_from_camera=np.stack([np.eye(4), np.eye(4)]),
+        rgb=np.full((2, 18, 32, 3), 128, np.uint8),
+        depth=np.ones((2, 18, 32), np.float32),
+    )
+    return Truth(SurfaceSamples(points, np.tile([0.0, 0.0, -1.0], (len(points), 1)), 6.0), views)
+
+
+def test_a_map_of_the_whole_wall(wall):
+    solid = GaussianMap()
+    solid.append(gaussians(wall.surface.points, opacity=0.95))
+    scores = PROTOCOL.evaluate(solid, wall)
+    assert scores["completion_ratio"] == scores["precision"] == scores["f_score"] == 100.0
+    assert scores["accuracy_cm"] == pytest.approx(0.0, abs=1e-4)
+    assert scores["psnr"] > 35 and scores["ssim"] > 0.95
+    assert scores["depth_l1_cm"] < 1.0
+    assert scores["view_coverage"] == 1.0
+    assert len(scores["views"]) == 2
+
+
+def test_transparent_gaussians_are_no_reconstructed_points(wall):
+    thin = GaussianMap()
+    thin.append(gaussians(wall.surface.points, opacity=0.49))
+    scores = PROTOCOL.evaluate(thin, wall)
+    assert scores["completion_ratio"] == 0.0 and scores["accuracy_cm"] is None
+    assert scores["view_coverage"] > 0.9  # many thin ones still cover the image
+    more_lenient = dataclasses.replace(PROTOCOL, opacity_threshold=0.4)
+    assert more_lenient.evaluate(thin, wall)["completion_ratio"] == 100.0
+
+
+def test_floaters_lower_accuracy_precision_and_psnr(wall, rng):
+    block = gaussians(wall.surface.points, opacity=0.95)
+    floating = gaussians(rng.uniform([-0.6, -0.3, 0.4], [0.6, 0.3, 0.7], (100, 3)), opacity=0.9, grey=1.0)
+    clean, dirty = GaussianMap(), GaussianMap()
+    clean.append(block)
+    dirty.append(np.hstack([block, floating]))
+    before, after = PROTOCOL.evaluate(clean, wall), PROTOCOL.evaluate(dirty, wall)
+    # 100 of 2601 points, 45 cm before the wall on average.
+    assert after["accuracy_cm"] - before["accuracy_cm"] == pytest.approx(45 * 100 / 2601, rel=0.1)
+    assert after["precision"] == pytest.approx(100 * 2501 / 2601, abs=0.2)
+    assert after["completion_ratio"] == 100.0
+    assert after["psnr"] < before["psnr"] - 3
+
+
+def test_an_empty_map_has_defined_numbers(wall):
+    scores = PROTOCOL.evaluate(GaussianMap(), wall)
+    assert scores["completion_ratio"] == scores["precision"] == scores["view_coverage"] == 0.0
+    assert scores["depth_l1_cm"] == pytest.approx(100.0)  # a hole counts with the whole metre
+    assert scores["psnr"] == pytest.approx(-20 * np.log10(128 / 255), abs=1e-4)  # black against grey
+
+
+def test_a_checkpoint_agrees_with_the_full_measurement(wall):
+    half = GaussianMap()
+    half.append(gaussians(wall.surface.points[wall.surface.points[:, 0] < 0], opacity=0.95))
+    full = PROTOCOL.evaluate(half, wall)
+    quick = PROTOCOL.checkpoint(half, wall, views=2, samples=10**6)
+    assert quick["completion_ratio"] == full["completion_ratio"]
+    assert quick["psnr"] == pytest.approx(full["psnr"])
+    rough = PROTOCOL.checkpoint(half, wall, views=1, samples=500)
+    assert rough["completion_ratio"] == pytest.approx(full["completion_ratio"], abs=5)
+
+
+def test_the_same_map_gives_the_same_bits(wall, rng):
+    noisy = GaussianMap()
+    noisy.append(gaussians(wall.surface.points + rng.normal(scale=0.02, size=wall.surface.points.shape), opacity=0.8))
+    assert PROTOCOL.evaluate(noisy, wall) == PROTOCOL.evaluate(noisy, wall)
+
+
+def test_every_parameter_is_written_down():
+    parameters = PROTOCOL.parameters()
+    assert parameters["name"] == "standard" and parameters["version"] == 1
+    assert {field.name for field in dataclasses.fields(PROTOCOL)} <= parameters.keys()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"opacity_threshold": 1.0},
+        {"threshold_m": 0.0},
+        {"views": 0},
+        {"view_height": 10},
+        {"view_source": "dreams"},
+    ],
+)
+def test_parameters_that_mean_nothing_are_refused(change):
+    with pytest.raises(InputError):
+        StandardProtocol(**change)

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import corner_label, framed, tile_grid
+from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views, run_views
+from activestructure_gym.evaluation.report.plan import draw_plan, plan_scale
+
+
+def contains(page: Image.Image, tile: np.ndarray) -> bool:
+    """Whether the tile stands somewhere on the page, pixel for pixel."""
+    whole, (height, width) = np.asarray(page), tile.shape[:2]
+    starts = np.argwhere((whole[: whole.shape[0] - height + 1, : whole.shape[1] - width + 1] == tile[0, 0]).all(axis=2))
+    return any((whole[y : y + height, x : x + width] == tile).all() for y, x in starts)
+
+
+def test_true_views_are_shown_pixel_for_pixel(make_run):
+    run = make_run()
+    page = run_views(run.pictures, title="title")
+    for tile in run.pictures["true"]:
+        assert contains(page, tile)
+    # The rendered ones carry their PSNR in the lower right corner; the upper left is untouched.
+    assert contains(page, run.pictures["rendered"][0][:4, :10])
+
+
+def test_every_policy_is_compared_on_the_same_views(make_run):
+    runs = [make_run(policy="a"), make_run(policy="b", seed=1)]
+    page = compare_views(runs, title="title")
+    assert contains(page, runs[0].pictures["true"][1])
+    assert contains(page, runs[0].pictures["rendered"][1][:4, :10])
+    assert contains(page, runs[1].pictures["rendered"][1][:4, :10])
+
+
+def test_the_plan_stands_north_up_and_in_scale(make_run):
+    run = make_run()
+    plan = draw_plan(run.pictures, run.trajectory)
+    scale = plan_scale(run.pictures["plan_extent"])
+    assert plan.size == (round(5.0 * scale), round(4.0 * scale))
+    pixels = np.asarray(plan).astype(int)
+
+    def at(x: float, y: float) -> np.ndarray:  # world metres
+        return pixels[int(plan.height - y * scale), int(x * scale)]
+
+    np.testing.assert_allclose(at(1.0, 1.0), style.START, atol=3)
+    np.testing.assert_allclose(at(4.0, 1.0), style.END, atol=3)
+    np.testing.assert_allclose(at(3.0, 3.0), style.FREE, atol=3)
+    np.testing.assert_allclose(at(0.2, 3.8), style.UNKNOWN, atol=3)
+    np.testing.assert_allclose(at(2.2, 2.0), style.OCCUPIED, atol=3)
+    assert np.abs(at(2.53, 1.0) - style.path_colour(0.5)).max() < 40
+
+
+def test_large_scenes_are_drawn_smaller():
+    assert plan_scale(np.array([64.0, 20.0])) == 10.0
+    assert plan_scale(np.array([2.0, 3.0])) == 90.0
+
+
+def test_plans_of_different_size_stand_side_by_side(make_run):
+    small, large = make_run(policy="a"), make_run(policy="b")
+    large.pictures["plan_extent"] = np.array([6.0, 5.0])
+    page = compare_plans([small, large], title="title")
+    assert page.width > 2 * 540 and page.height > 450
+
+
+def test_path_colours_rise_in_lightness():
+    grey = [np.dot(style.path_colour(share), (0.299, 0.587, 0.114)) for share in np.linspace(0, 1, 21)]
+    assert (np.diff(grey) > 0).all()
+    assert style.path_colour(-1) == style.path_colour(0) and style.path_colour(2) == style.path_colour(1)
+
+
+def test_labels_and_frames_stay_where_they_belong():
+    tile = Image.new("RGB", (60, 40), (200, 10, 10))
+    corner_label(tile, "9.9")
+    pixels = np.asarray(tile)
+    assert (pixels[:10, :10] == (200, 10, 10)).all() and not (pixels[-3, -3] == (200, 10, 10)).all()
+    page = Image.new("RGB", (80, 60), (255, 255, 255))
+    framed(page, tile, (10, 10))
+    np.testing.assert_array_equal(np.asarray(page)[10:50, 10:70], pixels)
+
+
+def test_a_long_title_is_not_cut():
+    page = tile_grid([[Image.new("RGB", (40, 30))]], title="a title much longer than the only tile is wide")
+    assert page.width > 400
+
+
+@pytest.mark.parametrize("index", [0, 7, 8, 100])
+def test_there_is_a_colour_for_any_number_of_policies(index):
+    assert style.colour(index).startswith("#")

@@ -1,0 +1,175 @@
+"""The main job on the smallest scene: compared, resumed, measured again."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation import episode, store
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.comparison import open_comparison
+from activestructure_gym.mapping import GaussianMap
+
+CRASHING = """
+from activestructure_gym.policies import Policy
+
+class Crashing(Policy):
+    def act(self, observation):
+        print("noise on standard output")
+        raise RuntimeError("lost the way")
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A working directory with a cache of its own and a third party's policy."""
+    directory = tmp_path_factory.mktemp("compare")
+    (directory / "third_party.py").write_text(CRASHING)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ASG_CACHE_DIR", str(directory / "cache"))
+        patch.chdir(directory)
+        patch.syspath_prepend(str(directory))
+        yield directory
+
+
+COMMAND = [
+    "compare", "--scenes", "box", "--policies", "random,pixel_only,third_party:Crashing", "--preset", "fast",
+    "--frames", "25", "--views", "3", "--out", "out",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def finished(place):
+    """Exit code and directory of the comparison, run by engine ``local``."""
+    return main(COMMAND), place / "out"
+
+
+@pytest.fixture(scope="module")
+def runs(finished):
+    return open_comparison(finished[1])
+
+
+def test_two_finish_and_the_third_is_named(finished, runs):
+    code, out = finished
+    assert code == 1
+    assert [run.job.policy for run in runs] == ["random", "pixel_only"]
+    summary = (out / "summary.md").read_text()
+    assert "box · third_party:Crashing · seed 0: RuntimeError: lost the way (exit code 1)" in summary
+    (log,) = (out / "logs").iterdir()
+    assert "noise on standard output" in log.read_text() and "Traceback" in log.read_text()
+    assert {path.name for path in (out / "jobs").iterdir()} == {run.directory.name for run in runs}
+
+
+def test_the_archive_holds_everything(finished, runs):
+    _, out = finished
+    files = {"summary.md", "results.csv", "convergence.png", "views.png", "plans.png", "compare.json"}
+    assert files <= {path.name for path in out.iterdir()}
+    for run in runs:
+        config, metrics = run.config, run.metrics["metrics"]
+        assert config["job"]["policy"] == run.job.policy and config["configuration"]["frame_budget"] == 25
+        assert config["scene"]["content_hash"] == run.job.scene_hash == run.metrics["scene"]
+        assert run.metrics["protocol"]["name"] == "standard" and run.metrics["protocol"]["opacity_threshold"] == 0.5
+        assert config["versions"]["numpy"] == np.__version__
+        assert metrics["frames"] == 25 and metrics["collisions"] == 0
+        assert 0 < metrics["completion_ratio"] <= 100 and metrics["precision"] > 80 and metrics["psnr"] > 5
+        assert len(metrics["views"]) == 3
+        assert run.timing["total"] > 0 and {"sensor", "mapping", "planning", "policy"} <= run.timing["seconds"].keys()
+
+
+def test_decisions_path_and_curve_agree(runs):
+    for run in runs:
+        metrics, steps, poses = run.metrics["metrics"], run.steps, run.trajectory["world_from_camera"]
+        assert [step["decision"] for step in steps] == list(range(metrics["decisions"]))
+        assert steps[-1]["frames"] == metrics["frames"] and len(run.timing["decisions"]) == len(steps)
+        walked = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum()
+        assert metrics["metres"] == pytest.approx(walked)
+        assert len(run.trajectory["keyframes"]) == metrics["keyframes"]
+        curve = run.metrics["curve"]
+        assert curve[0]["frames"] == 1 and curve[-1]["frames"] == metrics["frames"]
+        assert curve[-1]["completion_ratio"] == pytest.approx(metrics["completion_ratio"], abs=2)
+        assert curve[-1]["completion_ratio"] > curve[0]["completion_ratio"]
+    (pixel_only,) = (run for run in runs if run.job.policy == "pixel_only")
+    step = pixel_only.steps[0]
+    assert step["gains"]["pixel"] == pytest.approx(step["trace"]["pixel"])
+    assert {"x", "y", "z", "path_length"} <= step["view"].keys()
+
+
+def test_the_map_can_be_read_without_us(runs):
+    for run in runs:
+        gaussians = GaussianMap.load_npz(run.directory / "map.npz")
+        assert gaussians.count == run.metrics["metrics"]["gaussians"]
+        with open(run.directory / "map.ply", "rb") as file:
+            assert file.readline() == b"ply\n"
+
+
+def test_another_process_and_engine_give_the_same_bits(runs, tmp_path):
+    run = runs[1]
+    again = episode.run_job(run.job, tmp_path / "again")
+    for name in ("metrics.json", "steps.jsonl", "config.json"):
+        assert (again.directory / name).read_bytes() == (run.directory / name).read_bytes(), name
+    first, second = (GaussianMap.load_npz(r.directory / "map.npz") for r in (run, again))
+    np.testing.assert_array_equal(first.parameters, second.parameters)
+
+
+def test_resuming_repeats_only_what_did_not_finish(finished, runs, capsys):
+    _, out = finished
+    stamps = {run.directory: (run.directory / store.DONE).stat().st_mtime_ns for run in runs}
+    text = " ".join(COMMAND).replace("third_party:Crashing", "random").split()
+    assert main(text) == 2  # not without --resume
+    assert "--resume" in capsys.readouterr().err
+    assert main([*text, "--resume"]) == 0
+    assert "2 runs finished before and kept" in capsys.readouterr().out
+    for directory, stamp in stamps.items():
+        assert (directory / store.DONE).stat().st_mtime_ns == stamp
+
+
+def test_measuring_again_gives_the_same_bits_and_a_wrong_number_is_found(runs, capsys, tmp_path):
+    assert main(["evaluate", *(str(run.directory) for run in runs)]) == 0
+    assert "identical" in capsys.readouterr().out
+    import shutil
+
+    forged = shutil.copytree(runs[0].directory, tmp_path / "forged")
+    metrics = json.loads((forged / "metrics.json").read_text())
+    metrics["metrics"]["psnr"] += 1e-9
+    (forged / "metrics.json").write_text(json.dumps(metrics))
+    assert main(["evaluate", str(forged)]) == 1
+    assert "1 of 1 differ" in capsys.readouterr().out
+
+
+def test_a_scene_that_changed_is_not_taken_for_the_old_one(runs):
+    from dataclasses import replace
+
+    from activestructure_gym.errors import InputError
+
+    with pytest.raises(InputError, match="has changed"):
+        episode.load_job_scene(replace(runs[0].job, scene="box?seed=9"))
+
+
+def test_a_failing_job_leaves_nothing(runs, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    def full_disk(*arguments):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(episode, "_write_pictures", full_disk)
+    job = replace(runs[0].job, frame_budget=3)
+    with pytest.raises(OSError, match="No space left"):
+        episode.run_job(job, tmp_path / "jobs" / job.name)
+    assert not any((tmp_path / "jobs").iterdir())
+
+
+def test_every_executed_step_is_cast_against_the_true_mesh(place):
+    from activestructure_gym.scenes import load_scene
+
+    scene = load_scene("box")
+    low, high = scene.bounds
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = (low + high) / 2
+    assert episode.path_collisions(scene, poses) == 0  # standing still
+    poses[1, 0, 3] = high[0] + 1.0  # out through the wall, and back in
+    assert episode.path_collisions(scene, poses) == 2
+
+
+def test_nothing_was_written_outside(place, finished):
+    assert {path.name for path in Path(place).iterdir()} <= {"cache", "out", "third_party.py", "__pycache__"}

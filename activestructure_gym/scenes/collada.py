@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
 
 Element = ElementTree.Element
 _POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
@@ -67,8 +67,8 @@ class _Document:
         return self.by_id.get((url or "").removeprefix("#"))
 
     def parts(self) -> Iterator[MeshPart]:
-        instance = self.root.find("scene/instance_visual_scene")
-        scene = self.target(instance.get("url")) if instance is not None else None
+        shown = self.root.find("scene/instance_visual_scene")
+        scene = self.target(shown.get("url")) if shown is not None else None
         if scene is None:
             scene = self.root.find("library_visual_scenes/visual_scene")
         if scene is None:  # geometry only: everything at the origin
@@ -117,7 +117,7 @@ class _Document:
             if "COLOR" in inputs:
                 color = color * inputs["COLOR"][1][corners[:, inputs["COLOR"][0]], :3]
             yield MeshPart(
-                vertices=positions @ world_from_node[:3, :3].T + world_from_node[:3, 3],
+                vertices=placed(positions, world_from_node),
                 faces=triangles,
                 colors=color,
                 uv=uv,

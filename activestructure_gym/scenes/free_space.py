@@ -19,13 +19,14 @@ from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.scenes.surface_samples import lattice_samples
 
 VOXEL_SIZE = 0.1  # metres; the size the planners' volumes use
-MAX_VOXELS = 8_000_000  # a larger building gets larger voxels
+MAX_VOXELS = 4_000_000  # 5 seconds of one core; a larger building gets larger voxels
 BODY_CLEARANCE = 0.2  # metres; the smallest clearance a path may have (motion.MotionConfig.min_clearance)
 MIN_VOLUME = 0.5  # cubic metres of free space; less is no room
 # Share of directions that must meet a surface. A room without ceiling has about 0.78 at eye height, a room with a
 # glass front 0.95, a place outside beside a wall at most 0.75 (ground and wall, half of all directions each).
 ENCLOSED_SHARES = (0.75, 0.6)  # the second is for wide open-topped scans, where the first finds nothing
 _DIRECTIONS = 64
+_EXACT_BELOW = 0.6  # metres; above the largest clearance that anything asks for (start poses: 0.45)
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,9 @@ def _compute(scene: Scene) -> dict[str, np.ndarray]:
     from activestructure_gym.scenes.start_poses import choose_start_poses
 
     origin, voxel_size, shape = _grid(scene.bounds)
-    # Half a voxel apart: no voxel that a surface properly crosses stays empty, and a distance to the nearest sample
-    # exceeds the one to the surface by less than 3 mm at the body's clearance.
-    surface = lattice_samples(scene.mesh.vertices, scene.mesh.faces, 0.5 * voxel_size)
+    # Every point of the surface has a sample within half a voxel: a voxel that a surface properly crosses is never
+    # empty, and at the body's clearance the nearest sample is at most 6 mm farther than the surface.
+    surface = lattice_samples(scene.mesh.vertices, scene.mesh.faces, 0.7 * voxel_size)
     occupied = np.zeros(shape, dtype=bool)
     occupied[tuple(np.floor((surface - origin) / voxel_size).astype(np.int64).T)] = True
     share = enclosed_share(occupied)
@@ -131,7 +132,7 @@ def _compute(scene: Scene) -> dict[str, np.ndarray]:
     poses = choose_start_poses(scene, found)
     return {
         "origin": origin,
-        "voxel_size": np.float64(voxel_size),
+        "voxel_size": np.array(voxel_size),
         "clearance": clearance,
         "height": height,
         "start_poses": poses,
@@ -186,15 +187,31 @@ def _shifted(layer: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def _clearance(candidates: np.ndarray, surface: np.ndarray, origin: np.ndarray, voxel_size: float) -> np.ndarray:
-    """Distance from the centres of the candidates to the surface, 0 elsewhere. [X, Y, Z] float32"""
+    """Distance from the centres of the candidates to the surface, 0 elsewhere. [X, Y, Z] float32
+
+    Near the surface, where it decides what a body can do, from the nearest sample; farther away from the mean of the
+    samples in the nearest occupied voxel (at most 0.12 m too much, 1 to 3 mm in the median), which is 5 times faster.
+    """
+    from scipy.ndimage import distance_transform_edt
     from scipy.spatial import cKDTree
 
     clearance = np.zeros(candidates.shape, dtype=np.float32)
-    if candidates.any():
-        centers = origin + (np.argwhere(candidates) + 0.5) * voxel_size
-        # Unbalanced, uncompacted trees build three times faster and answer alike on points this regular.
-        tree = cKDTree(surface, balanced_tree=False, compact_nodes=False)
-        clearance[candidates] = tree.query(centers, workers=2)[0]
+    if not candidates.any():
+        return clearance
+    flat = np.ravel_multi_index(tuple(np.floor((surface - origin) / voxel_size).astype(np.int64).T), candidates.shape)
+    samples = np.bincount(flat, minlength=candidates.size)
+    sums = np.stack([np.bincount(flat, surface[:, k], candidates.size) for k in range(3)], axis=1)
+    means = sums / np.maximum(samples, 1)[:, None]
+    empty = (samples == 0).reshape(candidates.shape)
+    nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)[:, candidates]
+    centers = origin + (np.argwhere(candidates) + 0.5) * voxel_size
+    distance = np.linalg.norm(centers - means[np.ravel_multi_index(tuple(nearest), candidates.shape)], axis=1)
+    near = distance < _EXACT_BELOW
+    # Unbalanced, uncompacted trees build three times faster and answer alike on points this regular.
+    tree = cKDTree(surface, balanced_tree=False, compact_nodes=False)
+    exact = tree.query(centers[near], distance_upper_bound=_EXACT_BELOW + voxel_size, workers=2)[0]
+    distance[near] = np.minimum(exact, _EXACT_BELOW + voxel_size)
+    clearance[candidates] = distance
     return clearance
 
 

@@ -23,12 +23,15 @@ from activestructure_gym.scenes.mesh_parts import (
     MeshPart,
     TextureStore,
     find_reference,
+    placed,
     srgb_from_linear,
 )
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+_PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # linear; the specification's white would hide all shading
 
 # Required extensions that hold the geometry or the images themselves, and what to say about them.
 _REFUSED = {
@@ -141,12 +144,13 @@ class _Document:
         else:
             indices = np.arange(len(positions))
         material = self._material(primitive.get("material"))
-        linear = np.asarray(material["factor"][:3], dtype=np.float64)
         if "COLOR_0" in attributes:
-            linear = linear * self.accessor(attributes["COLOR_0"])[:, :3]
-        texture, uv = self._texture(material["texture"], attributes)
+            linear = self.accessor(attributes["COLOR_0"])[:, :3] * np.asarray(material.get("factor", [1.0] * 4)[:3])
+        else:
+            linear = np.asarray(material.get("factor", _PLAIN)[:3], dtype=np.float64)
+        texture, uv = self._texture(material.get("texture"), attributes)
         return MeshPart(
-            vertices=positions @ world_from_node[:3, :3].T + world_from_node[:3, 3],
+            vertices=placed(positions, world_from_node),
             faces=_triangles(indices, mode),
             colors=srgb_from_linear(linear),
             uv=uv,
@@ -154,10 +158,9 @@ class _Document:
         )
 
     def _material(self, index: int | None) -> dict[str, Any]:
-        """Base colour factor (linear) and texture reference of a material."""
+        """Base colour factor (linear) and texture reference of a material; empty where there is no material."""
         if index is None:
-            grey = ((PLAIN_GREY + 0.055) / 1.055) ** 2.4
-            return {"factor": [grey] * 3, "texture": None}
+            return {}
         material = self.header["materials"][index]
         gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         if gloss is not None:

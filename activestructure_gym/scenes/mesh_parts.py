@@ -113,6 +113,12 @@ def find_reference(base: Path, reference: str) -> Path:
     raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
 
 
+def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # [V, 3], [4, 4] -> [V, 3]
+    """Vertices after the transform of their node; what is not finite stays so, and is reported by the loader."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return vertices @ world_from_part[:3, :3].T + world_from_part[:3, 3]
+
+
 def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
     """Display-referred values of linear ones (IEC 61966-2-1), clipped to [0, 1]; glTF stores its factors linear."""
     linear = np.clip(linear, 0.0, 1.0)

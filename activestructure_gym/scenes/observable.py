@@ -60,8 +60,8 @@ def _compute(scene: Scene, samples: int, viewpoints: int) -> dict[str, np.ndarra
     return {
         "points": points[seen].astype(np.float32),
         "normals": facing.astype(np.float32),
-        "area_share": np.float64(share),
-        "area": np.float64(share * area),
+        "area_share": np.array(share),
+        "area": np.array(share * area),
     }
 
 
@@ -72,11 +72,14 @@ def first_viewpoint(
 ) -> np.ndarray:  # [S] index of the first viewpoint in turn that sees the point, -1 = none does
     """Which of the points are seen: within range, and nothing in between. The side of the surface does not matter."""
     seen_by = np.full(len(points), -1, dtype=np.int64)
-    waiting = np.arange(len(points))
-    for index, eye in enumerate(eyes):
-        near = waiting[((points[waiting] - eye) ** 2).sum(axis=1) <= VIEW_RANGE**2]
+    waiting, positions = np.arange(len(points)), np.asarray(points, dtype=np.float32)
+    for index, eye in enumerate(np.asarray(eyes, dtype=np.float32)):
+        offset = positions - eye
+        near = np.flatnonzero(np.einsum("ij,ij->i", offset, offset) <= VIEW_RANGE**2)
         if len(near):
-            visible = near[~scene.raycaster.occluded(eye, points[near], margin=SIGHT_MARGIN)]
-            seen_by[visible] = index
-            waiting = waiting[seen_by[waiting] < 0]
+            visible = near[~scene.raycaster.occluded(eye, positions[near], margin=SIGHT_MARGIN)]
+            seen_by[waiting[visible]] = index
+            unseen = np.ones(len(waiting), dtype=bool)
+            unseen[visible] = False
+            waiting, positions = waiting[unseen], positions[unseen]
     return seen_by

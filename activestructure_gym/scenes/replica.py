@@ -51,7 +51,10 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
     vertices, faces, colors, object_ids = _read_ply(mesh_file)
     if not np.isfinite(vertices).all():
         broken = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise InputError(f"'{mesh_file}' has {broken} vertices that are not finite (NaN or infinite); repair it first")
+        raise InputError(
+            f"'{mesh_file}' has {broken} of {len(vertices)} vertices that are not finite (NaN or infinite); "
+            "repair the mesh first"
+        )
     mesh = assemble([MeshPart(vertices, faces, colors)], ())
     labels = None if object_ids is None else _labels(mesh_file.with_name("info_semantic.json"), object_ids)
     return replace(finished_scene(mesh, mesh_file, name=root.name, labels=labels), evaluation_views=views)
@@ -68,6 +71,8 @@ def _mesh_file(path: Path) -> tuple[Path, Path]:
     """The mesh to read, and the scene's folder (which names the scene)."""
     if path.name.endswith(".json"):
         return _from_stage_config(path)
+    if not path.exists():
+        raise InputError(f"there is no Replica scene '{path}': neither such a folder nor such a file")
     if not path.is_dir():
         mesh_file = check_mesh_file(path)
         if mesh_file.suffix.lower() != ".ply":

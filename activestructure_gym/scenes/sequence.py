@@ -87,15 +87,19 @@ def _poses(file: Path) -> np.ndarray:  # [T, 4, 4]
     if not rows or any(len(row) != 16 for row in rows):
         raise InputError(f"'{file}' must have 16 numbers per line (a 4 x 4 camera-to-world matrix, row by row)")
     poses = np.array(rows, dtype=np.float64).reshape(-1, 4, 4)
-    rotations = poses[:, :3, :3]
-    identity = rotations @ np.swapaxes(rotations, 1, 2)
-    # 1e-3: trajectories are written with 4 to 18 digits. `not <=` also catches NaN.
-    rigid = (np.abs(identity - np.eye(3)) <= 1e-3).all(axis=(1, 2)) & (np.linalg.det(rotations) > 0)
-    rigid &= np.isfinite(poses).all(axis=(1, 2)) & (np.abs(poses[:, 3] - [0, 0, 0, 1]) <= 1e-6).all(axis=1)
+    rigid = np.array([_is_rigid(pose) for pose in poses])
     if not rigid.all():
         line = int(np.argmin(rigid)) + 1
         raise InputError(f"pose {line} of '{file}' is no rigid motion (a rotation and a translation)")
     return poses
+
+
+def _is_rigid(pose: np.ndarray) -> bool:
+    if not np.isfinite(pose).all() or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
+        return False
+    rotation = pose[:3, :3]
+    # 1e-3: trajectories are written with 4 to 18 digits.
+    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-3 and np.linalg.det(rotation) > 0)
 
 
 def _numbered(folder: Path, prefix: str) -> tuple[Path, ...]:

@@ -89,7 +89,7 @@ def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
 def check_start_pose(scene: Scene, world_from_camera: np.ndarray, body_radius: float) -> None:
     """Raise `InputError` unless a body of ``body_radius`` metres can stand at the pose.
 
-    A scene too narrow for the body anywhere is measured by its own roomiest start pose instead.
+    In a scene too narrow for the body, whose own start poses are tighter, the tightest of those is the measure.
     """
     pose = np.asarray(world_from_camera, dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
@@ -109,7 +109,7 @@ def check_start_pose(scene: Scene, world_from_camera: np.ndarray, body_radius: f
         if (position < low).any() or (position > high).any():
             raise InputError(f"{where} is outside the scene's bounds; {hint}")
         raise InputError(f"{where} is inside a wall or furniture, or outside the rooms; {hint}")
-    required = min(body_radius, float(space.clearance_at(starts).max()))
+    required = min(body_radius, float(space.clearance_at(starts).min()))
     # A tenth of a voxel: the clearance between voxel centres is interpolated.
     if clearance < required - 0.1 * space.voxel_size:
         raise InputError(f"{where} is {clearance:.2f} m from the nearest surface, but needs {required:.2f} m; {hint}")

@@ -12,26 +12,25 @@ def lattice_samples(
 ) -> np.ndarray:  # [S, 3] float64
     """Samples such that every point of the surface is within ``spacing / sqrt(2)`` of one; at least one per face.
 
-    Every triangle is cut into strips parallel to its longest edge, and every strip into cells; a sample sits in the
-    middle of each cell, so a thin needle costs one row and not a square of samples.
+    They stand in rows parallel to each triangle's longest edge, half a spacing apart, the first on that edge. Seen
+    from any point of the triangle the next row lies straight below, however flat the triangle is; so a needle costs
+    one row and not a square of samples.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]  # [F, 3, 3]
     edges = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)  # [F, 3]: from corner k to k + 1
     longest = edges.argmax(axis=1)
-    row = np.arange(len(corners))
-    a, b, c = (corners[row, (longest + k) % 3] for k in range(3))
-    base = edges[row, longest]
+    index = np.arange(len(corners))
+    a, b, c = (corners[index, (longest + k) % 3] for k in range(3))
+    base = edges[index, longest]
     height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(base, 1e-12)
 
-    strips = np.maximum(np.ceil(height / spacing), 1).astype(np.int64)  # per triangle
-    triangle = np.repeat(row, strips)
-    t = (_ramp(strips) + 0.5) / strips[triangle]  # 0 at the longest edge, 1 at the corner opposite
-    # A strip is longest at its lower border; cells are counted there so that none is longer than the spacing.
-    lower = 1.0 - t + 0.5 / strips[triangle]
-    cells = np.maximum(np.ceil(base[triangle] * lower / spacing), 1).astype(np.int64)  # per strip
-    strip = np.repeat(np.arange(len(triangle)), cells)
-    s = (_ramp(cells) + 0.5) / cells[strip]
-    t, triangle = t[strip], triangle[strip]
+    rows = np.maximum(np.ceil(2.0 * height / spacing), 1).astype(np.int64)  # per triangle
+    triangle = np.repeat(index, rows)
+    t = _ramp(rows) / rows[triangle]  # 0 on the longest edge, towards 1 at the corner opposite
+    cells = np.maximum(np.ceil(base[triangle] * (1.0 - t) / spacing), 1).astype(np.int64)  # per row
+    row = np.repeat(np.arange(len(triangle)), cells)
+    s = (_ramp(cells) + 0.5) / cells[row]
+    t, triangle = t[row], triangle[row]
     return a[triangle] + t[:, None] * (c - a)[triangle] + (s * (1.0 - t))[:, None] * (b - a)[triangle]
 
 

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, find_reference
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, find_reference, placed
 
 
 def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
     """All triangles of the file; quads and polygons are split, colours and textures kept."""
     import trimesh
 
-    scene = trimesh.load_scene(str(path), process=False, resolver=_resolver(path, textures))
+    with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
+        scene = trimesh.load_scene(str(path), process=False, resolver=_resolver(path, textures))
     parts = []
     for node in scene.graph.nodes_geometry:
         world_from_node, name = scene.graph[node]
@@ -63,7 +64,7 @@ def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) ->
         elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
             colors = _srgb(np.asarray(material.diffuse))
     return MeshPart(
-        vertices=vertices @ world_from_node[:3, :3].T + world_from_node[:3, 3],
+        vertices=placed(vertices, world_from_node),
         faces=faces,
         colors=colors,
         uv=uv,

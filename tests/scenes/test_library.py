@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.scenes.library import SCENES, load_scene
+from activestructure_gym.scenes.scene import Scene
+
+
+@pytest.fixture
+def hut(make_scene, make_box, monkeypatch):
+    """A third party's scene, registered as the documentation shows."""
+    monkeypatch.setattr(SCENES, "_entries", dict(SCENES._entries))
+
+    @SCENES.register("hut")
+    def make_hut(*, width: float = 3.0, seed: int = 0, roof: bool = True, kind: str = "wood",
+                 size: tuple[float, float] = (1.0, 2.0), scale: str | float | None = None) -> Scene:  # fmt: skip
+        scene = make_scene(*make_box((0, 0, 0), (width, 3, 2.5)), name="hut")
+        object.__setattr__(scene, "source", repr((width, seed, roof, kind, size, scale)))
+        return scene
+
+    return make_hut
+
+
+def test_a_registered_scene_with_typed_options(hut):
+    assert load_scene("hut").source == repr((3.0, 0, True, "wood", (1.0, 2.0), None))
+    spec = "hut?width=4&seed=7&roof=false&kind=stone&size=5,6.5&scale=0.5"
+    assert load_scene(spec).source == repr((4.0, 7, False, "stone", (5.0, 6.5), 0.5))
+    assert load_scene("hut?width=4&seed=7", seed=8, scale="mm").source == repr((4.0, 8, True, "wood", (1.0, 2.0), "mm"))
+    assert load_scene("hut?width=4").bounds[1, 0] == 4.0
+
+
+@pytest.mark.parametrize(
+    "spec, said",
+    [
+        ("hutt", "unknown scene 'hutt'; did you mean 'hut'?"),
+        ("hut?wdith=4", "unknown option of scene 'hut' 'wdith'; did you mean 'width'?"),
+        ("hut?seed=two", "option seed of scene 'hut' must be int, got 'two'"),
+        ("hut?roof=maybe", "must be bool, got 'maybe'"),
+        ("hut?size=1", "must be 2 values with commas, got '1'"),
+        ("hut?width", "not of the form key=value"),
+        ("no_module_here:make", "no module called 'no_module_here'"),
+        ("gone.glb", "there is no mesh file 'gone.glb'"),
+        ("replica:gone", "there is no Replica scene 'gone'"),
+        ("some/where/else", "there is no scene file or folder 'some/where/else'"),
+        ("mesh:gone.obj?units=mm", "there is no mesh file 'gone.obj'"),
+        ("gone.obj?unit=mm", "did you mean 'units'?"),
+    ],
+)
+def test_mistakes_are_said_in_one_sentence(hut, spec, said):
+    with pytest.raises(InputError) as caught:
+        load_scene(spec)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_factory_anywhere_on_the_path(tmp_path, monkeypatch):
+    (tmp_path / "their_scenes.py").write_text(
+        "import numpy as np\n"
+        "from activestructure_gym.scenes import Scene, SceneMesh\n"
+        "def triangle(*, side: float = 1.0) -> Scene:\n"
+        "    corners = np.array([[0, 0, 0], [side, 0, 0], [0, side, 0]], np.float32)\n"
+        "    mesh = SceneMesh(corners, np.array([[0, 1, 2]], np.int32), np.ones((3, 3), np.float32),\n"
+        "                     np.zeros((3, 2), np.float32), np.array([-1], np.int32))\n"
+        "    return Scene('triangle', mesh, 'theirs')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert load_scene("their_scenes:triangle?side=2.5").bounds[1, 0] == 2.5
+
+
+@pytest.fixture
+def mesh_file(tmp_path, make_box) -> Path:
+    import trimesh
+
+    path = tmp_path / "room.ply"
+    trimesh.Trimesh(*make_box((0, 0, 0), (4000, 2500, 3000)), process=False).export(path)
+    return path
+
+
+def test_files_by_text_by_path_and_by_prefix(mesh_file):
+    for scene in (
+        load_scene(f"{mesh_file}?units=mm&up=y"),
+        load_scene(mesh_file, units="mm", up="y"),
+        load_scene(f"mesh:{mesh_file}?units=0.001", up="y"),
+        load_scene(f"{mesh_file}?units=ft&up=y", units="mm"),  # the keyword wins
+    ):
+        np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], [4, 3, 2.5], atol=1e-5)
+
+
+def test_a_folder_with_one_mesh_is_that_mesh(mesh_file):
+    assert load_scene(str(mesh_file.parent), units="mm").name == "room"
+    (mesh_file.parent / "other.obj").write_text("v 0 0 0\n")
+    with pytest.raises(InputError, match="it holds other.obj, room.ply"):
+        load_scene(str(mesh_file.parent))
+
+
+def test_a_file_name_with_a_question_mark(mesh_file):
+    odd = mesh_file.rename(mesh_file.with_name("what?units=cm.ply"))
+    assert load_scene(str(odd), units="mm").bounds[1, 0] == pytest.approx(4.0)
+
+
+def test_replica_and_matterport_are_recognised(replica_folder, tmp_path, gltf, make_box):
+    room, sequence = replica_folder / "room_a", replica_folder / "seq" / "room_a"
+    assert load_scene(str(room)).labels is None
+    assert load_scene(str(room / "habitat" / "mesh_semantic.ply")).labels is not None
+    assert load_scene(f"{room}/habitat/replica_stage.stage_config.json").labels is not None
+    assert len(load_scene(f"replica:{room}?sequence={sequence}").evaluation_views) == 3
+    folder = tmp_path / "mp3d" / "abc"
+    folder.mkdir(parents=True)
+    gltf.triangle_mesh(*make_box((0, 0, 0), (4, 3, 2.5)))
+    gltf.write(folder / "abc.glb")
+    for spec in (f"{folder}", f"matterport3d:{folder}", f"matterport3d:{folder}/abc.glb", f"{folder}/abc.glb"):
+        assert load_scene(spec).name == "abc"
+
+
+def test_a_loaded_scene_passes_through(furnished_room):
+    assert load_scene(furnished_room) is furnished_room
+    with pytest.raises(InputError, match="loaded already"):
+        load_scene(furnished_room, seed=3)
+
+
+def test_loaders_are_no_scenes_by_themselves():
+    with pytest.raises(InputError, match="unknown scene 'mesh'"):
+        load_scene("mesh")
+
+
+def test_embedded_scenes_by_name():
+    scene = load_scene("box?size=5,4,3")
+    np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], [5, 4, 3], atol=0.2)
+    assert {"box", "room", "apartment"} <= set(SCENES)

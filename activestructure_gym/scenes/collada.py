@@ -83,12 +83,12 @@ class _Document:
             world_from_node = world_from_parent @ _node_matrix(node)
             for instance in node:
                 if instance.tag in ("instance_geometry", "instance_controller"):
-                    geometry = self._instanced(instance)
-                    if geometry is not None:
-                        yield from self._geometry(geometry, world_from_node, _bindings(instance))
-            children = [self.target(element.get("url")) for element in node.findall("instance_node")]
-            children += node.findall("node")
-            stack.extend((c, world_from_node, depth + 1) for c in reversed(children) if c is not None)
+                    shape = self._instanced(instance)
+                    if shape is not None:
+                        yield from self._geometry(shape, world_from_node, _bindings(instance))
+            placed_elsewhere = (self.target(element.get("url")) for element in node.findall("instance_node"))
+            children = [*(child for child in placed_elsewhere if child is not None), *node.findall("node")]
+            stack.extend((child, world_from_node, depth + 1) for child in reversed(children))
 
     def _instanced(self, instance: Element) -> Element | None:
         target = self.target(instance.get("url"))

@@ -122,16 +122,18 @@ class _Document:
             roots = [index for index in range(len(nodes)) if index not in children]
         if not nodes:  # a mesh library without a scene
             yield from ((index, np.eye(4)) for index in range(len(self.header.get("meshes", []))))
-        stack = [(root, np.eye(4), 0) for root in reversed(roots)]
+        stack = [(root, np.eye(4)) for root in reversed(roots)]
+        visited = 0
         while stack:
-            index, world_from_parent, depth = stack.pop()
-            if depth > len(nodes):
-                raise ValueError("its nodes form a loop")
+            index, world_from_parent = stack.pop()
+            visited += 1
+            if visited > len(nodes):  # every node has one parent
+                raise ValueError("its nodes form a loop or share children")
             node = nodes[index]
             world_from_node = world_from_parent @ _node_matrix(node)
             if "mesh" in node:
                 yield node["mesh"], world_from_node
-            stack.extend((child, world_from_node, depth + 1) for child in reversed(node.get("children", [])))
+            stack.extend((child, world_from_node) for child in reversed(node.get("children", [])))
 
     def _part(self, primitive: dict[str, Any], world_from_node: np.ndarray) -> MeshPart | None:
         mode = primitive.get("mode", _TRIANGLES)

@@ -119,7 +119,7 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
         parameters.pop("path", None)
     takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
     known = [key for key, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
-    hints = typing.get_type_hints(factory)
+    hints = _hints(factory)
     arguments = {}
     for key, value in options.items():
         if key not in known and not takes_any:
@@ -129,6 +129,19 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
     if missing:
         raise InputError(f"{label} needs the option {missing[0]} (as in '{name}?{missing[0]}=...')")
     return factory(path, **arguments) if path is not None else factory(**arguments)
+
+
+def _hints(factory: Callable[..., Scene]) -> dict[str, Any]:
+    """The type of every option: its annotation, or that of its default where there is none to be had."""
+    defaults = {
+        key: type(p.default)
+        for key, p in inspect.signature(factory).parameters.items()
+        if isinstance(p.default, bool | int | float)
+    }
+    try:
+        return {**defaults, **typing.get_type_hints(factory)}
+    except (NameError, TypeError):  # names imported for type checkers only, or a callable object
+        return defaults
 
 
 def _typed(what: str, value: Any, hint: Any) -> Any:

@@ -132,6 +132,14 @@ def test_a_rotated_child_inside_a_matrix_parent(tmp_path, gltf):
     np.testing.assert_allclose(part.vertices, [[10, 0, 0], [10, 4, 0], [8, 0, 0]], atol=1e-6)
 
 
+def test_nodes_in_a_loop_are_refused(tmp_path, gltf):
+    gltf.triangle_mesh(TRIANGLE, FACE)
+    gltf.header["nodes"] = [{"mesh": 0, "children": [1, 1]}, {"children": [0, 0]}]
+    gltf.header["scenes"] = [{"nodes": [0]}]
+    with pytest.raises(ValueError, match="loop"):
+        read_gltf(gltf.write(tmp_path / "l.glb"), TextureStore())
+
+
 @pytest.mark.parametrize("mode, expected", [(4, [[0, 1, 2]]), (5, [[0, 1, 2], [1, 2, 3]]), (6, [[0, 1, 2], [0, 2, 3]])])
 def test_triangles_strips_and_fans(tmp_path, gltf, mode, expected):
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)

@@ -70,6 +70,14 @@ def test_a_factory_anywhere_on_the_path(tmp_path, monkeypatch):
     assert load_scene("their_scenes:triangle?side=2.5").bounds[1, 0] == 2.5
 
 
+def test_options_without_annotations_take_the_type_of_their_default(hut):
+    @SCENES.register("bare")
+    def bare(width=3.0, seed=0, roof=True, kind="wood"):
+        return hut(width=width, seed=seed, roof=roof, kind=kind)
+
+    assert load_scene("bare?width=4&seed=7&roof=no&kind=5").source.startswith("(4.0, 7, False, '5'")
+
+
 @pytest.fixture
 def mesh_file(tmp_path, make_box) -> Path:
     import trimesh

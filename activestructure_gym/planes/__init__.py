@@ -17,6 +17,7 @@ from activestructure_gym.planes.detection import (
     PlaneDetection,
     PlaneDetectionConfig,
     PlaneSegment,
+    depth_noise_scale,
     detect_planes,
     segment_planes,
 )
@@ -68,6 +69,7 @@ __all__ = [
     "TopologyConfig",
     "assess_quality",
     "classify_structural",
+    "depth_noise_scale",
     "detect_planes",
     "edge_weights",
     "encode_planes",

@@ -60,6 +60,14 @@ class PlaneDetectionConfig:
             raise ValueError(f"max_points must be at least 1, got {self.max_points}")
 
 
+def depth_noise_scale(depth_noise: str, multiplier: float = 1.0) -> float:
+    """The scale that suits a sensor's noise model (`none`, `kinect`, `redwood`) and its multiplier.
+
+    Noise-free depth is not trusted to the last digit either: below 0.25 nothing gets better, and real surfaces bulge.
+    """
+    return max(0.25, multiplier) if depth_noise != "none" else 0.25
+
+
 @dataclass(frozen=True)
 class PlaneSegment:
     """A planar piece of one image, in the world. Every point x on it has ``normal . x + offset = 0``."""
@@ -150,12 +158,16 @@ def _block_regions(
     # of uniformly spread points; far blocks of a noisy sensor need it.
     edge = np.maximum(mean[:, 2], 1e-3) * size / lens[0]
     tilt = config.link_sigma * _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
-    labels, regions = kernels.grow_regions(
+    labels = np.full(shape, -1, np.int32)
+    regions = np.zeros_like(flat)
+    count = kernels.grow_regions(
         moments, planes.reshape(*shape, 5), accepted.reshape(shape), order[accepted[order]], scale,
         np.radians(config.link_angle_deg), tilt.reshape(shape), config.link_sigma, config.link_tolerance,
+        labels, regions,
     )  # fmt: skip
-    if not len(regions):
+    if not count:
         return labels, np.zeros((0, 5))
+    regions = regions[:count]
     planes, mean = _fit(regions)
     # Blocks miss the rim of a plane: the pixels there come back in the refinement, so half the pixels suffice here.
     keep = regions[:, 0] >= 0.5 * config.min_pixel_share * depth.size

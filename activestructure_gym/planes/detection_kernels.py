@@ -29,27 +29,32 @@ def add_point(moments, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def fit_moments(moments, plane):
-    """Least-squares plane of a moment vector (the SVD of the centred points, by its normal equations).
+def refit(moments, plane):
+    """Move ``plane = [nx, ny, nz, d, ...]`` to the least-squares plane of the moments, from where it is.
 
-    Writes ``plane = [nx, ny, nz, d, rms]`` with the normal turned to the camera at the origin (d > 0).
+    The normal is the direction of least scatter: inverse iteration, with the adjugate in place of the inverse so that
+    exactly flat points need no care. Two steps suffice, for the old normal is near and the scatter much smaller
+    across the plane than along it. (LAPACK from compiled code would cost seconds of compile time.)
     """
     count = moments[0]
     mx, my, mz = moments[1] / count, moments[2] / count, moments[3] / count
-    scatter = np.empty((3, 3))
-    scatter[0, 0] = moments[4] / count - mx * mx
-    scatter[0, 1] = scatter[1, 0] = moments[5] / count - mx * my
-    scatter[0, 2] = scatter[2, 0] = moments[6] / count - mx * mz
-    scatter[1, 1] = moments[7] / count - my * my
-    scatter[1, 2] = scatter[2, 1] = moments[8] / count - my * mz
-    scatter[2, 2] = moments[9] / count - mz * mz
-    values, vectors = np.linalg.eigh(scatter)
-    nx, ny, nz = vectors[0, 0], vectors[1, 0], vectors[2, 0]
-    d = -(nx * mx + ny * my + nz * mz)
-    if d < 0.0:
-        nx, ny, nz, d = -nx, -ny, -nz, -d
-    plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, d
-    plane[4] = np.sqrt(max(values[0], 0.0))
+    xx = moments[4] / count - mx * mx
+    xy = moments[5] / count - mx * my
+    xz = moments[6] / count - mx * mz
+    yy = moments[7] / count - my * my
+    yz = moments[8] / count - my * mz
+    zz = moments[9] / count - mz * mz
+    nx, ny, nz = plane[0], plane[1], plane[2]
+    for _ in range(2):
+        x = (yy * zz - yz * yz) * nx + (xz * yz - xy * zz) * ny + (xy * yz - xz * yy) * nz
+        y = (xz * yz - xy * zz) * nx + (xx * zz - xz * xz) * ny + (xy * xz - xx * yz) * nz
+        z = (xy * yz - xz * yy) * nx + (xy * xz - xx * yz) * ny + (xx * yy - xy * xy) * nz
+        length = np.sqrt(x * x + y * y + z * z)
+        if length < 1e-300:
+            return
+        nx, ny, nz = x / length, y / length, z / length
+    plane[0], plane[1], plane[2] = nx, ny, nz
+    plane[3] = -(nx * mx + ny * my + nz * mz)
 
 
 @njit(cache=True, nogil=True)
@@ -63,7 +68,7 @@ def block_moments(depth, fx, fy, cx, cy, size, max_depth):
             for v in range(r * size, (r + 1) * size):
                 y1 = (v + 0.5 - cy) / fy
                 for u in range(c * size, (c + 1) * size):
-                    z = float(depth[v, u])
+                    z = np.float64(depth[v, u])
                     if 0.0 < z <= max_depth:
                         add_point(block, (u + 0.5 - cx) / fx * z, y1 * z, z)
     return moments
@@ -76,7 +81,9 @@ def noise(z, scale):
 
 
 @njit(cache=True, nogil=True)
-def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base):
+def grow_regions(
+    moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base, labels, regions
+):
     """Join neighbouring planar blocks into regions, flattest block first.
 
     A block joins when it is coplanar both with the neighbour it is reached from and with the plane of the whole
@@ -84,22 +91,25 @@ def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link
 
     Normals may differ by ``link_angle`` radians plus what noise does to them, ``tilt`` [By, Bx].
 
-    Returns labels [By, Bx] int32 (-1 none) and the moments of the regions [S, 10].
+    Writes ``labels`` [By, Bx] int32 (-1 = none, given so) and the moments of the regions into ``regions``
+    [By * Bx, 10] (given as 0), and returns how many there are.
     """
     rows, columns = accepted.shape
-    labels = np.full((rows, columns), -1, np.int32)
-    regions = np.zeros((rows * columns, MOMENTS))
-    stack = np.empty(rows * columns, np.int32)
-    plane = np.empty(5)
+    stack = np.empty(rows * columns, np.int64)
+    plane = np.empty(4)
     count = 0
-    for seed in order:
+    for i in range(len(order)):
+        seed = order[i]
         r0, c0 = seed // columns, seed % columns
         if not accepted[r0, c0] or labels[r0, c0] >= 0:
             continue
         labels[r0, c0] = count
         region = regions[count]
-        region[:] = moments[r0, c0]
-        plane[:] = planes[r0, c0]
+        # Element by element: array assignments would multiply the compile time.
+        for k in range(MOMENTS):
+            region[k] = moments[r0, c0, k]
+        for k in range(4):
+            plane[k] = planes[r0, c0, k]
         refit_at = 2.0 * region[0]
         # First in, first out: the region stays compact, so that its plane is well supported before it travels.
         head, tail = 0, 1
@@ -133,14 +143,15 @@ def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link
                 if abs(plane[0] * tx + plane[1] * ty + plane[2] * tz + plane[3]) > limit:
                     continue
                 labels[rr, cc] = count
-                region += moments[rr, cc]
+                for m in range(MOMENTS):
+                    region[m] += moments[rr, cc, m]
                 stack[tail] = rr * columns + cc
                 tail += 1
                 if region[0] >= refit_at:
-                    fit_moments(region, plane)
+                    refit(region, plane)
                     refit_at = 1.5 * region[0]
         count += 1
-    return labels, regions[:count].copy()
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -158,7 +169,7 @@ def refine_pixels(
         y1 = (v + 0.5 - cy) / fy
         r = min(v // size, rows - 1)
         for u in range(width):
-            z = float(depth[v, u])
+            z = np.float64(depth[v, u])
             if not 0.0 < z <= max_depth:
                 continue
             x, y = (u + 0.5 - cx) / fx * z, y1 * z
@@ -195,7 +206,7 @@ def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, 
             label = labels[v, u]
             if label < 0:
                 continue
-            z = float(depth[v, u])
+            z = np.float64(depth[v, u])
             x, y = (u + 0.5 - cx) / fx * z, y1 * z
             limit = limit_noise * noise(z, scale) + limit_base
             for other in range(count):
@@ -216,7 +227,7 @@ def segment_moments(depth, fx, fy, cx, cy, labels, count):
         for u in range(depth.shape[1]):
             label = labels[v, u]
             if label >= 0:
-                z = float(depth[v, u])
+                z = np.float64(depth[v, u])
                 add_point(moments[label], (u + 0.5 - cx) / fx * z, y1 * z, z)
     return moments
 
@@ -230,7 +241,7 @@ def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
         for u in range(depth.shape[1]):
             label = labels[v, u]
             if label >= 0:
-                z = float(depth[v, u])
+                z = np.float64(depth[v, u])
                 p = planes[label]
                 # With the ray's z at 1 this is the cosine that turns an image area into an area on the plane.
                 cosine = abs(p[0] * (u + 0.5 - cx) / fx + p[1] * y1 + p[2])

@@ -44,6 +44,9 @@ class PlaneGraphConfig:
     quality: QualityConfig = field(default_factory=QualityConfig)
     surprise: SurpriseConfig = field(default_factory=SurpriseConfig)
     cell: float = 0.05  # metres, edge of a tangent grid's cell
+    # m^2; smaller segments join nodes but found none. Nothing of that size is worth a view, and slats, legs and book
+    # spines would be most of the nodes.
+    min_node_area: float = 0.05
     fusion_rate: float = 0.3  # of the exponential moving average of (n, d)
     normal_window: int = 10  # keyframes of normal history
 
@@ -52,8 +55,13 @@ class PlaneGraphConfig:
             raise ValueError(f"cell must be above 0 metres, got {self.cell}")
         if not 0 <= self.fusion_rate <= 1:
             raise ValueError(f"fusion_rate must lie in [0, 1], got {self.fusion_rate}")
+        if not self.min_node_area >= 0:
+            raise ValueError(f"min_node_area must be 0 m^2 or more, got {self.min_node_area}")
         if self.normal_window < 1:
             raise ValueError(f"normal_window must be at least 1, got {self.normal_window}")
+
+
+NO_NODE = -1
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ class GraphUpdate:
     """What one keyframe did to the graph."""
 
     detection: PlaneDetection
-    node_ids: tuple[int, ...]  # per segment, the id of the node it belongs to now
+    node_ids: tuple[int, ...]  # per segment, the id of the node it belongs to now, -1 = too small for one
     created: tuple[int, ...]  # ids of new nodes (still in the graph)
     merged: tuple[tuple[int, int], ...]  # (id that stays, id that went)
 
@@ -94,7 +102,7 @@ class PlaneSceneGraph:
         """Join segments found elsewhere; `update` in two steps."""
         first_new = self._next_id
         owner = self._assign(frame, detection.segments)
-        touched = sorted(set(owner))
+        touched = sorted(set(owner) - {NO_NODE})
         if touched:
             self._fuse(frame, detection, owner, touched)
         merged = self._merge(touched)
@@ -123,6 +131,9 @@ class PlaneSceneGraph:
         owner = []
         for segment in segments:
             index = match_segment(segment, eye, self.nodes, self.config.matching)
+            if index is None and segment.area < self.config.min_node_area:
+                owner.append(NO_NODE)
+                continue
             if index is None:
                 self.nodes.append(
                     PlaneNode(
@@ -140,7 +151,7 @@ class PlaneSceneGraph:
 
     def _fuse(self, frame: Frame, detection: PlaneDetection, owner: list[int], touched: list[int]) -> None:
         nodes = [self.node(node_id) for node_id in touched]
-        row = {node_id: k for k, node_id in enumerate(touched)}
+        row = {node_id: k for k, node_id in enumerate(touched)} | {NO_NODE: -1}
         patches, moments = observe(
             frame,
             detection.labels,

@@ -85,7 +85,7 @@ class SurfaceGrid:
         # plane would grow over its edge with time.
         self.seen[window] = (self.shown[window] > 0) & (_DENIALS * self.shown[window] >= self.denied[window])
         if not self.seen.any():
-            self.seen[window] = patch.hits > 0  # a sliver between all cell centres still has a place
+            self.seen[:] = self.hits > 0  # a sliver between all cell centres still has a place
         self._forget()
 
     def absorb(self, other: SurfaceGrid) -> None:
@@ -197,7 +197,7 @@ def _disc(radius: int) -> np.ndarray:
 def observe(
     frame: Frame,
     labels: np.ndarray,  # [H, W] int32, -1 = no plane
-    table: np.ndarray,  # [S] which grid each label belongs to
+    table: np.ndarray,  # [S] which grid each label belongs to, -1 = none
     grids: list[SurfaceGrid],
     anchors: np.ndarray,  # [T, 3] world
     *,

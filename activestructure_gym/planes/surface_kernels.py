@@ -18,7 +18,7 @@ UNKNOWN, OPEN, COVERED = 0, 1, 2
 def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
     """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
-    ``table`` [S] maps a label to a row of ``grids`` [T, 12] and ``anchors`` [T, 3] (moments are taken about them).
+    ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3] (moments are taken about them).
     Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
     """
     count = len(grids)
@@ -33,7 +33,9 @@ def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors
             if label < 0:
                 continue
             t = table[label]
-            z = float(depth[v, u])
+            if t < 0:
+                continue
+            z = np.float64(depth[v, u])
             x, y = (u + 0.5 - lens[2]) / lens[0] * z, y1 * z
             px = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
             py = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
@@ -59,7 +61,9 @@ def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, e
             if label < 0:
                 continue
             t = table[label]
-            z = float(depth[v, u])
+            if t < 0:
+                continue
+            z = np.float64(depth[v, u])
             x, y = (u + 0.5 - lens[2]) / lens[0] * z, y1 * z
             px = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
             py = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
@@ -108,7 +112,7 @@ def look_up_cells(depth, labels, table, lens, rotation, translation, grids, cell
                         if label >= 0 and table[label] == t:
                             seen[index] = 1
                         elif depth[v, u] > 0.0:
-                            above = camera_height * (1.0 - float(depth[v, u]) / z)
+                            above = camera_height * (1.0 - np.float64(depth[v, u]) / z)
                             if above < -reach:
                                 beside[index] = OPEN
                             elif above <= reach:

@@ -15,6 +15,8 @@ from activestructure_gym.scenes.room_trim import front_door, window_frames
 
 # Free points keep this far from walls (skirting boards, casings and sills stand up to 4 cm out).
 _FROM_WALLS = 0.05  # metres
+# And this far from the boxes of furniture, which handles and cushions overstep a little.
+_FROM_PIECES = 0.04  # metres
 
 
 @dataclass(frozen=True)
@@ -26,17 +28,18 @@ class ApartmentPlan:
 
     @property
     def lights(self) -> list[Light]:
-        """The lamps; a bare bulb under the ceiling in rooms without one."""
+        """The lamps; an unseen one under the ceiling in rooms without furniture."""
         lights = [light for piece in self.pieces for light in lights_of(piece)]
         if not any(piece.kind == "pendant" for piece in self.pieces):
             for space in self.layout.spaces[: self.layout.rooms]:
                 x, y, _ = space.box.mean(axis=0)
-                lights.append(Light((float(x), float(y), CEILING * UNIT - 0.25), 0.12, (1.5, 1.2, 0.9)))
+                lights.append(Light((float(x), float(y), CEILING * UNIT - 0.6), 0.12, (1.3, 1.04, 0.75), 0.15))
         return lights
 
     def is_free(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] bool
-        """Whether points lie in the air: inside the rooms or doors, 5 cm from any wall, outside every piece's box."""
+        """Whether points lie in the air: inside rooms or doorways, 5 cm from any wall, outside every piece's box."""
         owner = self.layout.owner
+        air = np.array([space.kind != "window" for space in self.layout.spaces] + [False])  # the last is for -1
         free = np.ones(len(points), dtype=bool)
         for axis in range(3):
             for step in (-_FROM_WALLS, _FROM_WALLS):
@@ -45,10 +48,10 @@ class ApartmentPlan:
                 cell = np.floor(moved / UNIT).astype(int)
                 within = ((cell >= 0) & (cell < owner.shape)).all(axis=1)
                 cell = np.clip(cell, 0, np.array(owner.shape) - 1)
-                free &= within & (owner[cell[:, 0], cell[:, 1], cell[:, 2]] >= 0)
+                free &= within & air[owner[cell[:, 0], cell[:, 1], cell[:, 2]]]
         for piece in self.pieces:
             lower, upper = piece.box
-            free &= ~((points > lower - 0.01) & (points < upper + 0.01)).all(axis=1)
+            free &= ~((points > lower - _FROM_PIECES) & (points < upper + _FROM_PIECES)).all(axis=1)
         return free
 
     def free_points(self, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 3] metres

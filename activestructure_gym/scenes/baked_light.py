@@ -22,7 +22,7 @@ _REACH = 8.0  # metres, beyond which a lamp is not felt
 _CHUNK = 8192  # vertices at a time: half a million rays, 30 MB
 _OFFSET = 0.008  # metres a sample stands off its surface: more than float32 noise, less than a door's thickness
 _GAMMA = 1 / 2.2
-_KEY = 0.47  # linear display value of a white surface in average light
+_KEY = 0.5  # linear display value of a white surface in average light
 _WHITE = 1.08  # display factor that the brightest light approaches
 
 
@@ -35,6 +35,16 @@ class WindowLight:
     inward: np.ndarray  # [3] unit
     room: np.ndarray  # [2, 3] metres, the box of the room it lights
     emission: tuple[float, float, float] = (8.0, 8.7, 9.6)  # linear RGB exitance; a lamp gives 2 at 1 m
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A small light, as one of the samples of a lamp or a pane."""
+
+    position: np.ndarray  # [3] metres
+    power: np.ndarray  # [3] linear RGB
+    facing: np.ndarray | None = None  # [3] normal of a flat light, None = shines everywhere
+    upward: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -52,24 +62,26 @@ def bake_light(
     face_albedo: np.ndarray,  # [F, 3] linear
     lights: Sequence[Light],
     windows: Sequence[WindowLight],
-    strata: int = _STRATA,
 ) -> np.ndarray:  # [V, 3] float32
     """The factor to multiply each vertex' sRGB colour with; glowing vertices get their glow."""
     lit = np.flatnonzero(mesh.glow == 0)
     samples = _samples(mesh, lit)
     direct = np.zeros((len(lit), 3), dtype=np.float32)
     for light in lights:
-        _add_lamp(direct, samples, caster, light)
+        near = np.linalg.norm(samples.points - light.position, axis=1) < _REACH
+        _add_light(direct, samples, caster, np.flatnonzero(near), _lamp_points(light))
     for window in windows:
-        _add_window(direct, samples, caster, window)
-    irradiance, buried = _bounce(mesh, caster, samples, lit, direct, face_albedo, strata)
+        # 0.3 m around the room's box: its niches, not the rooms next door.
+        inside = (samples.points > window.room[0] - 0.3) & (samples.points < window.room[1] + 0.3)
+        _add_light(direct, samples, caster, np.flatnonzero(inside.all(axis=1)), _pane_points(window))
+    irradiance, buried = _bounce(mesh, caster, samples, lit, direct, face_albedo)
     whole = np.zeros((len(mesh.vertices), 3), dtype=np.float32)
     whole[lit] = irradiance
     known = mesh.glow == 0
     known[lit[buried]] = False
     _fill(whole, known, mesh.faces)
     factor = np.repeat(mesh.glow[:, None], 3, axis=1)
-    factor[lit] = _expose(whole[lit], ~buried)
+    factor[lit] = _expose(whole[lit], np.where(buried, 0.0, _vertex_area(mesh)[lit]))
     return factor.astype(np.float32)
 
 
@@ -107,54 +119,47 @@ def _samples(mesh: BuiltMesh, lit: np.ndarray) -> _Samples:
     return _Samples(points[lit].astype(np.float32), mesh.normals[lit])
 
 
-def _add_lamp(total: np.ndarray, samples: _Samples, caster: RayCaster, light: Light) -> None:
-    towards = np.asarray(light.position, dtype=np.float32) - samples.points
-    near = np.flatnonzero(
-        ((towards * samples.normals).sum(axis=1) > -light.radius) & ((towards**2).sum(axis=1) < _REACH**2)
-    )
-    for angle in (0.4, 2.0, 3.5, 5.1):  # four points on the rim, not aligned with the walls
+def _lamp_points(light: Light) -> list[_Point]:
+    """Four points on the rim of a lamp, not aligned with the walls."""
+    points = []
+    for angle in (0.4, 2.0, 3.5, 5.1):
         offset = light.radius * np.array([np.cos(angle), np.sin(angle), 0.0])
-        target = np.asarray(light.position + offset, dtype=np.float32)
-        _add_point(total, samples, caster, near, target, np.asarray(light.power) / 4, None)
+        points.append(_Point(light.position + offset, np.array(light.power) / 4, None, light.upward))
+    return points
 
 
-def _add_window(total: np.ndarray, samples: _Samples, caster: RayCaster, window: WindowLight) -> None:
-    inside = (samples.points > window.room[0] - 0.3) & (samples.points < window.room[1] + 0.3)
-    near = np.flatnonzero(inside.all(axis=1))
+def _pane_points(window: WindowLight) -> list[_Point]:
+    """The middles of 3 x 3 fields of a pane; more would show in no shadow, the vertices are too far apart for that."""
     extent = window.upper - window.lower
     across = int(np.argmax(extent[:2]))
-    area = extent[across] * extent[2]
-    columns, rows = 3, 3  # more would soften shadows that the vertices are too coarse to show anyway
-    for row in range(rows):
-        for column in range(columns):
-            target = window.lower + 0.02 * window.inward
-            target[across] += extent[across] * (column + 0.5) / columns
-            target[2] += extent[2] * (row + 0.5) / rows
-            power = np.asarray(window.emission) * area / (rows * columns) / np.pi
-            _add_point(total, samples, caster, near, target.astype(np.float32), power, window.inward)
+    power = np.array(window.emission) * extent[across] * extent[2] / 9 / np.pi
+    points = []
+    for row in (1 / 6, 1 / 2, 5 / 6):
+        for column in (1 / 6, 1 / 2, 5 / 6):
+            position = window.lower + 0.02 * window.inward  # metres in front of the pane
+            position[across] += column * extent[across]
+            position[2] += row * extent[2]
+            points.append(_Point(position, power, window.inward))
+    return points
 
 
-def _add_point(
-    total: np.ndarray,
-    samples: _Samples,
-    caster: RayCaster,
-    near: np.ndarray,
-    target: np.ndarray,
-    power: np.ndarray,  # [3]
-    facing: np.ndarray | None,  # [3] normal of a flat light, None = shines everywhere
-) -> None:
-    """Adds the light of one point to the samples ``near`` that see it."""
-    towards = target - samples.points[near]
-    squared = (towards**2).sum(axis=1)
-    length = np.sqrt(squared)
-    strength = np.maximum((towards * samples.normals[near]).sum(axis=1) / length, 0)
-    if facing is not None:
-        strength *= np.maximum(-(towards @ facing.astype(np.float32)) / length, 0)
-    strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: no singularity next to it
-    bright = np.flatnonzero(strength * power.max() > 1e-3)
-    blocked = caster.occluded(samples.points[near[bright]], np.broadcast_to(target, (len(bright), 3)))
-    seen = bright[~blocked]
-    total[near[seen]] += (strength[seen, None] * power).astype(np.float32)
+def _add_light(total: np.ndarray, samples: _Samples, caster: RayCaster, near: np.ndarray, points: list[_Point]) -> None:
+    """Adds what the samples ``near`` receive from each point they see."""
+    for point in points:
+        target = point.position.astype(np.float32)
+        towards = target - samples.points[near]
+        squared = np.einsum("ij,ij->i", towards, towards)
+        length = np.sqrt(squared)
+        strength = np.maximum(np.einsum("ij,ij->i", towards, samples.normals[near]) / length, 0)
+        if point.facing is not None:
+            strength *= np.maximum(-(towards @ point.facing.astype(np.float32)) / length, 0)
+        elevation = 0.5 - 0.5 * towards[:, 2] / length  # of the sample, seen from the light: 0 below it, 1 above it
+        strength *= 1 - (1 - point.upward) * elevation
+        strength /= np.maximum(squared, 0.3**2)  # a lamp has a size: no singularity next to it
+        bright = np.flatnonzero(strength * point.power.max() > 1e-3)
+        blocked = caster.occluded(samples.points[near[bright]], np.broadcast_to(target, (len(bright), 3)))
+        seen = bright[~blocked]
+        total[near[seen]] += (strength[seen, None] * point.power).astype(np.float32)
 
 
 def _directions(strata: int) -> np.ndarray:  # [strata^2, 3] float32
@@ -174,12 +179,11 @@ def _bounce(
     lit: np.ndarray,
     direct: np.ndarray,
     face_albedo: np.ndarray,
-    strata: int,
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3] irradiance, [N] bool
     """Direct light plus what comes back from the surfaces each sample sees; which samples lie inside furniture."""
     corner = mesh.vertices[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    directions = _directions(strata)
+    directions = _directions(_STRATA)
     seen = np.empty((len(directions), len(lit)), dtype=np.int32)
     for start in range(0, len(lit), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -207,14 +211,23 @@ def _bounce(
     return irradiance, (seen == len(mesh.faces)).mean(axis=0) > 0.5
 
 
-def _expose(irradiance: np.ndarray, visible: np.ndarray) -> np.ndarray:
+def _vertex_area(mesh: BuiltMesh) -> np.ndarray:  # [V] m^2
+    """A third of the area of the faces around each vertex."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.bincount(mesh.faces.reshape(-1), np.repeat(area / 3, 3), minlength=len(mesh.vertices))
+
+
+def _expose(irradiance: np.ndarray, area: np.ndarray) -> np.ndarray:
     """Display factors from irradiance: white balance half way, brightness to a fixed key, soft shoulder, gamma.
 
+    ``area`` [N] in m^2 weighs the vertices in the average that is exposed for.
     Colours are multiplied in sRGB: (albedo * light)^(1/2.2) = albedo^(1/2.2) * light^(1/2.2), so only light is raised.
     """
+    share = area / area.sum()
     luminance = irradiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
-    key = np.exp(np.log(luminance[visible] + 1e-3).mean())
-    tone = irradiance[visible].mean(axis=0)
+    key = np.exp((share * np.log(luminance + 1e-3)).sum())
+    tone = (share[:, None] * irradiance).sum(axis=0)
     balance = np.sqrt(tone / tone.mean())
     exposed = _KEY * irradiance / (key * balance)
     return _WHITE * ((1 - np.exp(-exposed / _WHITE)) + 0.003) ** _GAMMA

@@ -55,6 +55,8 @@ BUILDERS: dict[str, Callable[[Pen, Size], None]] = {
 }
 # Parts of the building rather than things in it.
 STRUCTURAL_KINDS = frozenset({"front door", "window frame"})
+# Metres that vases, pots and books stand above the piece they belong to.
+_ON_TOP = {"bathtub": 0.13, "coffee table": 0.08, "dining table": 0.27, "dresser": 0.31, "kitchen run": 0.26}
 
 
 @dataclass(frozen=True)
@@ -71,14 +73,14 @@ class Piece:
 
     @property
     def box(self) -> np.ndarray:  # [2, 3] metres
-        """Axis-aligned box around the turned piece."""
+        """Axis-aligned box around the turned piece and what stands on it."""
         cos, sin = abs(np.cos(self.yaw)), abs(np.sin(self.yaw))
         half_x = (cos * self.size[0] + sin * self.size[1]) / 2
         half_y = (sin * self.size[0] + cos * self.size[1]) / 2
         return np.array(
             [
                 [self.x - half_x, self.y - half_y, self.base],
-                [self.x + half_x, self.y + half_y, self.base + self.size[2]],
+                [self.x + half_x, self.y + half_y, self.base + self.size[2] + _ON_TOP.get(self.kind, 0.0)],
             ]
         )
 
@@ -89,7 +91,8 @@ class Light:
 
     position: tuple[float, float, float]  # metres
     radius: float  # metres, horizontal spread: softness of the shadows
-    power: tuple[float, float, float]  # linear RGB; irradiance at 1 m, facing it
+    power: tuple[float, float, float]  # linear RGB; irradiance at 1 m below, facing it
+    upward: float = 1.0  # share of that straight up: below 1 for lamps with a shade that is not part of the mesh
 
 
 def draw_piece(builder: MeshBuilder, materials: Materials, piece: Piece) -> None:

@@ -75,10 +75,10 @@ def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> 
     add_shell(
         builder, np.zeros(cells, dtype=np.int16), [np.linspace(0, e, c + 1) for e, c in zip(extent, cells)], describe
     )
-    lamp = Light((0.45 * extent[0], 0.55 * extent[1], extent[2] - 0.2), 0.1, (2.0, 1.9, 1.75))
+    lamp = Light((0.45 * extent[0], 0.55 * extent[1], 0.75 * extent[2]), 0.1, (2.0, 1.9, 1.75), upward=0.15)
     text = ", ".join(f"{value:g}" for value in extent)
     source = f"make_box_room(seed={int(seed)}, size=({text}))"
-    return _finish(f"box-{int(seed)}", source, builder.build(), materials, [lamp], [], strata=4)
+    return _finish(f"box-{int(seed)}", source, builder.build(), materials, [lamp], [])
 
 
 def _check_seed(seed: int) -> None:
@@ -141,8 +141,6 @@ def _finish(
     materials: Materials,
     lights: Sequence[Light],
     windows: Sequence[WindowLight],
-    *,
-    strata: int = 7,
 ) -> Scene:
     """Bakes the light and puts everything together."""
     caster = RayCaster(built.vertices, built.faces)
@@ -150,9 +148,7 @@ def _finish(
     mean = np.array([*([t[..., k].mean() / 255 for k in range(3)] for t in materials.textures), [1.0, 1.0, 1.0]])
     albedo = (mean[built.face_texture] * built.tint[built.faces[:, 0]]) ** 2.2
     albedo[built.glow[built.faces[:, 0]] > 0] = 0.0  # lamps and panes are light sources; they send nothing back
-    light = bake_light(
-        built, caster, face_albedo=albedo.astype(np.float32), lights=lights, windows=windows, strata=strata
-    )
+    light = bake_light(built, caster, face_albedo=albedo.astype(np.float32), lights=lights, windows=windows)
     mesh = SceneMesh(
         vertices=built.vertices,
         faces=built.faces,

@@ -188,10 +188,14 @@ class Materials:
         )
 
     def _linen(self) -> Material:
-        return Material(self._texture("linen", textures.fabric, color=(0.86, 0.85, 0.81), threads=40), repeats=1.5)
+        return Material(
+            self._texture("linen", textures.fabric, color=(0.86, 0.85, 0.81), threads=40, strength=0.5), repeats=1.5
+        )
 
     def _curtain(self) -> Material:
-        return Material(self._texture("curtain", textures.fabric, color=self.scheme.curtain, threads=32), repeats=1.2)
+        return Material(
+            self._texture("curtain", textures.fabric, color=self.scheme.curtain, threads=32, strength=0.7), repeats=1.2
+        )
 
     def _rug(self) -> Material:
         return Material(self._texture("rug", textures.rug, colors=list(self.scheme.rug)))

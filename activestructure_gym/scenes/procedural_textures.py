@@ -85,7 +85,7 @@ def planks(rng: np.random.Generator, *, color: Color, rows: int = 8, size: int =
     along = 0.5 - np.abs((v * rows) % 1 - 0.5)  # 0 at the joint, in board widths
     across = (0.5 - np.abs(((u + shift[row]) * 2) % 1 - 0.5)) * rows / 2
     joint = np.exp(-((np.minimum(along, across) / 0.025) ** 2))
-    value = 1.0 + tone + 0.06 * grain - 0.45 * joint
+    value = 1.0 + tone + 0.05 * grain - 0.34 * joint
     image = np.array(color) * value[..., None]
     image[..., 0] += hue * 0.5
     return finish(image)
@@ -98,7 +98,7 @@ def wood(rng: np.random.Generator, *, color: Color, size: int = 256) -> np.ndarr
     bend = noise(rng, shape, falloff=2.2, stretch=5.0)
     rings = np.sin(2 * np.pi * (5 * v + 0.55 * bend))
     pores = noise(rng, shape, falloff=0.9, stretch=16.0, smallest=2)
-    value = 1.0 + 0.05 * rings + 0.045 * pores + 0.03 * noise(rng, shape, falloff=2.0)
+    value = 1.0 + 0.045 * rings + 0.032 * pores + 0.03 * noise(rng, shape, falloff=2.0)
     tint = np.array([0.6, 1.0, 1.2])  # darker rings are redder
     return finish(np.array(color) * (1.0 + (value[..., None] - 1.0) * tint))
 
@@ -119,7 +119,9 @@ def tiles(
     return finish(np.array(color) * value[..., None] * (1 - joint) + np.array(grout) * joint)
 
 
-def fabric(rng: np.random.Generator, *, color: Color, size: int = 256, threads: int = 48) -> np.ndarray:
+def fabric(
+    rng: np.random.Generator, *, color: Color, size: int = 256, threads: int = 48, strength: float = 1.0
+) -> np.ndarray:
     """Woven cloth: warp and weft, with wear."""
     shape = (size, size)
     u, v = pixel_grid(shape)
@@ -128,7 +130,7 @@ def fabric(rng: np.random.Generator, *, color: Color, size: int = 256, threads: 
         noise(rng, shape, falloff=0.7, stretch=4.0, smallest=3)
         + noise(rng, shape[::-1], falloff=0.7, stretch=4.0, smallest=3).T
     )
-    value = 1 + 0.05 * weave + 0.035 * uneven + 0.025 * noise(rng, shape, falloff=1.8)
+    value = 1 + strength * (0.05 * weave + 0.03 * uneven + 0.025 * noise(rng, shape, falloff=1.8))
     return finish(np.array(color) * value[..., None])
 
 

@@ -1,4 +1,4 @@
-"""What hangs in a room: curtains (and the radiator below a window), the lamp, pictures on free stretches of wall."""
+"""What hangs in a room: curtains, radiators under windows, the lamp, pictures on free stretches of wall."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ from activestructure_gym.scenes.furniture_placement import RoomPlanner, Wall
 from activestructure_gym.scenes.layout import CEILING, UNIT, WINDOW_HEAD
 
 
-def dress_windows(planner: RoomPlanner, *, curtains: bool) -> None:
-    """Curtains left and right of every window, a radiator under some."""
+def hang_curtains(planner: RoomPlanner) -> None:
+    """Curtains left and right of every window, on a rod."""
+    for wall in planner.walls:
+        for a, b, _ in wall.windows:
+            sides = [side for side in (a - 0.16, b + 0.16) if 0.17 < side < wall.length - 0.17]
+            size = (0.32, 0.10, 2.26)
+            planner.add([planner.at_wall(wall, "curtain", side, size, base=0.02, gap=0.03) for side in sides])
+            start, end = max(a - 0.36, 0.03), min(b + 0.36, wall.length - 0.03)
+            rod = planner.at_wall(
+                wall, "curtain rod", (start + end) / 2, (end - start, 0.05, 0.035), base=2.285, gap=0.055
+            )
+            planner.add([rod], solid=False)
+
+
+def add_radiators(planner: RoomPlanner) -> None:
+    """A radiator under most windows that have nothing else below them."""
     for wall in planner.walls:
         for a, b, sill in wall.windows:
-            middle, width = (a + b) / 2, b - a
-            if curtains:
-                sides = [side for side in (a - 0.16, b + 0.16) if 0.17 < side < wall.length - 0.17]
-                pieces = [
-                    planner.at_wall(wall, "curtain", side, (0.32, 0.10, 2.26), base=0.02, gap=0.03) for side in sides
-                ]
-                planner.add(pieces)
-                start, end = max(a - 0.36, 0.03), min(b + 0.36, wall.length - 0.03)
-                size = (end - start, 0.05, 0.035)
-                planner.add(
-                    [planner.at_wall(wall, "curtain rod", (start + end) / 2, size, base=2.285, gap=0.055)], solid=False
-                )
-            if sill < 1.0 and planner.rng.random() < 0.5:
-                planner.add([planner.at_wall(wall, "radiator", middle, (min(width, 1.2), 0.10, 0.75), gap=0.0)])
+            width = min(b - a, 1.2)
+            below = wall.rect((a + b - width) / 2, (a + b + width) / 2, 0.0, 0.10)
+            if sill < 1.0 and planner.rng.random() < 0.7 and planner.free_of_furniture(below):
+                planner.add([planner.at_wall(wall, "radiator", (a + b) / 2, (width, 0.10, 0.75), gap=0.0)])
 
 
 def hang_lamp(planner: RoomPlanner) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.scenes.furniture import Piece
 from activestructure_gym.scenes.furniture_fixtures import MODULE
 from activestructure_gym.scenes.furniture_placement import GAP, RoomPlanner, Wall
-from activestructure_gym.scenes.room_decoration import dress_windows, hang_lamp, hang_pictures
+from activestructure_gym.scenes.room_decoration import add_radiators, hang_curtains, hang_lamp, hang_pictures
 
 # Metres. Thinner than the light samples stand off the floor (baked_light): a rug must not shade what is around it.
 RUG = 0.006
@@ -17,8 +17,10 @@ RUG = 0.006
 
 def furnish_room(planner: RoomPlanner, kind: str) -> list[Piece]:
     """All pieces of a room, its window dressing and the pictures on its walls."""
-    dress_windows(planner, curtains=kind not in ("bath", "kitchen"))
+    if kind not in ("bath", "kitchen"):
+        hang_curtains(planner)
     _PROGRAMS[kind](planner)
+    add_radiators(planner)
     hang_lamp(planner)
     if kind != "bath":
         hang_pictures(planner, most=2 if kind == "kitchen" else 4)
@@ -64,7 +66,8 @@ def _media_corner(planner: RoomPlanner) -> None:
     table = (1.05, 0.55, 0.42)
     away = back - sofa[1] - 0.38 - table[1] / 2
     x, y = wall.point(centre, away)
-    planner.add([planner.piece("coffee table", x, y, wall.yaw, table)])
+    if planner.fits(wall.rect(centre - table[0] / 2, centre + table[0] / 2, away - table[1] / 2, away + table[1] / 2)):
+        planner.add([planner.piece("coffee table", x, y, wall.yaw, table)])
     x, y = wall.point(centre, away + 0.1)
     room = [planner.room[2] - planner.room[0], planner.room[3] - planner.room[1]][wall.index % 2]
     wide = min(2.3, room - 0.5)
@@ -80,10 +83,10 @@ def _dining_group(planner: RoomPlanner, *, seats: int) -> None:
     rng = planner.rng
     sizes = [(1.4, 0.8), (1.2, 0.75)] if seats > 2 else [(0.8, 0.75), (0.75, 0.7)]
     # First with room to walk around the table, then with the chairs of one side at a wall.
-    for margin, (width, depth) in [(margin, size) for margin in (0.28, 0.0) for size in sizes]:
+    for margin, (width, depth) in [(margin, size) for margin in (0.24, 0.0) for size in sizes]:
         for turned in rng.permutation([0, 1]):
-            # The group's footprint: chairs pushed in half way stand 0.28 m out on both long sides.
-            outer = (width + 0.05, depth + 0.56)
+            # The group's footprint: chairs pushed in half way stand up to 0.32 m out on both long sides.
+            outer = (width + 0.05, depth + 0.64)
             group = outer[::-1] if turned else outer
             middle = planner.roomiest(*group, margin=margin)
             if middle is None:
@@ -102,7 +105,7 @@ def _dining_group(planner: RoomPlanner, *, seats: int) -> None:
             for place in places:
                 for sign in (-1, 1):
                     local = np.array(
-                        [place + rng.uniform(-0.03, 0.03), sign * (depth / 2 + 0.06 + rng.uniform(-0.02, 0.03))]
+                        [place + rng.uniform(-0.03, 0.03), sign * (depth / 2 + 0.04 + rng.uniform(-0.02, 0.02))]
                     )
                     cos, sin = np.cos(yaw), np.sin(yaw)
                     x, y = middle[0] + cos * local[0] - sin * local[1], middle[1] + sin * local[0] + cos * local[1]
@@ -164,7 +167,10 @@ def _child(planner: RoomPlanner) -> None:
 def _desk_group(planner: RoomPlanner) -> None:
     """Desk with a swivel chair half under it."""
     size = (1.4, 0.68, 1.16) if planner.area > 9 else (1.2, 0.65, 1.16)
-    spot = planner.choose(planner.wall_spots((size[0], size[1], 0.75), front=0.85))
+    spots = planner.wall_spots((size[0], size[1], 0.75), front=0.85)
+    # The chair, turned by any angle, must not stand in a doorway.
+    seats = [s.wall.rect(s.centre - 0.2, s.centre + 0.6, size[1], size[1] + 0.62) for s in spots]
+    spot = planner.choose([s for s, seat in zip(spots, seats) if planner.fits(seat, gap=0.0)])
     if spot is None:
         return
     wall, centre = spot.wall, spot.centre
@@ -197,10 +203,10 @@ def _kitchen(planner: RoomPlanner) -> None:
 def _kitchen_line(planner: RoomPlanner) -> None:
     """Fridge and base units in one line, cupboards above where no window is."""
     tall = 0.66
-    for units in (5, 4, 3, 2):
+    for units, free in ((5, 0.8), (4, 0.8), (3, 0.8), (3, 0.6), (2, 0.6)):  # free: metres before the units
         width = units * MODULE
         found = None
-        spots = planner.wall_spots((width + tall, 0.66, 0.89), front=0.8)
+        spots = planner.wall_spots((width + tall, 0.66, 0.89), front=free)
         at_corner = [s for s in spots if min(s.centre, s.wall.length - s.centre) < (width + tall) / 2 + 0.15]
         for spot in [group[i] for group in (at_corner, spots) for i in planner.rng.permutation(len(group))]:
             for sign in (-1, 1):
@@ -212,7 +218,7 @@ def _kitchen_line(planner: RoomPlanner) -> None:
             continue
         wall, centre, sign = found
         run, cold = centre - sign * tall / 2, centre + sign * width / 2
-        front = wall.rect(centre - (width + tall) / 2, centre + (width + tall) / 2, 0.72, 1.3)
+        front = wall.rect(centre - (width + tall) / 2, centre + (width + tall) / 2, 0.72, 0.72 + free - 0.2)
         planner.add(
             [
                 planner.at_wall(wall, "kitchen run", run, (width, 0.6, 0.9), gap=0.0),

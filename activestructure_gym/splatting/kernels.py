@@ -294,6 +294,26 @@ def take_ticket(typingctx, counters, index):
 
 
 @intrinsic
+def _to_line(typingctx, array):
+    """How many floats into the array the next 64-byte boundary lies."""
+
+    def codegen(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, value=args[0]).data
+        address = builder.ptrtoint(data, _I64)
+        return builder.and_(builder.lshr(builder.neg(address), ir.Constant(_I64, 2)), ir.Constant(_I64, 15))
+
+    return types.int64(array), codegen
+
+
+@njit
+def _scratch(size):
+    """Floats that start on a cache line: vectors across two lines cost double."""
+    room = np.empty(size + LANES, np.float32)
+    start = _to_line(room)
+    return room[start : start + size]
+
+
+@intrinsic
 def lowest_bit(typingctx, value):
     """Index of the lowest set bit of a value that is not 0."""
 
@@ -351,6 +371,89 @@ def load_transposed(typingctx, array, index):
         return context.make_tuple(builder, sig.return_type, _load_columns(context, builder, sig, args))
 
     return types.UniTuple(floats, LANES)(array, types.intp), codegen
+
+
+def _four(builder, vector, row):
+    """Lanes 4 row .. 4 row + 3."""
+    picked = ir.Constant(ir.VectorType(_I32, 4), [4 * row + x for x in range(4)])
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), picked)
+
+
+@intrinsic
+def store_block(typingctx, array, index, stride, value):
+    """A block of 4 x 4 pixels into an image with ``stride`` floats per row."""
+
+    def codegen(context, builder, sig, args):
+        for row in range(4):
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(_I64, row)))
+            pointer = _pointer(context, builder, sig.args[0], args[0], at)
+            four = _four(builder, args[3], row)
+            builder.store(four, builder.bitcast(pointer, four.type.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, floats), codegen
+
+
+@intrinsic
+def load_block(typingctx, array, index, stride):
+    def codegen(context, builder, sig, args):
+        kind, rows = ir.VectorType(_F32, 4), []
+        for row in range(4):
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(_I64, row)))
+            pointer = _pointer(context, builder, sig.args[0], args[0], at)
+            rows.append(builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind))
+        eight = ir.Constant(ir.VectorType(_I32, 8), list(range(8)))
+        halves = [builder.shuffle_vector(rows[i], rows[i + 1], eight) for i in (0, 2)]
+        return builder.shuffle_vector(*halves, ir.Constant(_INTS, list(range(LANES))))
+
+    return floats(array, types.intp, types.intp), codegen
+
+
+@intrinsic
+def store_color_block(typingctx, array, index, stride, r, g, b):
+    """Three channels of a block, interleaved: rows of 12 floats."""
+
+    def codegen(context, builder, sig, args):
+        _, _, _, r, g, b = args
+        twelve, kind = ir.VectorType(_I32, 12), ir.VectorType(_F32, 12)
+        for row in range(4):
+            fours = [_four(builder, channel, row) for channel in (r, g, b)]
+            pairs = ir.Constant(twelve, [(x // 3) + 4 * min(x % 3, 1) for x in range(12)])
+            mixed = builder.shuffle_vector(fours[0], fours[1], pairs)  # r g ? r g ? ...
+            widened = builder.shuffle_vector(
+                fours[2], ir.Constant(fours[2].type, ir.Undefined), ir.Constant(twelve, [x // 3 for x in range(12)])
+            )
+            value = builder.shuffle_vector(
+                mixed, widened, ir.Constant(twelve, [x if x % 3 < 2 else 12 + x for x in range(12)])
+            )
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(_I64, row)))
+            pointer = _pointer(context, builder, sig.args[0], args[0], at)
+            builder.store(value, builder.bitcast(pointer, kind.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, floats, floats, floats), codegen
+
+
+@intrinsic
+def load_color_block(typingctx, array, index, stride):
+    """The three channels of a block from interleaved rows."""
+
+    def codegen(context, builder, sig, args):
+        kind, rows = ir.VectorType(_F32, 12), []
+        for row in range(4):
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(_I64, row)))
+            pointer = _pointer(context, builder, sig.args[0], args[0], at)
+            rows.append(builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind))
+        channels = []
+        for channel in range(3):
+            eight = ir.Constant(
+                ir.VectorType(_I32, 8), [12 * (x // 4) + 3 * (x % 4) + channel for x in range(8)]
+            )
+            halves = [builder.shuffle_vector(rows[i], rows[i + 1], eight) for i in (0, 2)]
+            channels.append(builder.shuffle_vector(*halves, ir.Constant(_INTS, list(range(LANES)))))
+        return context.make_tuple(builder, sig.return_type, channels)
+
+    return types.UniTuple(floats, 3)(array, types.intp, types.intp), codegen
 
 
 def _sum_plan():
@@ -423,7 +526,7 @@ LN_4 = F(1.3862943611198906)  # 1 / ROOT^2
 SLACK = F(0.01)  # px around every ellipse, far above the rounding of its border
 
 # view: floats of a camera
-POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, VIEW_SIZE = 0, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21
+POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, CONSTANTS, VIEW_SIZE = 0, *range(12, 22), 32
 # grid: integers of a rendering
 COUNT, CAPACITY, WIDTH, HEIGHT, TILES_X, TILES_Y, CHUNKS, BLOCKS_X, BLOCKS_Y, STRIDE, MARGIN, GRID_SIZE = range(12)
 # record: t = L00 dx + L01 dy, s = L11 dy; BOX_X and BOX_Y hold first + last << 16 in blocks; SLOT.. are set by fill
@@ -445,6 +548,25 @@ def _exp2(x):
     f = x - (shifted - F(12582912.0))
     q = fma(f, fma(f, fma(f, fma(f, F(1.3264725e-3), F(9.6715127e-3)), F(5.5507337e-2)), F(0.24022242)), F(0.69314698))
     return float_bits(int_bits(fma(f, q, F(1.0))) + (int_bits(shifted) << np.int32(23)))
+
+
+# The numbers of the hot loops, as memory operands behind every view: as literals LLVM hoists them out of the loop and
+# spills them to a stack that is not aligned to 64 bytes, where every reload takes two cache lines.
+MAGIC, EXP_5, EXP_4, EXP_3, EXP_2, EXP_1, ONE, LEAST_POWER, LEAST_LEFT = range(CONSTANTS, CONSTANTS + 9)
+CONSTANT_VALUES = np.array(
+    [12582912.0, 1.3264725e-3, 9.6715127e-3, 5.5507337e-2, 0.24022242, 0.69314698, 1.0, -LOG2_255, MIN_TRANSMITTANCE],
+    np.float32,
+)
+
+
+@_inline
+def _exp2_hot(x, view):
+    """`_exp2` with its constants from memory."""
+    shifted = x + peek(view, MAGIC)
+    f = x - (shifted - peek(view, MAGIC))
+    q = fma(f, spread(peek(view, EXP_5)), peek(view, EXP_4))
+    q = fma(f, fma(f, fma(f, q, peek(view, EXP_3)), peek(view, EXP_2)), peek(view, EXP_1))
+    return float_bits(int_bits(fma(f, q, peek(view, ONE))) + (int_bits(shifted) << np.int32(23)))
 
 
 @_inline
@@ -605,6 +727,8 @@ def _project_block(parameters, i, view, grid, records):
     high = low
     ones = low + np.int32(1)
     for band in range(8):
+        if bits(live & (box_y0 + F(band) <= box_y1)) == 0:
+            break
         top = fma(box_y0 + F(band), F(4.0), F(0.5)) - v
         from_y, to_y = _most(top, neg(radius_y)), _least(top + F(3.0), radius_y)
         at = _clamped(turning, from_y, to_y)
@@ -793,30 +917,33 @@ def _sort_tile(start, stop, entries, digits):
                 j -= 1
             poke(entries, source + j + 1, key)
     else:
-        differ = _U64(0)
-        common = peek(entries, source + start)
+        nearest = farthest = peek(entries, source + start)
         for i in range(start, stop):
-            differ |= peek(entries, source + i) ^ common
-        for shift in range(32, 64, 8):
-            if (differ >> _U64(shift)) & _U64(255) == _U64(0):
-                continue  # a digit all keys share
-            for digit in range(256):
+            key = peek(entries, source + i)
+            nearest, farthest = min(nearest, key), max(farthest, key)
+        # Only the bits in which depths of this tile differ from the nearest need sorting.
+        nearest = nearest >> _U64(32)
+        spare = (farthest >> _U64(32)) - nearest
+        shift = 0
+        while spare != _U64(0):
+            for digit in range(512):
                 poke(digits, digit, np.int64(0))
             for i in range(start, stop):
-                digit = np.int64((peek(entries, source + i) >> _U64(shift)) & _U64(255))
+                digit = np.int64((((peek(entries, source + i) >> _U64(32)) - nearest) >> _U64(shift)) & _U64(511))
                 poke(digits, digit, peek(digits, digit) + 1)
             place = start
-            for digit in range(256):
-                step = peek(digits, digit)
+            for digit in range(512):
+                own = peek(digits, digit)
                 poke(digits, digit, place)
-                place += step
+                place += own
             for i in range(start, stop):
                 key = peek(entries, source + i)
-                digit = np.int64((key >> _U64(shift)) & _U64(255))
+                digit = np.int64((((key >> _U64(32)) - nearest) >> _U64(shift)) & _U64(511))
                 place = peek(digits, digit)
                 poke(digits, digit, place + 1)
                 poke(entries, target + place, key)
             source, target = target, source
+            spare, shift = spare >> _U64(9), shift + 9
     for i in range(start, stop):
         at = np.int64(peek(entries, source + i) & _U64(0xFFFFFFFF))
         poke(entries, SORTED_REACH * room + i, peek(entries, REACH * room + at))
@@ -843,17 +970,29 @@ def _open_tile(tile, grid, state, width):
 
 
 @_inline
-def _alpha(records, base, block, along, across, max_alpha):
+def _fetch_ahead(entries, entry, stop, records):
+    """Bring the record of a later entry near: its place is random, so no hardware prefetcher sees it coming."""
+    later = peek(entries, SORTED_SPLAT * entries.shape[1] + min(entry + 6, stop - 1))
+    prefetch(records, RECORD * np.int64(later & _U64(0xFFFFFFFF)))
+
+
+@_inline
+def _stopped(transmittance):
+    """Minus its size: how a pixel that has stopped remembers what was left."""
+    return float_bits(int_bits(transmittance) | np.int32(-0x80000000))
+
+
+@_inline
+def _alpha(records, base, block, along, across, view):
     """t, s, alpha (0 below 1/255) and which lanes are below the limit, for the 16 pixels of a block."""
     bx, by = peek(_BLOCK_X, block), peek(_BLOCK_Y, block)
-    l11 = peek(records, base + L11)
     t = fma(spread(peek(records, base + L00)), bx, fma(spread(peek(records, base + L01)), by, along))
-    s = fma(spread(l11), by, across)
+    s = fma(spread(peek(records, base + L11)), by, across)
     power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
-    alpha = _exp2(power)
+    alpha = _exp2_hot(power, view)
+    max_alpha = spread(peek(view, MAX_ALPHA))
     free = alpha <= max_alpha
-    alpha = sel(power >= neg(spread(LOG2_255)), _least(alpha, spread(max_alpha)), F(0.0))
-    return t, s, alpha, free
+    return t, s, sel(power >= peek(view, LEAST_POWER), _least(alpha, max_alpha), F(0.0)), free
 
 
 def _make_blend(with_color):
@@ -869,10 +1008,10 @@ def _make_blend(with_color):
         for block in range(64):
             for offset in range(width * block + LANES, width * (block + 1), LANES):
                 store(state, offset, zero)
-        max_alpha = view[MAX_ALPHA]
         for entry in range(start, stop):
             if alive == 0:
                 break
+            _fetch_ahead(entries, entry, stop, records)
             reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
             if reach == 0:
                 continue
@@ -889,14 +1028,16 @@ def _make_blend(with_color):
                 block = lowest_bit(reach)
                 reach &= reach - 1
                 at = width * block
-                _, _, opaque, _ = _alpha(records, base, block, along, across, max_alpha)
+                _, _, opaque, _ = _alpha(records, base, block, along, across, view)
                 before = load(state, at)
                 after = fma(neg(opaque), before, before)
-                goes_on = after > MIN_TRANSMITTANCE
+                goes_on = after > peek(view, LEAST_LEFT)
                 weight = sel(goes_on, opaque * before, F(0.0))
-                if bits(goes_on) != 0xFFFF:
-                    after = sel(goes_on, after, _least(before, neg(before)))
-                    if bits(after > F(0.0)) == 0:
+                # With colour a branch hides the latency of this test from the next Gaussian on the block; without
+                # colour (small, saturated pictures) its mispredictions cost more. Both measured.
+                if not with_color or bits(goes_on) != 0xFFFF:
+                    after = sel(goes_on, after, _stopped(before))
+                    if bits(goes_on) == 0:
                         alive &= ~(1 << block)
                 store(state, at, after)
                 store(state, at + 16, fma(weight, z, load(state, at + 16)))
@@ -904,17 +1045,26 @@ def _make_blend(with_color):
                     store(state, at + 32, fma(weight, r, load(state, at + 32)))
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
                     store(state, at + 64, fma(weight, b, load(state, at + 64)))
-        for row in range(min(TILE, grid[HEIGHT] - y)):
-            for column in range(min(TILE, grid[WIDTH] - x)):
-                at = width * (8 * (row >> 2) + (column >> 2)) + 4 * (row & 3) + (column & 3)
-                pixel = (y + row) * grid[WIDTH] + x + column
-                poke(alpha, pixel, F(1.0) - abs(peek(state, at)))
-                poke(depth, pixel, peek(state, at + 16))
+        for block in range(64):
+            left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
+            pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
+            if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
+                rest = load(state, at)
+                store_block(alpha, pixel, grid[WIDTH], F(1.0) - _most(rest, neg(rest)))
+                store_block(depth, pixel, grid[WIDTH], load(state, at + 16))
                 if with_color:
-                    place = (y + row) * grid[STRIDE] + grid[MARGIN] + 3 * (x + column)
-                    poke(color, place, peek(state, at + 32))
-                    poke(color, place + 1, peek(state, at + 48))
-                    poke(color, place + 2, peek(state, at + 64))
+                    r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+                    store_color_block(color, place, grid[STRIDE], r, g, b)
+                continue
+            for row in range(min(4, grid[HEIGHT] - top)):
+                for column in range(min(4, grid[WIDTH] - left)):
+                    lane = at + 4 * row + column
+                    poke(alpha, pixel + row * grid[WIDTH] + column, F(1.0) - abs(peek(state, lane)))
+                    poke(depth, pixel + row * grid[WIDTH] + column, peek(state, lane + 16))
+                    if with_color:
+                        for channel in range(3):
+                            value = peek(state, lane + 32 + 16 * channel)
+                            poke(color, place + row * grid[STRIDE] + 3 * column + channel, value)
 
     return blend_tile
 
@@ -938,21 +1088,34 @@ def _unblend_tile(
     for block in range(64):
         for offset in range(width * block + LANES, width * (block + 1), LANES):
             store(state, offset, zero)
-    for row in range(min(TILE, grid[HEIGHT] - y)):
-        for column in range(min(TILE, grid[WIDTH] - x)):
-            at = width * (8 * (row >> 2) + (column >> 2)) + 4 * (row & 3) + (column & 3)
-            pixel = (y + row) * grid[WIDTH] + x + column
-            place = (y + row) * grid[STRIDE] + grid[MARGIN] + 3 * (x + column)
-            rest = peek(depth, pixel) * peek(by_depth, pixel) + peek(alpha, pixel) * peek(by_alpha, pixel)
-            poke(state, at + 80, peek(by_depth, pixel))
-            poke(state, at + 96, peek(by_alpha, pixel))
-            for channel in range(3):
-                gradient = peek(by_color, place + channel)
-                rest += gradient * peek(color, place + channel)
-                poke(state, at + 32 + 16 * channel, gradient)
-            poke(state, at + 16, rest)
-    max_alpha = view[MAX_ALPHA]
+    for block in range(64):
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
+        pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
+        if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
+            g_z, g_a = load_block(by_depth, pixel, grid[WIDTH]), load_block(by_alpha, pixel, grid[WIDTH])
+            rest = load_block(depth, pixel, grid[WIDTH]) * g_z + load_block(alpha, pixel, grid[WIDTH]) * g_a
+            g_r, g_g, g_b = load_color_block(by_color, place, grid[STRIDE])
+            r, g, b = load_color_block(color, place, grid[STRIDE])
+            store(state, at + 16, fma(r, g_r, fma(g, g_g, fma(b, g_b, rest))))
+            store(state, at + 32, g_r)
+            store(state, at + 48, g_g)
+            store(state, at + 64, g_b)
+            store(state, at + 80, g_z)
+            store(state, at + 96, g_a)
+            continue
+        for row in range(min(4, grid[HEIGHT] - top)):
+            for column in range(min(4, grid[WIDTH] - left)):
+                lane, here = at + 4 * row + column, pixel + row * grid[WIDTH] + column
+                rest_here = peek(depth, here) * peek(by_depth, here) + peek(alpha, here) * peek(by_alpha, here)
+                poke(state, lane + 80, peek(by_depth, here))
+                poke(state, lane + 96, peek(by_alpha, here))
+                for channel in range(3):
+                    spot = place + row * grid[STRIDE] + 3 * column + channel
+                    rest_here += peek(by_color, spot) * peek(color, spot)
+                    poke(state, lane + 32 + 16 * channel, peek(by_color, spot))
+                poke(state, lane + 16, rest_here)
     for entry in range(start, stop):
+        _fetch_ahead(entries, entry, stop, records)
         packed = peek(entries, SORTED_SPLAT * room + entry)
         slot = LANES * np.int64(packed >> _U64(32))
         reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
@@ -973,15 +1136,14 @@ def _unblend_tile(
             block = lowest_bit(reach)
             reach &= reach - 1
             at = width * block
-            t, s, opaque, free = _alpha(records, base, block, along, across, max_alpha)
+            t, s, opaque, free = _alpha(records, base, block, along, across, view)
             before = load(state, at)
             after = fma(neg(opaque), before, before)
-            goes_on = after > MIN_TRANSMITTANCE
+            goes_on = after > peek(view, LEAST_LEFT)
             weight = sel(goes_on, opaque * before, F(0.0))
-            if bits(goes_on) != 0xFFFF:
-                after = sel(goes_on, after, _least(before, neg(before)))
-                if bits(after > F(0.0)) == 0:
-                    alive &= ~(1 << block)
+            after = sel(goes_on, after, _stopped(before))
+            if bits(goes_on) == 0:
+                alive &= ~(1 << block)
             store(state, at, after)
             g_r, g_g, g_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
             g_z = load(state, at + 80)
@@ -1130,10 +1292,18 @@ def _step_chunk(
     for k in range(12):
         store(pose, LANES * k, zero)
     beta1, beta2, epsilon, stepping = rates[14], rates[15], rates[16], rates[17] > F(0.0)
-    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+    end = min((chunk + 1) * CHUNK, grid[COUNT])
+    for i in range(chunk * CHUNK, end, LANES):
         seen = np.int64(peek(visible, i // LANES))
         if seen == 0:
             continue
+        later = min(i + LANES, end - 1)
+        if peek(visible, later // LANES) != 0:
+            for row in range(ROWS):  # too many streams for the hardware prefetcher
+                prefetch(parameters, row * capacity + later)
+                if stepping:
+                    prefetch(first_moment, row * capacity + later)
+                    prefetch(second_moment, row * capacity + later)
         for lane in range(LANES):
             total = zero
             if (seen >> lane) & 1:
@@ -1325,7 +1495,7 @@ def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
 
 @njit(cache=True, nogil=True)
 def blend(tickets, view, grid, records, tile_start, entries, color, depth, alpha):
-    state, digits = np.empty(64 * 80, np.float32), np.empty(256, np.int64)
+    state, digits = _scratch(64 * 80), np.empty(512, np.int64)
     while True:
         tile = take_ticket(tickets, 2)
         if tile >= grid[TILES_X] * grid[TILES_Y]:
@@ -1366,7 +1536,7 @@ def differentiate(
 def unblend(
     tickets, view, grid, records, tile_start, entries, color, depth, alpha, by_color, by_depth, by_alpha, slots
 ):
-    state = np.empty(64 * 112, np.float32)
+    state = _scratch(64 * 112)
     while True:
         tile = take_ticket(tickets, 5)
         if tile >= grid[TILES_X] * grid[TILES_Y]:
@@ -1381,7 +1551,7 @@ def unblend(
 def step(
     tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts
 ):
-    scratch = np.empty(42 * LANES, np.float32)
+    scratch = _scratch(42 * LANES)
     while True:
         chunk = take_ticket(tickets, 6)
         if chunk >= grid[CHUNKS]:
@@ -1396,11 +1566,11 @@ def step(
 def score(tickets, parameters, views, grid, depth, alpha):
     """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
     chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]
-    records = np.empty(max(grid[COUNT] + LANES, 1) * RECORD, np.float32)
+    records = _scratch(max(grid[COUNT] + LANES, 1) * RECORD)
     visible = np.empty(chunks * (CHUNK // LANES), np.int32)
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
-    tile_start, digits = np.empty(tiles + 1, np.int64), np.empty(256, np.int64)
-    state, no_color = np.empty(64 * 32, np.float32), np.empty(0, np.float32)
+    tile_start, digits = np.empty(tiles + 1, np.int64), np.empty(512, np.int64)
+    state, no_color = _scratch(64 * 32), np.empty(0, np.float32)
     entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
     pixels = grid[WIDTH] * grid[HEIGHT]
     while True:

@@ -23,6 +23,8 @@ def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: f
     view[k.LOW_Y] = (-camera.cy - margin_y) / camera.fy
     view[k.HIGH_Y] = (camera.height - camera.cy + margin_y) / camera.fy
     view[k.MAX_ALPHA] = max_alpha
+    view[k.CONSTANTS :] = 0.0
+    view[k.CONSTANTS : k.CONSTANTS + len(k.CONSTANT_VALUES)] = k.CONSTANT_VALUES
     return view
 
 
@@ -48,6 +50,13 @@ def fitted(parameters: np.ndarray) -> np.ndarray:
     return padded
 
 
+def aligned_zeros(size: int, dtype: type = np.float32) -> np.ndarray:
+    """A flat array that starts on a cache line (64 bytes)."""
+    room = np.zeros(size * np.dtype(dtype).itemsize + 64, np.uint8)
+    start = -room.ctypes.data % 64
+    return room[start : start + size * np.dtype(dtype).itemsize].view(dtype)
+
+
 def flat(image: np.ndarray) -> np.ndarray:
     """A plain float32 vector: numba would compile another kernel for read-only or strided ones."""
     return np.require(image, np.float32, ["C", "W"]).reshape(-1)
@@ -65,7 +74,7 @@ class Workspace:
         """A flat buffer of at least ``size`` elements; zero when new."""
         buffer = self._buffers.get(name)
         if buffer is None or len(buffer) < size:
-            buffer = self._buffers[name] = np.zeros(size + size // 4, dtype)
+            buffer = self._buffers[name] = aligned_zeros(size + size // 4, dtype)
         return buffer
 
     def _image(self, name: str) -> np.ndarray:
@@ -73,7 +82,7 @@ class Workspace:
         shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
         name = f"{name} {shape}"
         if name not in self._buffers:
-            self._buffers[name] = np.zeros(shape[0] * shape[1], np.float32)
+            self._buffers[name] = aligned_zeros(shape[0] * shape[1])
         return self._buffers[name]
 
     def render(
@@ -174,7 +183,7 @@ class Workspace:
         shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
         name = f"maps {shape}"
         if name not in self._buffers:
-            self._buffers[name] = np.zeros(3 * shape[0] * shape[1], np.float32)
+            self._buffers[name] = aligned_zeros(3 * shape[0] * shape[1])
         return self._buffers[name]
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:

@@ -1,0 +1,156 @@
+"""How fast the CPU rasteriser is here: real seeded inputs, warm, medians with spread.
+
+Workloads (sizes of ``../shared/research/rasteriser.md``): Gaussians seeded as disks from the RGB-D pixels of six views
+of a furnished box room, and one of those views as the target.
+W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iteration. W4: alpha and depth of 64 cameras at
+80x60 over 50k Gaussians (candidate scoring).
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.errors import unknown_name
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
+from activestructure_gym.splatting.crew import default_threads
+
+_SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
+_RATES = np.zeros(14, np.float32)  # all the arithmetic, but every repetition meets the same map
+_ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
+_BOXES = np.array([
+    [[0.5, 0.4, 0.0], [1.5, 1.9, 0.7]], [[4.6, 0.3, 0.0], [5.6, 1.1, 1.9]], [[2.4, 4.2, 0.0], [4.0, 4.9, 0.9]],
+    [[0.2, 3.9, 0.0], [0.9, 4.8, 2.0]], [[5.0, 3.0, 0.0], [5.8, 4.4, 0.5]], [[2.7, 0.2, 0.0], [3.5, 0.8, 1.1]],
+])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Workload:
+    """A map and what is asked of it."""
+
+    parameters: np.ndarray  # [14, capacity] float32
+    count: int
+    camera: PinholeCamera
+    poses: np.ndarray  # [C, 4, 4] world_from_camera
+    target_rgb: np.ndarray  # [H, W, 3] float32
+    target_depth: np.ndarray  # [H, W] float32
+
+
+def make_workload(name: str, seed: int = 0) -> Workload:
+    """Build one of W1 to W4; the same for every call."""
+    if name not in _SIZES:
+        raise unknown_name("splatting workload", name, _SIZES)
+    width, height, count = _SIZES[name]
+    rng = np.random.default_rng(seed)
+    camera = PinholeCamera.from_size(width, height)
+    poses = _poses(6 if name != "W4" else 64, rng)
+    per_view = -(-count // 6)
+    # W4 is seeded at a density that suits its count, not from its own small images.
+    seeding = camera if name != "W4" else PinholeCamera.from_size(128, 96)
+    blocks = [_seed(seeding, pose, per_view, rng) for pose in poses[:6]]
+    live = np.concatenate(blocks, axis=1)[:, :count]
+    parameters = np.zeros((14, -(-count // 16) * 16), np.float32)
+    parameters[:, :count] = live
+    rgb, depth, _ = _see(camera, poses[0])
+    return Workload(parameters, count, camera, poses, rgb.astype(np.float32), depth.astype(np.float32))
+
+
+def run_splatting_benchmark(
+    workloads: Iterable[str] = ("W1", "W2", "W4"),
+    *,
+    repeats: int = 15,
+    threads: Iterable[int] | None = None,
+    progress: Callable[[str], None] = lambda line: None,
+) -> list[dict]:
+    """Rows ``{workload, task, threads, median_ms, low_ms, high_ms, repeats}`` (low and high are the quartiles).
+
+    The thread counts are alternated within every repetition, so that a busy spell of the machine hits all of them.
+    """
+    counts = tuple(threads) if threads is not None else tuple(sorted({1, default_threads()}))
+    rows = []
+    for name in workloads:
+        progress(f"splatting workload {name}")
+        for task, action in _tasks(name, make_workload(name)).items():
+            times: dict[int, list[float]] = {count: [] for count in counts}
+            for count in counts:
+                action(count)  # warm
+            for _ in range(repeats):
+                for count in counts:
+                    start = time.perf_counter()
+                    action(count)
+                    times[count].append(1e3 * (time.perf_counter() - start))
+            for count in counts:
+                low, median, high = statistics.quantiles(times[count], n=4)
+                rows.append({
+                    "workload": name, "task": task, "threads": count, "median_ms": median, "low_ms": low,
+                    "high_ms": high, "repeats": repeats,
+                })  # fmt: skip
+    return rows
+
+
+def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
+    if name == "W4":
+        return {
+            "score 64 views": lambda threads: render_depth_alpha(
+                work.parameters, work.count, work.camera, work.poses, threads=threads
+            )
+        }
+    state = (work.parameters.copy(), np.zeros_like(work.parameters), np.zeros_like(work.parameters))
+    step = (work.count, work.camera, work.poses[0], work.target_rgb, work.target_depth)
+    return {
+        "forward": lambda threads: render(work.parameters, work.count, work.camera, work.poses[0], threads=threads),
+        "iteration, L1": lambda threads: mapping_step(
+            *state, *step, LossWeights(l1_share=1.0), _RATES, threads=threads
+        ),
+        "iteration, L1 + SSIM": lambda threads: mapping_step(*state, *step, LossWeights(), _RATES, threads=threads),
+    }
+
+
+def _poses(count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 4, 4]
+    """Cameras around the middle of the room, looking in all directions."""
+    poses = []
+    for index in range(count):
+        position = np.array([3.0, 2.5, 1.4]) + rng.uniform(-0.6, 0.6, 3) * [1.0, 1.0, 0.4]
+        yaw = 2.0 * np.pi * index / count
+        poses.append(look_along(position, np.array([np.cos(yaw), np.sin(yaw), rng.uniform(-0.3, 0.1)])))
+    return np.stack(poses)
+
+
+def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour ``[H, W, 3]``, depth ``[H, W]`` and normals ``[H, W, 3]`` of the box room, by slabs."""
+    directions = camera.rays().astype(np.float64) @ pose[:3, :3].T
+    origin = pose[:3, 3]
+    walls = np.where(directions > 0, _ROOM[1] - origin, _ROOM[0] - origin) / directions
+    axis, depth = walls.argmin(axis=-1), walls.min(axis=-1)
+    for low, high in _BOXES:
+        a, b = (low - origin) / directions, (high - origin) / directions
+        near, far = np.minimum(a, b), np.maximum(a, b).min(axis=-1)
+        enters = near.max(axis=-1)
+        hit = (enters > 0) & (enters < far) & (enters < depth)
+        depth, axis = np.where(hit, enters, depth), np.where(hit, near.argmax(axis=-1), axis)
+    normals = np.eye(3)[axis] * -np.sign(np.take_along_axis(directions, axis[..., None], axis=-1))
+    points = origin + directions * depth[..., None]
+    waves = np.sin(points @ np.array([[9.0, 4.0, 2.0], [3.0, 11.0, 5.0], [6.0, 2.0, 13.0]]))
+    return 0.5 + 0.2 * normals + 0.25 * waves, depth, normals
+
+
+def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:  # [14, count]
+    """Disks on the surface at ``count`` pixels in raster order, footprint sigma 1.0 to 1.5 px."""
+    rgb, depth, normals = _see(camera, pose)
+    pixels = np.sort(rng.choice(depth.size, count, replace=count > depth.size))
+    z = depth.reshape(-1)[pixels]
+    points = pose[:3, 3] + (camera.rays().reshape(-1, 3)[pixels] @ pose[:3, :3].T) * z[:, None]
+    normal = normals.reshape(-1, 3)[pixels]
+    quaternion = np.concatenate([1.0 + normal[:, 2:], np.cross([0.0, 0.0, 1.0], normal)], axis=1)
+    quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # facing down: half a turn
+    sigma = rng.uniform(1.0, 1.5, count) * z / camera.fx
+    opacity = rng.uniform(0.5, 0.95, count)
+    return np.concatenate([
+        points.T, quaternion.T, np.log(sigma)[None], np.log(sigma)[None], np.log(0.1 * sigma)[None],
+        np.log(opacity / (1.0 - opacity))[None], rgb.reshape(-1, 3)[pixels].T,
+    ])  # fmt: skip

@@ -162,7 +162,7 @@ class _Document:
         profile = effect.find("profile_COMMON") if effect is not None else None
         if profile is None:
             return plain, -1
-        shader = next((s for s in profile.find("technique") or () if s.tag in _SHADERS), None)
+        shader = next((s for s in profile.iterfind("technique/*") if s.tag in _SHADERS), None)
         # <constant> has no diffuse; its emission is all one sees.
         channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
         if channel is None:

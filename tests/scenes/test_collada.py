@@ -76,6 +76,14 @@ def test_unit_axis_nodes_materials_and_textures(document):
     np.testing.assert_allclose(triangles.vertices[triangles.faces], quad.vertices[quad.faces])
 
 
+@pytest.mark.parametrize("texture", ["wood-sampler", "wood-image"])  # by the book, and as the FBX exporter writes it
+def test_both_ways_to_name_a_texture(document, texture):
+    document.write_text(DOCUMENT.replace('texture="wood-sampler"', f'texture="{texture}"').replace("wood", "Map #1"))
+    (document.parent.parent / "maps" / "wood.png").rename(document.parent.parent / "maps" / "Map #1.png")
+    quad = read_collada(document, textures := TextureStore()).parts[0]
+    assert quad.texture == 0 and not textures.unreadable
+
+
 def test_polygons_strips_and_fans_cover_the_same_square(document):
     before = '<triangles material="second" count="2">'
     cases = {

@@ -94,6 +94,8 @@ class StandardProtocol:
         depth_errors = [view["depth_l1_cm"] for view in views if view["depth_l1_cm"] is not None]
         return {
             **dataclasses.asdict(geometry),
+            "true_area_m2": truth.surface.area,
+            "true_samples": len(truth.surface.points),
             "psnr": _mean(view["psnr"] for view in views),
             "ssim": _mean(view["ssim"] for view in views),
             "depth_l1_cm": _mean(depth_errors) if depth_errors else None,

@@ -37,7 +37,7 @@ def picture_arrays(
 
 def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
     """Truth above, the run's rendering below, PSNR in the corner."""
-    shown = range(min(_SHOWN_VIEWS, len(arrays["true"])))
+    shown = telling_views(arrays["true"])
     rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
     return tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]])
 
@@ -51,7 +51,7 @@ def run_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarr
 def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
     """The same held-out views, true and as each run renders them. All runs must be of one scene and protocol."""
     first = runs[0].pictures
-    shown = range(min(_SHOWN_VIEWS, len(first["true"])))
+    shown = telling_views(first["true"])
     rows = [[to_image(first["true"][i]) for i in shown]]
     labels = [["true view"]]
     for run in runs:
@@ -68,6 +68,13 @@ def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
     tiles = [_on_page(plan, size) for plan in plans]
     labels = [f"{run.job.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
     return _with_legend(tile_grid([tiles], title=title, column_labels=labels))
+
+
+def telling_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
+    """The views with most detail in the true image: a white wall tells nothing. The runs have no say in it."""
+    grey = true.astype(np.float32).mean(axis=-1)
+    detail = np.abs(np.diff(grey, axis=1)).mean(axis=(1, 2)) + np.abs(np.diff(grey, axis=2)).mean(axis=(1, 2))
+    return sorted(np.argsort(-detail, kind="stable")[:_SHOWN_VIEWS].tolist())
 
 
 def _rendered_tile(arrays: Mapping[str, np.ndarray], index: int) -> Image.Image:

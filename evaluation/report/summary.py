@@ -59,8 +59,10 @@ def _scene_pictures(directory: Path, scene: str, runs: Sequence[Run], *, alone: 
 def _scene_section(scene: str, runs: Sequence[Run], pictures: Mapping[str, Path], directory: Path) -> str:
     info = runs[0].config["scene"]
     size = " x ".join(f"{side:.1f}" for side in info["extent_m"])
-    lines = [f"## {scene}", "", f"{info['triangles']:,} triangles, {size} m, from {info['source']}."]
-    lines += [f"Note: {note}" for note in info["notes"]]
+    metrics = runs[0].metrics["metrics"]
+    seen = f"{metrics['true_area_m2']:.1f} m2 of surface can be seen ({metrics['true_samples']:,} samples)"
+    lines = [f"## {scene}", "", f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}."]
+    lines += [f"Note: {note}." for note in info["notes"]]
     for name, path in pictures.items():
         lines += ["", f"![{name}](./{path.name})"]
     lines += ["", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""]
@@ -99,7 +101,8 @@ def _page(runs: Sequence[Run], comparison: Mapping[str, Any], sections: Sequence
             "",
             f"Protocol `{protocol.name}`, version {protocol.version}. Reconstructed points are the means of Gaussians "
             f"with opacity of at least {protocol.opacity_threshold:g}; the truth is the surface that some free pose "
-            f"can see ({protocol.surface_samples:,} samples). Acc: mean distance from the points to that surface. "
+            f"can see (those of {protocol.surface_samples:,} samples on the whole mesh that are seen). "
+            "Acc: mean distance from the points to that surface. "
             "Com.: mean distance from the surface to the points. C.R. and Prec.: shares of surface and of points "
             f"nearer than {100 * protocol.threshold_m:g} cm. PSNR (pooled over the channels) and SSIM: means over "
             f"{views}, {protocol.view_width} x {protocol.view_height} pixels, "

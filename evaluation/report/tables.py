@@ -60,8 +60,9 @@ class Cell:
         """``3.21 ± 0.10``, or ``n/a``."""
         if self.mean is None:
             return "n/a"
-        spread = "" if self.deviation is None else f" ± {self.deviation:.{digits}f}"
-        return f"{self.mean:.{digits}f}{spread}"
+        if self.deviation is None or (digits == 0 and round(self.deviation) == 0):  # as many frames in every run
+            return f"{self.mean:.{digits}f}"
+        return f"{self.mean:.{digits}f} ± {self.deviation:.{digits}f}"
 
 
 @dataclass(frozen=True)

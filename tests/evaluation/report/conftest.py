@@ -15,7 +15,8 @@ def make_run(tmp_path):
         job = Job(scene, policy, seed)
         metrics = {
             "accuracy_cm": 1.0, "completion_cm": 5.0, "completion_ratio": 80.0, "precision": 99.0, "psnr": 20.0,
-            "ssim": 0.7, "frames": 100, "metres": 12.0, "collisions": 0, "views": [{"psnr": 20.0}],
+            "ssim": 0.7, "frames": 100, "metres": 12.0, "collisions": 0, "true_area_m2": 60.0,
+            "true_samples": 30000, "views": [{"psnr": 20.0}],
         }  # fmt: skip
         metrics |= numbers
         final, cost = metrics["completion_ratio"], metrics["metres"]

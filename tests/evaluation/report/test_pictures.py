@@ -4,7 +4,7 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import corner_label, framed, tile_grid
-from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views, run_views
+from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views, run_views, telling_views
 from activestructure_gym.evaluation.report.plan import draw_plan, plan_scale
 
 
@@ -30,6 +30,13 @@ def test_every_policy_is_compared_on_the_same_views(make_run):
     assert contains(page, runs[0].pictures["true"][1])
     assert contains(page, runs[0].pictures["rendered"][1][:4, :10])
     assert contains(page, runs[1].pictures["rendered"][1][:4, :10])
+
+
+def test_blank_views_are_not_shown_while_there_are_others(rng):
+    true = rng.integers(100, 156, (6, 20, 30, 3), dtype=np.uint8)
+    true[1], true[4] = 255, 7
+    assert telling_views(true) == [0, 2, 3, 5]
+    assert telling_views(true[:2]) == [0, 1]
 
 
 def test_the_plan_stands_north_up_and_in_scale(make_run):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -41,6 +42,7 @@ class RayCaster:
         self._scene = rtcore_scene.EmbreeScene(robust=True)
         self._geometry = mesh_construction.TriangleMesh(self._scene, self._vertices, self._faces)
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
         # Embree commits on the first query; do it here, before two threads can race for it.
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="DISTANCE")
 
@@ -60,8 +62,9 @@ class RayCaster:
         chunks = self._chunks(count)
         if len(chunks) == 1:
             return [function(chunks[0])]
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._threads)
+        if self._pool is None or self._pool_process != os.getpid():
+            # A forked child inherits the pool, but not its threads.
+            self._pool, self._pool_process = ThreadPoolExecutor(self._threads), os.getpid()
         return list(self._pool.map(function, chunks))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:

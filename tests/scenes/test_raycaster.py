@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import pickle
+import sys
 
 import numpy as np
+import pytest
 
 from activestructure_gym.scenes.raycaster import RayCaster
 
@@ -62,3 +65,20 @@ def test_a_copy_from_another_process_and_two_threads_answer_alike(make_box, rng)
     np.testing.assert_array_equal(caster.cast(np.array([1.0, 1.0, 1.0]), directions).distance, expected)
     copy = pickle.loads(pickle.dumps(caster))
     np.testing.assert_array_equal(copy.cast(np.array([1.0, 1.0, 1.0]), directions).distance, expected)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux forks")
+def test_a_forked_child_casts_after_its_parent_used_two_threads(make_box, rng):
+    caster = RayCaster(*make_box((0, 0, 0), (4, 3, 2.5)))
+    directions = rng.normal(size=(30_000, 3))
+    here = caster.cast(np.ones(3), directions).distance  # starts the parent's threads
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+    child = context.Process(target=lambda: sender.send(caster.cast(np.ones(3), directions).distance))
+    child.start()
+    try:
+        assert receiver.poll(30), "the forked child hangs"
+        np.testing.assert_array_equal(receiver.recv(), here)
+    finally:
+        child.kill()
+        child.join()

@@ -12,7 +12,7 @@ _COUNTS = ("seed_stride", "window", "overlap_pixels", "max_gaussians", "max_seed
 _POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon")
 _NOT_NEGATIVE = ("iterations", "psnr_refresh", "global_psnr", "in_front_factor", "in_front_floor",
                  "image_weight", "depth_weight")  # fmt: skip
-_SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "global_share", "l1_share",
+_SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
            "prune_opacity", "room_share")  # fmt: skip
 
 
@@ -27,11 +27,14 @@ class MapperConfig:
     seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode, 3 the fast one (ablation B8, C16)
     seed_footprint: float = 0.6  # in-plane sigma / (stride * depth / focal length) (ablation B1)
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (ablation B18, B19: irrelevant in .02 .. .3)
+    seed_elongation: float = 2.0  # largest ratio of a disk's in-plane axes on slanted surfaces, 1 = circles (measured)
     seed_opacity: float = 0.9  # 0..1 (ablation A9, A10, B13, B14: irrelevant in .5 .. .99)
-    min_incidence_cosine: float = 0.1  # below it a depth normal is a depth edge: seed a ball (own choice, 84 degrees)
+    min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)
     covered_alpha: float = 0.5  # accumulated alpha from which a pixel counts as mapped (SplaTAM; ablation B20)
     in_front_factor: float = 50.0  # times the median depth error: the map lies behind what is measured (SplaTAM)
     in_front_floor: float = 0.03  # metres, least of that tolerance (dossier 5.3; keeps sensor noise from being seeded)
+
+    coarse_ratio: float = 3.0  # Gaussians that appear larger than this many seeds are replaced; inf = never (measured)
 
     # Optimisation
     iterations: int = 5  # per observed frame (ablation C15; 15 for quality)
@@ -40,9 +43,9 @@ class MapperConfig:
     depth_weight: float = 1.0  # of the depth term; .3 favours appearance (ablation C8, C9)
     mean_rate: float = 2e-4  # metres per step in a room of scene radius 2 m (2 x SplaTAM: ablation C6)
     quaternion_rate: float = 2e-3  # per step (as above)
-    log_scale_rate: float = 2e-3  # per step (as above)
+    log_scale_rate: float = 6e-3  # per step (measured; 2 x SplaTAM is 2e-3)
     opacity_rate: float = 0.1  # logit per step (as above)
-    color_rate: float = 5e-3  # of the 0..1 range per step (as above)
+    color_rate: float = 2.5e-3  # of the 0..1 range per step (measured; SplaTAM's own, 2 x would be 5e-3)
     adam_beta1: float = 0.9  # (Adam)
     adam_beta2: float = 0.999  # (Adam)
     adam_epsilon: float = 1e-15  # (3DGS)
@@ -53,8 +56,7 @@ class MapperConfig:
     overlap_border: float = 1.0 / 60.0  # of the image width, not counted as seen (SplaTAM: 20 of 1200 pixels)
     global_psnr: float = 34.0  # decibel; keyframes below are worth a global visit (ActiveGAMER)
     global_new_share: float = 0.1  # as are those that opened more new pixels than this (ActiveGAMER)
-    global_share: float = 0.5  # of these keyframes that are visited, worst PSNR first (ActiveGAMER ranks on MP3D)
-    psnr_refresh: int = 2  # keyframes whose PSNR is measured anew per event, in turn (own choice)
+    psnr_refresh: int = 1  # keyframes whose PSNR is measured anew per event, in turn (own choice)
 
     # Pruning and the cap
     prune_opacity: float = 0.005  # Gaussians below go (SplaTAM)
@@ -81,6 +83,9 @@ class MapperConfig:
         for name in ("seed_opacity", "adam_beta1", "adam_beta2"):
             if not 0 < values[name] < 1:
                 raise ValueError(f"{name} must lie in (0, 1), got {values[name]}")
+        for name in ("seed_elongation", "coarse_ratio"):
+            if not values[name] >= 1:
+                raise ValueError(f"{name} must be at least 1, got {values[name]}")
         if self.scene_radius is not None and not self.scene_radius > 0:
             raise ValueError(f"scene_radius must be above 0 or None, got {self.scene_radius}")
         if self.max_seed_stride < self.seed_stride:

@@ -75,24 +75,16 @@ class KeyframeStore:
                 break
         return found[:limit]
 
-    def poorest(
-        self,
-        *,
-        psnr_threshold: float,  # decibel
-        new_share_threshold: float,
-        share: float,  # of the candidates, worst first
-    ) -> list[int]:
-        """The global keyframes: those that opened new space or are rendered badly, the worst of them.
+    def poor(self, *, psnr_threshold: float, new_share_threshold: float) -> list[int]:
+        """The global keyframes: those rendered worse than ``psnr_threshold`` decibel or that opened new space.
 
-        The two conditions are ActiveGAMER's; ranking by PSNR is its Matterport3D variant.
+        Both conditions are ActiveGAMER's. Ranking them further (its Matterport3D variant) measured no better.
         """
-        candidates = [
+        return [
             k
             for k in range(len(self.frames))
             if self.psnr[k] < psnr_threshold or self.new_share[k] > new_share_threshold
         ]
-        candidates.sort(key=lambda k: (self.psnr[k], k))
-        return candidates[: int(np.ceil(share * len(candidates)))]
 
 
 def viewing_sides(

@@ -15,7 +15,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
-from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks
+from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
 
@@ -25,6 +25,7 @@ class MappingReport:
     """What one mapping event did."""
 
     added: int  # Gaussians seeded
+    replaced: int  # Gaussians removed because the frame shows their surface from much closer
     pruned: int  # Gaussians removed: transparent, too large or not finite
     dropped: int  # Gaussians removed to stay below the cap
     count: int  # Gaussians afterwards
@@ -80,6 +81,7 @@ class Mapper:
             )
         iterations = self.config.iterations if iterations is None else iterations
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
+        replaced = self._remove_coarse(frame)
         stride, added, dropped, new_share = self._seed(frame)
         index = self._store.append(frame, new_share=new_share)
         views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
@@ -95,6 +97,7 @@ class Mapper:
             losses,
             pruned,
             added=added,
+            replaced=replaced,
             dropped=dropped,
             seed_stride=stride,
             new_share=new_share,
@@ -163,6 +166,7 @@ class Mapper:
             stride=stride,
             footprint=config.seed_footprint,
             thickness=config.seed_thickness,
+            elongation=config.seed_elongation,
             opacity=config.seed_opacity,
             min_cosine=config.min_incidence_cosine,
         )
@@ -170,6 +174,15 @@ class Mapper:
             self._largest_seed = max(self._largest_seed, float(np.exp(block[LOG_SCALE].max())))
             self.map.append(block)
         return stride, len(rows), dropped, new_share
+
+    def _remove_coarse(self, frame: Frame) -> int:
+        """Make way for finer Gaussians; the holes this leaves are seeded like any other."""
+        config = self.config
+        whole_frame = frame.depth.size / config.seed_stride**2
+        if np.isinf(config.coarse_ratio) or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
+            return 0  # Near the cap the new ones might be coarser still.
+        limit = config.coarse_ratio * config.seed_footprint * config.seed_stride
+        return self.map.keep(~too_coarse(self.map.parameters[:, : self.map.count], frame, limit=limit))
 
     def _grid_within_room(self, missing: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """Stride and seed pixels (rows, columns) as the cap allows them (see the class)."""
@@ -198,12 +211,8 @@ class Mapper:
 
     def _global_views(self, index: int) -> list[int]:
         config = self.config
-        poorest = self._store.poorest(
-            psnr_threshold=config.global_psnr,
-            new_share_threshold=config.global_new_share,
-            share=config.global_share,
-        )
-        return [k for k in poorest if k != index]
+        poor = self._store.poor(psnr_threshold=config.global_psnr, new_share_threshold=config.global_new_share)
+        return [k for k in poor if k != index]
 
     def _optimize(self, views: Sequence[int]) -> np.ndarray:  # [iterations, 3] colour, depth, ssim
         losses = np.full((len(views), 3), np.nan)
@@ -257,6 +266,7 @@ def _report(
     pruned: int,
     *,
     added: int = 0,
+    replaced: int = 0,
     dropped: int = 0,
     seed_stride: int = 0,
     new_share: float = 0.0,
@@ -265,6 +275,7 @@ def _report(
     means = losses.mean(axis=0) if len(losses) else np.full(3, np.nan)
     return MappingReport(
         added=added,
+        replaced=replaced,
         pruned=pruned,
         dropped=dropped,
         count=count,

@@ -2,13 +2,17 @@
 
 A seed is a flat disk in the surface's tangent plane, one per cell of a pixel grid. Against one isotropic ball per pixel
 this needs a quarter of the Gaussians for the same image error (recipe: own ablation, backbones dossier 5.2 and 5.3).
+Two things are added to that recipe, which was measured with all views at one distance: disks on slanted surfaces are
+stretched, so that their rows leave no gaps, and Gaussians that turn out too coarse when the camera comes closer make
+way for finer ones (numbers: `MapperConfig`).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from activestructure_gym.geometry import transform_points
+from activestructure_gym.geometry import invert_rigid, transform_points
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.sensors.frame import Frame
 
@@ -38,6 +42,33 @@ def missing_pixels(
     return measured & (~covered | (behind > tolerance))
 
 
+def too_coarse(
+    parameters: np.ndarray,  # [14, n] live Gaussians
+    frame: Frame,
+    *,
+    limit: float,  # pixels, sigma
+) -> np.ndarray:  # [n] bool
+    """The Gaussians on the surface in view that appear larger than ``limit``: this frame could hold finer ones.
+
+    On the surface means that the depth of the centre agrees with what is measured at its pixel within one sigma. What
+    is hidden, outside the image, or without a return stays.
+    """
+    camera = frame.camera
+    camera_from_world = invert_rigid(frame.world_from_camera).astype(np.float32)
+    x, y, z = camera_from_world[:3, :3] @ parameters[MEAN] + camera_from_world[:3, 3:]
+    sigma = np.exp(parameters[LOG_SCALE].max(axis=0))
+    focal = 0.5 * (camera.fx + camera.fy)
+    index = np.flatnonzero((z > 0) & (sigma * focal > limit * z))
+    x, y, z, sigma = x[index], y[index], z[index], sigma[index]
+    column, row = np.floor(camera.fx * x / z + camera.cx), np.floor(camera.fy * y / z + camera.cy)
+    inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
+    index, z, sigma = index[inside], z[inside], sigma[inside]
+    measured = frame.depth[row[inside].astype(int), column[inside].astype(int)]
+    mask = np.zeros(parameters.shape[1], dtype=bool)
+    mask[index[(measured > 0) & (np.abs(z - measured) <= sigma)]] = True
+    return mask
+
+
 def grid_pixels(
     mask: np.ndarray,  # [H, W] bool
     stride: int,
@@ -48,27 +79,26 @@ def grid_pixels(
     return rows * stride + phase, columns * stride + phase
 
 
-def depth_normals(
+def surface_steps(
     points: np.ndarray,  # [H, W, 3] camera frame, z = 0 where there is no return
     rows: np.ndarray,  # [n]
     columns: np.ndarray,  # [n]
     *,
-    min_cosine: float = 0.1,  # of the angle between normal and line of sight
-) -> tuple[np.ndarray, np.ndarray]:  # normals [n, 3] unit, towards the camera; defined [n] bool
-    """Surface normals at some pixels from one-sided differences, each on the side of the smaller depth jump.
+    min_cosine: float = 0.05,  # of the angle between normal and line of sight
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # per column [n, 3], per row [n, 3], defined [n] bool
+    """How the surface moves on from pixel to pixel: one-sided differences on the side of the smaller depth jump.
 
     One side is enough on a plane (exact), and beside a depth edge it is the side that stays on the surface. Undefined
     where a direction has no neighbour with a return, or where the surface would be seen nearly edge-on: that is what
     a depth edge on both sides of a thin object looks like.
     """
     center = points[rows, columns]
-    along_row, row_found = _one_sided_difference(points, rows, columns, center, 0, 1)
-    along_column, column_found = _one_sided_difference(points, rows, columns, center, 1, 0)
-    normals = np.cross(along_column, along_row)  # y x x = -z: towards the camera
-    length = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(length, 1e-30)[:, None]
-    cosine = -np.einsum("ij,ij->i", normals, center) / np.maximum(np.linalg.norm(center, axis=1), 1e-30)
-    return normals, row_found & column_found & (length > 1e-12) & (cosine >= min_cosine)
+    per_column, column_found = _one_sided_difference(points, rows, columns, center, 0, 1)
+    per_row, row_found = _one_sided_difference(points, rows, columns, center, 1, 0)
+    normals = np.cross(per_row, per_column)
+    cosine = np.einsum("ij,ij->i", normals, -center)
+    least = min_cosine * np.linalg.norm(normals, axis=1) * np.linalg.norm(center, axis=1)
+    return per_column, per_row, column_found & row_found & (cosine > 0) & (cosine >= least)
 
 
 def _one_sided_difference(
@@ -94,31 +124,52 @@ def seed_disks(
     stride: int,  # pixels between neighbouring seeds
     footprint: float = 0.6,  # in-plane sigma in units of the seeds' spacing on a wall facing the camera
     thickness: float = 0.1,  # sigma along the normal, as a share of the in-plane sigma
+    elongation: float = 1.0,  # largest ratio of the in-plane axes, 1 = circles
     opacity: float = 0.9,
-    min_cosine: float = 0.1,
+    min_cosine: float = 0.05,
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """One disk per pixel, lying on the surface; a ball where the surface's direction is unknown."""
+    """One disk per pixel, lying on the surface; a ball where the surface's direction is unknown.
+
+    On a slanted surface neighbouring seeds are further apart along the slope than across it; the disks are stretched
+    by the same ratio, up to ``elongation``.
+    """
     camera = frame.camera
     points = camera.backproject(frame.depth)
-    normals, defined = depth_normals(points, rows, columns, min_cosine=min_cosine)
+    per_column, per_row, defined = surface_steps(points, rows, columns, min_cosine=min_cosine)
+    axes, stretch = _disk_axes(per_column[defined], per_row[defined])
     center = points[rows, columns]
     sigma = footprint * stride * center[:, 2] / (0.5 * (camera.fx + camera.fy))
 
     block = np.empty((ROWS, len(rows)), dtype=np.float32)
     block[MEAN] = transform_points(frame.world_from_camera, center.astype(np.float64)).T
-    world_normals = normals @ frame.world_from_camera[:3, :3].T
-    block[QUATERNION] = np.where(defined, _z_axis_to(world_normals), np.array([[1.0], [0.0], [0.0], [0.0]]))
+    block[QUATERNION] = [[1.0], [0.0], [0.0], [0.0]]
+    if defined.any():
+        world_axes = frame.world_from_camera[:3, :3] @ axes
+        block[QUATERNION, defined] = Rotation.from_matrix(world_axes).as_quat(scalar_first=True).T
     block[LOG_SCALE] = np.log(sigma)
-    block[9] += np.where(defined, np.log(thickness), 0.0)
+    block[7, defined] += np.log(np.minimum(stretch, elongation))
+    block[9, defined] += np.log(thickness)
     block[OPACITY_LOGIT] = np.log(opacity / (1.0 - opacity))
     block[COLOR] = frame.rgb[rows, columns].T / 255.0
     return block
 
 
-def _z_axis_to(normals: np.ndarray) -> np.ndarray:  # [n, 3] unit -> [4, n] wxyz
-    """Shortest rotation that lays the third axis along the normal or against it (a disk has no front)."""
-    # With z >= 0 the two axes are at most 90 degrees apart, so the half-angle form never divides by zero.
-    normals = normals * np.where(normals[:, 2:] < 0, -1.0, 1.0)
-    x, y, z = normals.T
-    quaternion = np.stack([1.0 + z, -y, x, np.zeros_like(x)])
-    return quaternion / np.linalg.norm(quaternion, axis=0)
+def _disk_axes(
+    per_column: np.ndarray,  # [n, 3]
+    per_row: np.ndarray,  # [n, 3], not parallel to it
+) -> tuple[np.ndarray, np.ndarray]:  # axes [n, 3, 3] as columns: long, short, normal; ratio long / short [n]
+    """Axes of the ellipse that a circle of pixels becomes on the surface."""
+    per_column, per_row = per_column.astype(np.float64), per_row.astype(np.float64)
+    # Eigenvalues and first eigenvector of the 2 x 2 matrix of inner products, in closed form.
+    a = np.einsum("ij,ij->i", per_column, per_column)
+    b = np.einsum("ij,ij->i", per_column, per_row)
+    d = np.einsum("ij,ij->i", per_row, per_row)
+    mean, spread = 0.5 * (a + d), np.hypot(0.5 * (a - d), b)
+    angle = 0.5 * np.arctan2(2.0 * b, a - d)
+    long = np.cos(angle)[:, None] * per_column + np.sin(angle)[:, None] * per_row
+    long /= np.linalg.norm(long, axis=1, keepdims=True)
+    normal = np.cross(per_row, per_column)  # y x x = -z: towards the camera
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # mean - spread written as determinant / (mean + spread): no cancellation for long ellipses.
+    ratio = (mean + spread) / np.sqrt(np.maximum(a * d - b * b, 1e-30))
+    return np.stack([long, np.cross(normal, long), normal], axis=-1), ratio

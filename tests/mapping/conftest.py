@@ -10,7 +10,7 @@ ROOM = np.array([4.0, 3.0, 2.5])  # metres, one corner at the origin
 CAMERA = PinholeCamera.from_size(80, 45)
 
 
-def render_room(world_from_camera, camera=CAMERA, supersample=3):
+def _render_room(world_from_camera, camera=CAMERA, supersample=3):
     """Exact depth through the pixel centres, colour averaged over supersample^2 rays per pixel."""
     center = camera.rays() @ world_from_camera[:3, :3].T
     fine = camera.rays(supersample) @ world_from_camera[:3, :3].T
@@ -42,12 +42,18 @@ def turning_poses(count, *, radius=0.6, height=1.2, phase=0.0, tilt=0.35):
 
 
 @pytest.fixture(scope="session")
+def render_room():
+    """Pose -> frame."""
+    return _render_room
+
+
+@pytest.fixture(scope="session")
 def room_frames():
     """Twelve frames around the room."""
-    return [render_room(pose) for pose in turning_poses(12)]
+    return [_render_room(pose) for pose in turning_poses(12)]
 
 
 @pytest.fixture(scope="session")
 def held_out_frames():
     """Six views of the same part of the room from other positions and directions."""
-    return [render_room(pose) for pose in turning_poses(6, radius=0.4, height=1.3, phase=0.26, tilt=0.1)]
+    return [_render_room(pose) for pose in turning_poses(6, radius=0.4, height=1.3, phase=0.26, tilt=0.1)]

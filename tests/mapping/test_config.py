@@ -17,6 +17,8 @@ from activestructure_gym.mapping import MapperConfig
         {"depth_weight": float("nan")},
         {"scene_radius": 0.0},
         {"max_seed_stride": 1},
+        {"seed_elongation": 0.5},
+        {"coarse_ratio": float("nan")},
     ],
 )
 def test_wrong_values_are_refused_by_name(change):
@@ -28,4 +30,4 @@ def test_only_the_means_rate_grows_with_the_scene():
     small, large = MapperConfig().learning_rates(2.0), MapperConfig().learning_rates(6.0)
     assert small[:3] == pytest.approx([2e-4] * 3) and large[:3] == pytest.approx([6e-4] * 3)
     assert (small[3:] == large[3:]).all()
-    assert small[3:] == pytest.approx([2e-3] * 7 + [0.1] + [5e-3] * 3)
+    assert small[3:] == pytest.approx([2e-3] * 4 + [6e-3] * 3 + [0.1] + [2.5e-3] * 3)

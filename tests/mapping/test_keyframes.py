@@ -66,17 +66,16 @@ def test_the_border_does_not_count():
     assert store.overlapping(0, np.random.default_rng(0), pixels=1600, limit=5) == []
 
 
-def test_worst_keyframes_first():
+def test_poor_keyframes():
     store = _store([(1.0, 0.0)] * 5)
     store.psnr[:] = [20.0, 40.0, 30.0, 10.0, 50.0]
     store.new_share[:] = [0.0, 0.0, 0.0, 0.0, 0.5]
-    assert store.poorest(psnr_threshold=34.0, new_share_threshold=0.1, share=1.0) == [3, 0, 2, 4]
-    assert store.poorest(psnr_threshold=34.0, new_share_threshold=0.1, share=0.5) == [3, 0]
-    assert store.poorest(psnr_threshold=5.0, new_share_threshold=0.9, share=1.0) == []
+    assert store.poor(psnr_threshold=34.0, new_share_threshold=0.1) == [0, 2, 3, 4]
+    assert store.poor(psnr_threshold=15.0, new_share_threshold=0.9) == [3]
 
 
 @pytest.mark.parametrize("iterations", [0, 1, 2, 5, 15])
-def test_second_half_goes_to_the_poorest(iterations):
+def test_second_half_goes_to_the_poor(iterations):
     views = draw_views(iterations, [7, 6, 5], [1, 2], np.random.default_rng(0))
     half = (iterations + 1) // 2
     assert len(views) == iterations

@@ -117,6 +117,24 @@ def test_coarse_seeds_survive_pruning(room_frames):
     assert report.pruned == 0 and report.count == report.added > 0
 
 
+def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
+    """From 2.6 m the far wall gets disks of .6 * 2 * 2.6 / 40 = 7.8 cm, from .4 m of 1.2 cm: 6.5 times finer."""
+    far, near = (render_room(look_along(np.array([x, 1.5, 1.2]), np.array([1.0, 0, 0]))) for x in (1.4, 3.6))
+    mapper = _mapper()
+    mapper.observe(far)
+    report = mapper.observe(near)
+    assert report.replaced > 0 and report.added > 700
+    means, scales = mapper.map.means, mapper.map.scales
+    seen = (means[:, 0] > 3.9) & (np.abs(means[:, 1] - 1.5) < 0.3) & (np.abs(means[:, 2] - 1.2) < 0.15)
+    assert seen.sum() > 400 and np.median(scales[seen].max(axis=1)) < 0.016
+    assert mapper.observe(far).replaced == 0  # going back replaces nothing
+
+    kept = _mapper(coarse_ratio=np.inf)
+    kept.observe(far)
+    assert kept.observe(near).replaced == 0
+    assert np.median(kept.map.scales[:, 0]) > 0.05
+
+
 def test_the_cap_coarsens_before_it_drops(room_frames):
     mapper = _mapper(max_gaussians=2500, iterations=1)
     reports = [mapper.observe(frame) for frame in room_frames]

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.mapping.seeding import depth_normals, grid_pixels, missing_pixels, seed_disks
+from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks, surface_steps, too_coarse
 from activestructure_gym.sensors.frame import Frame
 
 CAMERA = PinholeCamera.from_size(8, 6)  # f = 4, centre (4, 3)
@@ -49,12 +49,31 @@ def test_disks_lie_in_a_slanted_plane(normal):
     depth = np.where(along_ray > 0.15, 2.0 / np.maximum(along_ray, 1e-9), 0.0)  # no return nearly edge-on
     frame = _frame(depth)
     rows, columns = np.nonzero(frame.depth)
-    normals, defined = depth_normals(CAMERA.backproject(frame.depth), rows, columns)
+    per_column, per_row, defined = surface_steps(CAMERA.backproject(frame.depth), rows, columns)
     assert defined.mean() > 0.9  # all but pixels at the border to no return
-    assert normals[defined] == pytest.approx(np.broadcast_to(normal, (defined.sum(), 3)), abs=1e-4)
+    assert np.abs(per_column @ normal)[defined].max() < 1e-5
+    assert np.abs(per_row @ normal)[defined].max() < 1e-5
     block = seed_disks(frame, rows, columns, stride=1)
     assert np.abs(_third_axes(block)[defined] @ normal).min() > 1 - 1e-6
-    assert (block[9] < block[8] - 2)[defined].all()
+    assert block[7:10, defined] - block[8, defined] == pytest.approx(np.tile([[0], [0], [np.log(0.1)]], defined.sum()))
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0, 2.0])
+def test_disks_stretch_along_the_slope_as_far_as_the_seeds_are_apart(slope):
+    """Plane z = 2 + slope * x around the optical axis: a pixel moves on by (.5, 0, .5 slope) along a row of the image,
+    by (0, .5, 0) along a column: the disk is sqrt(1 + slope^2) as long as wide, but at most twice."""
+    camera = PinholeCamera(9, 7, 400.0, 400.0, 4.5, 3.5)  # a narrow view: perspective changes nothing
+    rays = camera.rays()
+    depth = (2.0 / (1.0 - slope * rays[..., 0])).astype(np.float32)
+    frame = Frame(np.zeros((7, 9, 3), np.uint8), depth, np.eye(4), camera)
+    block = seed_disks(frame, np.array([3]), np.array([4]), stride=2, elongation=2.0)
+    sigma = 0.6 * 2 * 2 / 400
+    assert np.exp(block[7:10, 0]) == pytest.approx(
+        [sigma * min(np.sqrt(1 + slope**2), 2.0), sigma, 0.1 * sigma], rel=0.02
+    )
+    long = Rotation.from_quat(block[3:7, 0], scalar_first=True).as_matrix()[:, 0]
+    if slope:
+        assert np.abs(long @ [1, 0, slope]) / np.sqrt(1 + slope**2) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("direction", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.64, -0.48]]]))
@@ -73,19 +92,20 @@ def test_rotation_onto_any_normal(direction):
 def test_differences_stay_on_the_near_side_of_an_edge():
     depth = np.full((6, 8), 1.0)
     depth[:, 4:] = 3.0
-    normals, defined = depth_normals(CAMERA.backproject(depth), np.array([2, 2]), np.array([3, 4]))
+    per_column, per_row, defined = surface_steps(CAMERA.backproject(depth), np.array([2, 2]), np.array([3, 4]))
     assert defined.all()
-    assert normals == pytest.approx(np.array([[0, 0, -1], [0, 0, -1]]))
+    assert per_column == pytest.approx(np.array([[0.25, 0, 0], [0.75, 0, 0]]))
+    assert per_row == pytest.approx(np.array([[0, 0.25, 0], [0, 0.75, 0]]))
 
 
 def test_balls_where_the_direction_is_unknown():
     depth = np.zeros((6, 8))
     depth[2, 3] = 2.0  # alone: no neighbour
     depth[5, 5:8] = 2.0  # a row without a neighbour above or below
-    # A column of one pixel 30 cm before a wall. Pixels are 2 m / 80 = 2.5 cm apart there: a plane from the column to
-    # the wall would be seen under atan(2.5 / 30) = 4.8 degrees, less than the 5.7 degrees of a cosine of .1.
+    # A column of one pixel 1 m before a wall at 3 m. A plane from the column to the wall would be seen under the angle
+    # between pixels, 1 / 80 = .72 degrees, times 3 m / 1 m = 2.1 degrees: less than the 2.9 of a cosine of .05.
     depth[0:2, 1] = 2.0
-    depth[0:2, [0, 2]] = 2.3
+    depth[0:2, [0, 2]] = 3.0
     camera = PinholeCamera(8, 6, 80.0, 80.0, 4.0, 3.0)
     frame = Frame(np.zeros((6, 8, 3), np.uint8), depth.astype(np.float32), np.eye(4), camera)
     block = seed_disks(frame, np.array([2, 5, 0]), np.array([3, 6, 1]), stride=2)
@@ -134,3 +154,35 @@ def test_tolerance_grows_with_the_median_error():
     shown[1, :2] = 2.0 + np.array([0.04, 0.06])
     alpha = np.ones((6, 8))
     assert np.argwhere(missing_pixels(depth, shown, alpha)).tolist() == [[1, 1]]
+
+
+def _balls(positions, sigma):
+    block = np.zeros((14, len(positions)), np.float32)
+    block[:3] = np.array(positions).T
+    block[3] = 1.0
+    block[7:10] = np.log(sigma)
+    return block
+
+
+def test_coarse_ones_on_the_surface_in_view():
+    """Wall at 2 m, f = 4: a sigma of .6 m appears as 1.2 pixels."""
+    frame = _frame(2.0)
+    frame.depth[0, 0] = 0.0  # looks along (-.875, -.625, 1)
+    positions = [
+        (0.1, 0.1, 2.0),  # on the wall
+        (0.1, 0.1, 2.5),  # half a metre behind it: within one sigma
+        (0.1, 0.1, 2.7),  # behind it
+        (0.1, 0.1, 1.3),  # in front of it
+        (2.1, 0.1, 2.0),  # right of the image, which ends at x = 2
+        (0.1, 0.1, -2.0),  # behind the camera
+        (-1.75, -1.25, 2.0),  # where there is no return
+    ]
+    assert too_coarse(_balls(positions, 0.6), frame, limit=0.9).tolist() == [True, True, *[False] * 5]
+    assert not too_coarse(_balls(positions, 0.6), frame, limit=1.21).any()
+    assert too_coarse(_balls(positions, 0.6)[:, :0], frame, limit=1.0).shape == (0,)
+
+
+def test_the_largest_axis_counts():
+    needle = _balls([(0.1, 0.1, 2.0)], 0.01)
+    needle[8] = np.log(0.6)
+    assert too_coarse(needle, _frame(2.0), limit=1.19).all()

@@ -12,8 +12,10 @@ from activestructure_gym.volume.distance_field import sample
 ESCAPE_REACH = 0.5
 # On that way the start's own clearance is kept up to this, and never less than this: not inside an obstacle (metres).
 TOUCHING = 1e-3
-# Metres between the samples of an edge, as a share of a voxel.
+# Distance between the samples of an edge, in voxels.
 _SAMPLING = 0.5
+# Between samples that far apart the interpolated field (slope at most sqrt 3) can be lower by this many voxels.
+SAMPLING_DIP = 0.25 * np.sqrt(3.0)
 
 
 def first_blocked_edge(

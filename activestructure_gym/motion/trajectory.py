@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import look_along
-from activestructure_gym.motion.clearance import first_blocked_edge
+from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.volume import VoxelVolume
 
 _ROLL_TOLERANCE = 1e-5
@@ -98,7 +98,11 @@ def first_blocked(
     Execute ``poses[:index]`` and plan anew from there. With ``start`` the way to the first pose is checked too, turning
     on the spot is never blocked, and an agent that finds itself in a tight place may leave it (`first_blocked_edge`).
     Without, every pose must keep the clearance.
+
+    What a path may lose between its samples (0.43 voxels) is allowed for: frames sample it elsewhere, and a path that
+    was planned on this very volume is never blocked.
     """
+    min_clearance = min_clearance - SAMPLING_DIP * volume.voxel_size
     positions = np.asarray(poses)[:, :3, 3]
     if not len(positions):
         return None

@@ -13,38 +13,39 @@ _FAR = np.float32(1e12)
 def _pass(values: np.ndarray) -> None:  # [A, B, N], in place along the last axis (any strides)
     """``out[n] = min_m values[m] + max(0, |n - m| - 1/2)^2``: squared distance to cubes, one axis at a time."""
     length = values.shape[2]
-    line = np.empty(length, np.float32)
+    costs = (np.arange(length + 1).astype(np.float32) - np.float32(0.5)) ** 2
+    costs[length] = np.inf
+    line = np.full(3 * length, _FAR, np.float32)  # with room on both sides, so that no step needs a bounds check
     for a in range(values.shape[0]):
         for b in range(values.shape[1]):
             for n in range(length):
-                line[n] = values[a, b, n]
+                line[length + n] = values[a, b, n]
             for n in range(length):
-                best = line[n]
+                best = line[length + n]
                 # Outwards until nothing further away can be nearer. Clearances are short, so this is a few steps.
-                for step in range(1, length):
-                    cost = np.float32((step - 0.5) * (step - 0.5))
-                    if cost >= best:
-                        break
-                    if n >= step:
-                        best = min(best, line[n - step] + cost)
-                    if n + step < length:
-                        best = min(best, line[n + step] + cost)
+                step = 1
+                while costs[step] < best:
+                    best = min(best, min(line[length + n - step], line[length + n + step]) + costs[step])
+                    step += 1
                 values[a, b, n] = best
 
 
 def distance_to_cubes(
     obstacle: np.ndarray,  # [X, Y, Z] bool
+    *,
+    at_most: float = np.inf,  # voxels: larger distances are cut to this, which saves time
 ) -> np.ndarray:  # [X, Y, Z] float32, in voxels; inf where there is no obstacle at all
     """Distance from the centre of every voxel to the nearest point of the nearest obstacle voxel's *cube*; 0 inside.
 
     A Euclidean distance transform measures from centre to centre and is between 0.5 and 0.87 voxels too long.
     This one is exact, and faster: 7 ms against 20 to 24 ms of scipy (10 x 8 x 2.7 m at 0.1 m, two thirds free).
     """
-    squared = np.where(obstacle, np.float32(0.0), _FAR)
+    squared = np.where(obstacle, np.float32(0.0), np.float32(min(_FAR, at_most**2)))
     for axis in (2, 1, 0):
         _pass(np.moveaxis(squared, axis, 2))
     distance = np.sqrt(squared, out=squared)
-    distance[distance > 1e5] = np.inf
+    if at_most == np.inf:
+        distance[distance > 1e5] = np.inf
     return distance
 
 

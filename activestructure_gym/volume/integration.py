@@ -5,6 +5,8 @@ What makes the free space safe to move in:
 - A voxel is looked through only if *every* ray through its projected footprint, and the ring of rays around it, ends
   behind the voxel's far side by more than the sensor's noise. A ray without return proves nothing.
 - A voxel that any ray ended in is occupied, however thin the structure is.
+- A voxel at the border of the image is seen in part. The parts (4 x 4 x 4 of them) proven free by different looks, or
+  by the agent's body, are pieced together: otherwise every seam between two views would be a wall.
 - Rays are samples: at range z they are z / f apart, and a structure of width w can stand between them. One look misses
   it with chance 1 - min(1, w f / z), so a voxel is free only once the product of these chances over all looks is small.
 """
@@ -22,6 +24,9 @@ OCCUPIED = 2
 _READS_PER_SIDE = 6
 # Closer than this the footprint of a voxel is larger than the image; also keeps the projection away from z = 0.
 _NEAREST = 0.05
+PARTS_PER_SIDE = 4
+ALL_PARTS = np.uint64(2**64 - 1)
+_ONE = np.uint64(1)
 # Below this the remaining chance of having missed something is called zero, and the voxel needs no more looks.
 _SURE = 1e-3
 
@@ -43,6 +48,28 @@ def minimum_pyramid(
     return np.concatenate([level.ravel() for level in levels]), table
 
 
+def solid_gaps(
+    depth: np.ndarray,  # [H, W] metres, 0 = no return
+    side: int = 5,  # pixels, odd
+) -> np.ndarray:  # [H, W] bool
+    """Pixels that belong to a block of side x side pixels without any return (a morphological opening)."""
+    gap = depth <= 0
+    if not gap.any():
+        return gap
+    centers = gap.copy()
+    for axis in range(2):  # what lies beyond the image may be gap
+        lines = np.moveaxis(centers, axis, 0)
+        padded = np.pad(lines, ((side // 2, side // 2), (0, 0)), constant_values=True)
+        for shift in range(side):
+            lines &= padded[shift : shift + len(lines)]
+    for axis in range(2):
+        lines = np.moveaxis(centers, axis, 0)
+        padded = np.pad(lines, ((side // 2, side // 2), (0, 0)))
+        for shift in range(side):
+            lines |= padded[shift : shift + len(lines)]
+    return centers & gap
+
+
 @njit(cache=True, nogil=True)
 def mark_hits(
     depth: np.ndarray,  # [H, W] float32
@@ -54,6 +81,7 @@ def mark_hits(
     state: np.ndarray,  # [X, Y, Z] uint8
     solidity: np.ndarray,  # [X, Y, Z] int16: above 0 = occupied
     miss_chance: np.ndarray,  # [X, Y, Z] float32
+    parts: np.ndarray,  # [X, Y, Z] uint64: one bit for each part that is proven free
     last_hit: np.ndarray,  # [X, Y, Z] int32: number of the last image that hit the voxel
     image_number: int,
     gain: int,
@@ -80,6 +108,7 @@ def mark_hits(
                 last_hit[i, j, k] = image_number
                 solidity[i, j, k] = min(solidity[i, j, k] + gain, ceiling)
                 miss_chance[i, j, k] = 1.0
+                parts[i, j, k] = 0
                 state[i, j, k] = OCCUPIED
 
 
@@ -124,11 +153,12 @@ def carve(
     state: np.ndarray,  # all [X, Y, Z]
     solidity: np.ndarray,
     miss_chance: np.ndarray,
+    parts: np.ndarray,
     last_hit: np.ndarray,
     tsdf: np.ndarray,
     weight: np.ndarray,
 ) -> None:
-    """Update TSDF, free and occupied for every voxel whose centre lies in the view frustum."""
+    """Update TSDF, free and occupied for every voxel that touches the view frustum."""
     fx, fy, cx, cy = intrinsics
     height, width = levels[0, 1], levels[0, 2]
     half = 0.5 * voxel_size
@@ -137,12 +167,25 @@ def carve(
     extent_x = half * (abs(rotation[0, 0]) + abs(rotation[0, 1]) + abs(rotation[0, 2]))
     extent_y = half * (abs(rotation[1, 0]) + abs(rotation[1, 1]) + abs(rotation[1, 2]))
     extent_z = half * (abs(rotation[2, 0]) + abs(rotation[2, 1]) + abs(rotation[2, 2]))
-    # The frustum as five inequalities a . p >= b over camera points; a column of voxels meets it in one interval.
+    # The frustum of the outermost rays as inequalities a . p >= b over camera points.
     planes = np.array([
+        [fx, 0.0, cx - 0.5, 0.0], [-fx, 0.0, width - 0.5 - cx, 0.0],
+        [0.0, fy, cy - 0.5, 0.0], [0.0, -fy, height - 0.5 - cy, 0.0],
         [0.0, 0.0, 1.0, _NEAREST], [0.0, 0.0, -1.0, -max_range],
-        [fx, 0.0, cx, 0.0], [-fx, 0.0, width - cx, 0.0],
-        [0.0, fy, cy, 0.0], [0.0, -fy, height - cy, 0.0],
     ])  # fmt: skip
+    reach = np.empty(6)  # how far a voxel sticks out to both sides of a plane
+    sides = np.empty((PARTS_PER_SIDE**3, 4))  # lowest value over a part, less the value at the voxel's centre
+    for p in range(6):
+        normal = planes[p, 0] * rotation[0] + planes[p, 1] * rotation[1] + planes[p, 2] * rotation[2]  # world axes
+        reach[p] = half * np.abs(normal).sum()
+        for n in range(PARTS_PER_SIDE**3):
+            if p < 4:
+                a = (n // PARTS_PER_SIDE**2 + 0.5) / PARTS_PER_SIDE - 0.5
+                b = (n // PARTS_PER_SIDE % PARTS_PER_SIDE + 0.5) / PARTS_PER_SIDE - 0.5
+                c = (n % PARTS_PER_SIDE + 0.5) / PARTS_PER_SIDE - 0.5
+                at = voxel_size * (normal[0] * a + normal[1] * b + normal[2] * c)
+                sides[n, p] = at - reach[p] / PARTS_PER_SIDE
+    sure_range = thinnest * min(fx, fy)  # up to here no thin structure fits between two rays
     dx, dy, dz = rotation[0, 2] * voxel_size, rotation[1, 2] * voxel_size, rotation[2, 2] * voxel_size
 
     for i in range(lower[0], upper[0]):
@@ -156,7 +199,10 @@ def carve(
             bz = rotation[2, 0] * wx + rotation[2, 1] * wy + rotation[2, 2] * wz + camera_from_world[2, 3]
             first, last = float(lower[2]), float(upper[2] - 1)
             for p in range(6):
+                # A column of voxels meets the frustum in one interval (the first four: with any part of a voxel).
                 offset = planes[p, 0] * bx + planes[p, 1] * by + planes[p, 2] * bz - planes[p, 3]
+                if p < 4:
+                    offset += reach[p]
                 slope = planes[p, 0] * dx + planes[p, 1] * dy + planes[p, 2] * dz
                 if slope > 1e-12:
                     first = max(first, -offset / slope)
@@ -172,8 +218,11 @@ def carve(
                 if seen <= 0.0:
                     continue
 
+                edge = np.inf  # how far inside the outermost rays the centre lies
+                for p in range(4):
+                    edge = min(edge, planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z)
                 distance = seen - z
-                if distance > -truncation:
+                if distance > -truncation and edge >= 0.0:
                     old = weight[i, j, k]
                     new = min(distance / truncation, 1.0)
                     tsdf[i, j, k] = (tsdf[i, j, k] * old + new) / (old + 1.0)
@@ -191,15 +240,31 @@ def carve(
                 right = fx * max((x + extent_x) / near, (x + extent_x) / far) + cx
                 top = fy * min((y - extent_y) / near, (y - extent_y) / far) + cy
                 bottom = fy * max((y + extent_y) / near, (y + extent_y) / far) + cy
-                if left < 0.5 or right > width - 0.5 or top < 0.5 or bottom > height - 0.5:
-                    continue  # a part of the voxel was outside the outermost rays
+                partly = left < 0.5 or right > width - 0.5 or top < 0.5 or bottom > height - 0.5
+                if partly and (far > sure_range or solidity[i, j, k] > 0):
+                    continue
                 # One ray more on each side: at least 3 x 3.
-                u0, u1 = max(int(left) - 1, 0), min(int(right) + 1, width - 1)
-                v0, v1 = max(int(top) - 1, 0), min(int(bottom) + 1, height - 1)
+                u0, u1 = max(int(max(left, 0.0)) - 1, 0), min(int(right) + 1, width - 1)
+                v0, v1 = max(int(max(top, 0.0)) - 1, 0), min(int(bottom) + 1, height - 1)
                 if _nearest_in_footprint(pyramid, levels, u0, u1, v0, v1, enough) <= enough:
                     continue
 
-                met = min(1.0, thinnest * min(fx, fy) / far)  # chance that a thin structure had met a ray
+                if partly:
+                    proven = parts[i, j, k]
+                    for n in range(PARTS_PER_SIDE**3):
+                        inside = True
+                        for p in range(4):
+                            at = planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z
+                            inside = inside and at + sides[n, p] >= 0.0
+                        if inside:
+                            proven |= _ONE << np.uint64(n)
+                    parts[i, j, k] = proven
+                    if proven == ALL_PARTS:
+                        miss_chance[i, j, k] = 0.0
+                        state[i, j, k] = FREE
+                    continue
+
+                met = min(1.0, sure_range / far)  # chance that a thin structure had met a ray
                 if not fresh and (met < 1.0 or solidity[i, j, k] > 0):
                     continue  # the same rays again say nothing new
                 missed = miss_chance[i, j, k] * (1.0 - met)

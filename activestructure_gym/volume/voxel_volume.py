@@ -36,6 +36,10 @@ class VolumeConfig:
     """So many sure looks through a voxel undo one hit in it (noise), and no fewer (structures thinner than a ray)."""
     hit_ceiling: int = 50
     """Hits count up to this many looks, so that no mistake stays for ever."""
+    unknown_slack: float = 0.05
+    """Metres that unknown space may be closer than an occupied voxel: it counts as set back by this much. Without it a
+    camera that sees 60 degrees hardly leaves its start: the cone it sees is too narrow there (measured: 1.6 m of way in
+    100 frames of random exploring against 6.6.)"""
     truncation: float = 0.3
     """Metres: reach of the signed distance around surfaces; 3 voxels where that is more."""
     max_weight: float = 64.0
@@ -45,7 +49,7 @@ class VolumeConfig:
         for name in ("voxel_size", "max_range", "thinnest", "truncation", "max_weight"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("margin", "margin_growth"):
+        for name in ("margin", "margin_growth", "unknown_slack"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
         if not 0.0 <= self.max_miss_chance < 1.0:
@@ -88,6 +92,7 @@ class VoxelVolume:
         self.weight = np.zeros(self.shape, dtype=np.float32)  # number of observations, capped
         self._solidity = np.zeros(self.shape, dtype=np.int16)
         self._miss_chance = np.ones(self.shape, dtype=np.float32)
+        self._parts = np.zeros(self.shape, dtype=np.uint64)
         self._last_hit = np.full(self.shape, -1, dtype=np.int32)
         self._images = 0
         self._last_view: np.ndarray | None = None
@@ -96,8 +101,19 @@ class VoxelVolume:
 
     # -- updates --------------------------------------------------------------------------------------------------
 
-    def integrate(self, frame: Frame) -> None:
-        """Take one depth image in (1 to 5 ms at 0.1 m for an apartment, nearly independent of the image's size)."""
+    def integrate(
+        self,
+        frame: Frame,
+        *,
+        sensor_range: float | None = None,  # metres; None = not known
+        dropouts: bool = False,  # whether the sensor also loses single returns within its range
+    ) -> None:
+        """Take one depth image in (1 to 3 ms at 0.1 m for an apartment, nearly independent of the image's size).
+
+        A pixel without return proves nothing, unless ``sensor_range`` says up to where the sensor returns every
+        surface: then its ray is free up to there (with ``dropouts``: where a block of 5 x 5 such pixels is). Without
+        it an agent cannot walk along a hall longer than its sensor's range.
+        """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
             raise ValueError(f"depth is {frame.depth.shape}, its camera {(camera.height, camera.width)}")
@@ -111,23 +127,27 @@ class VoxelVolume:
             self._last_view = view.copy()
         integration.mark_hits(
             depth, intrinsics, view, self.origin, self.voxel_size, config.max_range, self.state, self._solidity,
-            self._miss_chance, self._last_hit, self._images, config.hit_gain, config.hit_ceiling,
+            self._miss_chance, self._parts, self._last_hit, self._images, config.hit_gain, config.hit_ceiling,
         )  # fmt: skip
-        lower, upper = self._frustum_box(frame)
+        if sensor_range is not None:
+            gaps = integration.solid_gaps(depth) if dropouts else depth <= 0
+            depth = np.where(gaps, np.float32(sensor_range), depth)
+        lower, upper = self._frustum_box(frame, float(depth.max(initial=0.0)))
         pyramid, levels = integration.minimum_pyramid(depth)
         integration.carve(
             pyramid, levels, intrinsics, invert_rigid(view), self.origin, self.voxel_size, config.max_range,
             config.margin, config.margin_growth, config.thinnest, config.max_miss_chance, self.truncation,
             config.max_weight, fresh, self._images, lower, upper, self.state, self._solidity, self._miss_chance,
-            self._last_hit, self.tsdf, self.weight,
+            self._parts, self._last_hit, self.tsdf, self.weight,
         )  # fmt: skip
         self._images += 1
         self._changed()
 
     def mark_free_sphere(self, center: np.ndarray, radius: float) -> None:
-        """The agent's own body proves that this sphere is free: its voxels (those wholly inside) become free.
+        """The agent's own body proves that this sphere is free: voxels wholly inside become free.
 
-        Occupied voxels stay. Call it only where the body is known to fit, such as at a checked start pose.
+        Those partly inside become free when looks prove the rest. Occupied voxels stay. Call it only where the body is
+        known to fit, such as at a checked start pose.
         """
         center = np.asarray(center, dtype=np.float64)
         lower = np.clip(self.voxel_of(center - radius), 0, self.shape)
@@ -135,16 +155,21 @@ class VoxelVolume:
         box = tuple(slice(a, b) for a, b in zip(lower, upper))
         axes = [np.arange(a, b) for a, b in zip(lower, upper)]
         centers = self.center_of(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
-        farthest = np.linalg.norm(np.abs(centers - center) + 0.5 * self.voxel_size, axis=-1)
-        inside = (farthest <= radius) & (self._solidity[box] == 0)
+        side = integration.PARTS_PER_SIDE
+        steps = (np.arange(side) + 0.5) / side - 0.5
+        offsets = self.voxel_size * np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        farthest = np.abs(centers[..., None, :] + offsets - center) + 0.5 * self.voxel_size / side
+        bits = (np.linalg.norm(farthest, axis=-1) <= radius) @ (np.uint64(1) << np.arange(side**3, dtype=np.uint64))
+        self._parts[box] |= np.where(self._solidity[box] == 0, bits, np.uint64(0))
+        inside = self._parts[box] == integration.ALL_PARTS
         self.state[box][inside] = FREE
         self._miss_chance[box][inside] = 0.0
         self._changed()
 
-    def _frustum_box(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Voxel box [lower, upper) around the view frustum, cut at the farthest depth that can change anything."""
+    def _frustum_box(self, frame: Frame, farthest: float) -> tuple[np.ndarray, np.ndarray]:
+        """Voxel box [lower, upper) around the view frustum, cut where nothing can change any more."""
         camera = frame.camera
-        deepest = float(min(frame.depth.max(initial=0.0) + self.truncation, self.config.max_range))
+        deepest = min(farthest + self.truncation, self.config.max_range)
         u, v = np.meshgrid([0.0, camera.width], [0.0, camera.height])
         corners = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones((2, 2))], axis=-1)
         world = np.vstack([np.zeros((1, 3)), corners.reshape(4, 3) * deepest])
@@ -200,18 +225,27 @@ class VoxelVolume:
 
     @property
     def clearance(self) -> np.ndarray:  # [X, Y, Z] float32 metres
-        """Distance from each voxel's centre to the nearest voxel that is not free (to its cube, not its centre).
+        """Distance from each free voxel's centre to the nearest voxel that is not free (to its cube, not its centre).
 
-        Computed when first asked for after a change, on the box around the free voxels only.
+        Unknown voxels and the space beyond the grid count as ``unknown_slack`` farther away than they are, so the true
+        clearance is at least the stated one less that slack. 0 in voxels that are not free. Computed when first asked
+        for after a change, on the box around the free voxels only.
         """
         if self._clearance is None:
             self._clearance = np.zeros(self.shape, dtype=np.float32)
             free = self.state == FREE
             if free.any():
+                slack = self.config.unknown_slack / self.voxel_size
+                # What lies further outside than the slack cannot be nearer than the shell around the box.
+                border = int(np.ceil(slack)) + 1
                 box = tuple(slice(a, b + 1) for a, b in zip(*_bounding_box(free)))
-                # The shell of voxels around the box is not free, nor is what lies beyond the grid.
-                voxels = distance_field.distance_to_cubes(np.pad(~free[box], 1, constant_values=True))
-                self._clearance[box] = voxels[1:-1, 1:-1, 1:-1] * np.float32(self.voxel_size)
+                state = np.pad(self.state, border)[tuple(slice(s.start, s.stop + 2 * border) for s in box)]
+                inner = (slice(border, -border),) * 3
+                any_kind = distance_field.distance_to_cubes(state != FREE)[inner]
+                farthest = float(any_kind.max()) + slack
+                occupied = distance_field.distance_to_cubes(state == OCCUPIED, at_most=farthest)[inner]
+                voxels = np.where(any_kind > 0, np.minimum(any_kind + np.float32(slack), occupied), 0)
+                self._clearance[box] = voxels * np.float32(self.voxel_size)
         return self._clearance
 
     @property

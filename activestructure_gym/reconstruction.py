@@ -94,8 +94,9 @@ class Reconstruction:
         self.mapping_report: MappingReport | None = None
         self.seconds: defaultdict[str, float] = defaultdict(float)  # wall-clock by stage; never observed
 
-        # The agent stands there, so its own body's place is free.
-        self.volume.mark_free_sphere(start_pose[:3, 3], config.motion.body_radius)
+        # The agent was put down there, so the place around it is known to be free, as far as it is.
+        clearance = float(scene.free_space.clearance_at(start_pose[:3, 3])[0])
+        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.body_radius, clearance))
         frame = self._keyframe()
         self.frames = 1
         self._refresh()

@@ -98,6 +98,15 @@ class RayCaster:
         The margin lets a segment end on a surface without being blocked by that surface.
         """
         starts = np.ascontiguousarray(np.broadcast_to(starts, np.shape(ends)), dtype=np.float32)
-        directions = np.asarray(ends, dtype=np.float32) - starts
+        directions = np.ascontiguousarray(np.asarray(ends, dtype=np.float32) - starts)
         length = np.linalg.norm(directions, axis=1)
-        return self.cast(starts, directions / np.maximum(length, 1e-12)[:, None]).distance < length - margin
+        # Rays of the segment's own length: the parameter 1 is its end.
+        reach = (1.0 - margin / np.maximum(length, 1e-12)).astype(np.float32)
+
+        def part(chunk: slice) -> np.ndarray:
+            # 0 where something is hit, -1 where nothing is.
+            return self._scene.run(starts[chunk], directions[chunk], dists=reach[chunk], query="OCCLUDED")
+
+        if not len(directions):
+            return np.zeros(0, dtype=bool)
+        return (np.concatenate(self._run(part, len(directions))) == 0) & (reach > 0)

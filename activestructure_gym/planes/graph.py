@@ -154,7 +154,7 @@ class PlaneSceneGraph:
         row = {node_id: k for k, node_id in enumerate(touched)} | {NO_NODE: -1}
         patches, moments = observe(
             frame,
-            detection.labels,
+            detection,
             np.array([row[node_id] for node_id in owner]),
             [node.surface for node in nodes],
             np.stack([node.anchor for node in nodes]),

@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes.detection import PlaneDetection
 from activestructure_gym.sensors.frame import Frame
 
 # Cells a grid grows by at least, so that it is not copied at every keyframe.
 _MARGIN = 16
-# A cell is believed until it was shown as something else this many times as often as the plane.
-_DENIALS = 3
 # A disc of 2 cells: what counts as near to a seen cell (10 cm at 5 cm cells).
 _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
@@ -46,7 +45,7 @@ class SurfaceGrid:
         self.axes = np.array(axes, dtype=np.float64)  # [3, 3] rows
         self.cell = cell  # metres
         self.low = np.zeros(2, np.int64)
-        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1: shown, and not denied more than three times as often
+        self.seen = np.zeros((0, 0), np.uint8)  # [R, C] 0 or 1: shown, and not denied more often
         self.shown = np.zeros((0, 0), np.int32)
         self.denied = np.zeros((0, 0), np.int32)
         self.hits = np.zeros((0, 0), np.int32)  # [R, C] pixels that fell into the cell
@@ -83,7 +82,7 @@ class SurfaceGrid:
         np.copyto(self.beside[window], patch.beside, where=patch.beside > 0)
         # Votes: where two planes meet, noise gives a pixel to the wrong one now and then, and without a vote every
         # plane would grow over its edge with time.
-        self.seen[window] = (self.shown[window] > 0) & (_DENIALS * self.shown[window] >= self.denied[window])
+        self.seen[window] = (self.shown[window] > 0) & (self.shown[window] >= self.denied[window])
         if not self.seen.any():
             self.seen[:] = self.hits > 0  # a sliver between all cell centres still has a place
         self._forget()
@@ -196,7 +195,7 @@ def _disc(radius: int) -> np.ndarray:
 
 def observe(
     frame: Frame,
-    labels: np.ndarray,  # [H, W] int32, -1 = no plane
+    detection: PlaneDetection,
     table: np.ndarray,  # [S] which grid each label belongs to, -1 = none
     grids: list[SurfaceGrid],
     anchors: np.ndarray,  # [T, 3] world
@@ -205,6 +204,7 @@ def observe(
 ) -> tuple[list[Patch], np.ndarray]:
     """What an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
+    labels, segments = detection.labels, detection.segments
     camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     rotation, translation = np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
@@ -220,7 +220,12 @@ def observe(
     seen = np.zeros(starts[-1], np.uint8)
     beside = np.zeros(starts[-1], np.uint8)
     kernels.count_hits(*image, frames, cell, extents, starts, hits)
-    kernels.look_up_cells(*image, frames, cell, extents, starts, seen, beside, reach)
+    planes = np.array([[*segment.normal, segment.offset] for segment in segments])
+    centroids = np.array([segment.centroid for segment in segments])
+    # Which segments stand on the visible side of each grid's plane.
+    facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
+    facing &= table[None] != np.arange(len(grids))[:, None]
+    kernels.look_up_cells(*image, frames, cell, extents, starts, seen, beside, reach, planes, facing)
     patches = []
     for t, shape in enumerate(shapes):
         part = slice(starts[t], starts[t + 1])

@@ -18,7 +18,8 @@ UNKNOWN, OPEN, COVERED = 0, 1, 2
 def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
     """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
-    ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3] (moments are taken about them).
+    ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3], about which the moments
+    are taken.
     Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
     """
     count = len(grids)
@@ -78,12 +79,19 @@ def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, e
 
 
 @njit(cache=True, nogil=True)
-def look_up_cells(depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, seen, beside, reach):
+def look_up_cells(
+    depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, seen, beside, reach, planes, facing
+):
     """Project every cell's centre into the image: does the image show this plane there, or what else?
 
     Looking cells up in the image (not pixels in the grid) makes a cell seen whatever the density of pixels on it, so
     that a distant surface has no false holes. ``seen`` is 0 or 1. ``beside`` says why a cell is not seen: OPEN = the
     view goes through the plane by more than ``reach`` metres, COVERED = something else lies within ``reach`` of it.
+
+    In a corner noise gives pixels of one wall to the other, and at a slant such a pixel points far beyond the corner.
+    So a cell next to another segment's pixels is also COVERED when it lies behind that segment's plane (``planes``
+    [S, 4] world) and the segment stands on this plane's visible side (``facing`` [T, S]; around a convex edge neither
+    plane hides the other).
     """
     height, width = depth.shape
     for t in range(len(grids)):
@@ -110,7 +118,24 @@ def look_up_cells(depth, labels, table, lens, rotation, translation, grids, cell
                         u, v = int(fu), int(fv)
                         label = labels[v, u]
                         if label >= 0 and table[label] == t:
-                            seen[index] = 1
+                            behind = False
+                            for vv in range(max(v - 1, 0), min(v + 2, height)):
+                                for uu in range(max(u - 1, 0), min(u + 2, width)):
+                                    other = labels[vv, uu]
+                                    if other >= 0 and facing[t, other]:
+                                        q = planes[other]
+                                        if (
+                                            q[0] * (px + translation[0])
+                                            + q[1] * (py + translation[1])
+                                            + q[2] * (pz + translation[2])
+                                            + q[3]
+                                            < -0.2 * cell
+                                        ):
+                                            behind = True
+                            if behind:
+                                beside[index] = COVERED
+                            else:
+                                seen[index] = 1
                         elif depth[v, u] > 0.0:
                             above = camera_height * (1.0 - np.float64(depth[v, u]) / z)
                             if above < -reach:

@@ -1,0 +1,235 @@
+"""The Plane Scene Graph as a whole: it converges, moves rigidly, repeats itself, survives anything."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import networkx as nx
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
+from activestructure_gym.planes.graph import tangent_axes
+from activestructure_gym.sensors.frame import Frame
+
+
+def wander(room, rng, count, *, low, high, pitch=(-0.6, 0.6), **options):
+    """Frames from random places of a room in random directions."""
+    for _ in range(count):
+        angle = rng.uniform(0, 2 * np.pi)
+        direction = (np.cos(angle), np.sin(angle), rng.uniform(*pitch))
+        yield room.shoot(rng.uniform(low, high), direction, rng=rng, **options)[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_closed_room_has_six_nodes_and_keeps_them(box_room, new_graph, rng, noise):
+    graph = new_graph(noise)
+    counts = []
+    for frame in wander(box_room, rng, 120, low=(0.5, 0.5, 0.5), high=(3.8, 2.6, 2.0), noise=noise):
+        graph.update(frame)
+        counts.append(len(graph.nodes))
+    assert counts[20:] == [6] * 100
+    # Its areas are those of the room, and it is whole.
+    expected = np.sort([4.3 * 3.1, 4.3 * 3.1, 4.3 * 2.5, 4.3 * 2.5, 3.1 * 2.5, 3.1 * 2.5])
+    np.testing.assert_allclose(np.sort(graph.areas), expected, rtol=0.03)
+    assert (graph.quality.modes[:, [0, 3, 4, 5, 7]] > 0.9).all()
+    assert len(graph.deficiencies) == 0
+    assert graph.structural.all()
+    assert graph.tree.sum() == 2 * 5
+
+
+def test_a_furnished_room_has_its_planes(furnished_room, furnished_views, new_graph):
+    """Six sides of the room and the large faces of furniture, each found within a degree and a centimetre."""
+    graph = new_graph()
+    for position, direction in furnished_views:
+        graph.update(furnished_room.shoot(position, direction)[0])
+    sides = [furnished_room.plane(k) for k in range(6)]
+    faces = {"table": 7, "cupboard": 10}  # nodes more or less are small faces of furniture
+    assert 6 + len(faces) <= len(graph.nodes) <= 30
+    for normal, d in sides:
+        near = (np.abs(graph.normals @ normal) > np.cos(np.radians(1.0))) & (
+            np.abs(np.abs(graph.offsets) - abs(d)) < 0.01
+        )
+        assert near.any()
+
+
+def test_a_rigid_motion_of_everything_changes_nothing(furnished_room, furnished_views, new_graph, rng):
+    frames = [furnished_room.shoot(p, d, noise=1.0, rng=rng)[0] for p, d in furnished_views[:14]]
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_rotvec([0.7, -1.1, 0.4]).as_matrix()
+    motion[:3, 3] = [11.0, -7.0, 3.0]
+
+    def space(points):  # some rule in the room's own frame
+        return (np.floor(points * 4.0).astype(int).sum(axis=1) % 3).astype(np.uint8)
+
+    def moved_space(points):
+        return space((points - motion[:3, 3]) @ motion[:3, :3])
+
+    here, there = new_graph(1.0), new_graph(1.0)
+    for frame in frames:
+        here.update(frame, space_state=space)
+        there.update(replace(frame, world_from_camera=motion @ frame.world_from_camera), space_state=moved_space)
+    assert len(here.nodes) == len(there.nodes) > 8
+    np.testing.assert_allclose(there.normals, here.normals @ motion[:3, :3].T, atol=1e-9)
+    np.testing.assert_allclose(there.centroids, here.centroids @ motion[:3, :3].T + motion[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(there.weights, here.weights, atol=1e-9)
+    np.testing.assert_array_equal(there.edges, here.edges)
+    np.testing.assert_array_equal(there.tree, here.tree)
+    np.testing.assert_array_equal(there.structural, here.structural)
+    np.testing.assert_allclose(there.quality.modes, here.quality.modes, atol=1e-6)
+    np.testing.assert_allclose(there.surprise.total, here.surprise.total, atol=1e-6)
+    np.testing.assert_allclose(there.deficit, here.deficit, atol=1e-6)
+    np.testing.assert_allclose(
+        there.deficiencies.centres, here.deficiencies.centres @ motion[:3, :3].T + motion[:3, 3], atol=1e-6
+    )
+
+
+def test_the_same_frames_give_the_same_graph(furnished_room, furnished_views, new_graph):
+    frames = [furnished_room.shoot(p, d)[0] for p, d in furnished_views[:8]]
+    first, second = new_graph(), new_graph()
+    for k, frame in enumerate(frames):
+        first.update(frame)
+        second.update(frame)
+        if k == 3:
+            second = pickle.loads(pickle.dumps(second))
+    np.testing.assert_array_equal(first.quality.modes, second.quality.modes)
+    np.testing.assert_array_equal(first.deficit, second.deficit)
+    np.testing.assert_array_equal(first.deficiencies.centres, second.deficiencies.centres)
+    assert [node.id for node in first.nodes] == [node.id for node in second.nodes]
+
+
+def test_edges_need_a_common_keyframe(rectangles, new_graph):
+    """Two boards side by side, never in one image: near each other, yet their relation was never observed."""
+    scene = rectangles().add((2, -1.1, 1), (0.2, 1.0, 0), (0, 0, 1)).add((2, 0.1, 1), (-0.2, 1.0, 0), (0, 0, 1))
+    graph = new_graph()
+    graph.update(scene.shoot((1.4, -0.7, 1.5), (1, 0, 0))[0])
+    graph.update(scene.shoot((1.4, 0.7, 1.5), (1, 0, 0))[0])
+    assert len(graph.nodes) == 2 and not graph.edges.any()
+    assert graph.weights[0, 1] < 0.5
+    np.testing.assert_allclose(graph.surprise.connectivity, 1.0)
+    np.testing.assert_allclose(graph.surprise.neighbourhood, [1.0, 1.0], atol=1e-6)
+    before = graph.deficit.copy()
+    graph.update(scene.shoot((0.0, 0.0, 1.5), (1, 0, 0))[0])
+    assert graph.edges[0, 1] and graph.tree[0, 1]
+    np.testing.assert_allclose(graph.surprise.neighbourhood, [0.1, 0.1], atol=1e-6)
+    assert (graph.deficit < before).all()
+
+
+def test_networkx_view_is_the_graph(furnished_room, furnished_views, new_graph):
+    graph = new_graph()
+    for position, direction in furnished_views[:10]:
+        graph.update(furnished_room.shoot(position, direction)[0])
+    view = graph.as_networkx()
+    assert list(view.nodes) == [node.id for node in graph.nodes]
+    assert view.number_of_edges() == graph.edges.sum() // 2
+    forest = nx.minimum_spanning_tree(view)
+    total = sum(d["weight"] for _, _, d in view.edges(data=True) if d["tree"])
+    assert total == pytest.approx(sum(d["weight"] for _, _, d in forest.edges(data=True)))
+    tree_only = nx.Graph()
+    tree_only.add_nodes_from(view)
+    tree_only.add_edges_from((a, b) for a, b, d in view.edges(data=True) if d["tree"])
+    expected = nx.betweenness_centrality(tree_only)
+    for k, node in enumerate(graph.nodes):
+        assert view.nodes[node.id]["betweenness"] == pytest.approx(expected[node.id])
+        assert view.nodes[node.id]["deficit"] == graph.deficit[k]
+        assert len(view.nodes[node.id]["points"]) == graph.point_counts[k]
+
+
+def test_points_lie_on_the_surface_they_come_from(box_room, new_graph, rng):
+    graph = new_graph()
+    for frame in wander(box_room, rng, 20, low=(0.5, 0.5, 0.5), high=(3.8, 2.6, 2.0)):
+        graph.update(frame)
+    points, exists = graph.sample_points(64)
+    assert points.shape == (len(graph.nodes), 64, 3) and exists.all()
+    outside = np.maximum(-points, points - [4.3, 3.1, 2.5]).max(axis=-1)
+    assert outside.max() < 0.05  # a cell
+    for k in range(len(graph.nodes)):
+        np.testing.assert_allclose(points[k] @ graph.normals[k] + graph.offsets[k], 0.0, atol=1e-9)
+        assert np.abs(np.minimum(np.abs(points[k]), np.abs(points[k] - [4.3, 3.1, 2.5])).min(axis=1)).max() < 0.02
+
+
+def test_nothing_seen_is_an_empty_graph(rectangles):
+    graph = PlaneSceneGraph()
+    frame, _ = rectangles().add((50, 0, 0), (0, 1, 0), (0, 0, 1)).shoot((0, 0, 0), (1, 0, 0))
+    update = graph.update(frame)
+    assert graph.nodes == [] and update.node_ids == () and graph.keyframes == 1
+    assert graph.weights.shape == (0, 0) and graph.normals.shape == (0, 3)
+    assert graph.as_networkx().number_of_nodes() == 0
+    with pytest.raises(KeyError):
+        graph.node(0)
+
+
+def test_wild_depth_never_raises(new_graph, rng):
+    """Noise, stripes, slivers, single planes through the camera's axis: whatever comes, the numbers stay finite."""
+    from activestructure_gym.geometry import PinholeCamera, look_along
+
+    camera = PinholeCamera.from_size(64, 48)
+    graph = PlaneSceneGraph(replace(new_graph().config, min_node_area=0.0))
+    v, u = np.mgrid[0:48, 0:64]
+    images = [
+        rng.uniform(0.1, 5.0, (48, 64)),
+        np.where(u % 8 < 4, 2.0, 0.0),
+        np.where(v < 4, 0.05, 0.0),
+        np.full((48, 64), 1e-3),
+        1.0 / (0.2 + 0.05 * np.abs(u - 32)),
+        np.where(rng.uniform(size=(48, 64)) < 0.3, 0.0, 1.5),
+    ]
+    for k in range(24):
+        pose = look_along(rng.uniform(-1, 1, 3), rng.standard_normal(3))
+        depth = images[k % len(images)].astype(np.float32)
+        graph.update(Frame(np.zeros((48, 64, 3), np.uint8), depth, pose, camera))
+        for array in (graph.quality.modes, graph.surprise.total, graph.deficit, graph.weights, graph.centroids):
+            assert np.isfinite(array).all()
+        assert ((graph.quality.modes >= 0) & (graph.quality.modes <= 1)).all()
+        assert all(len(node.points) for node in graph.nodes)
+        graph.arrays(16)
+    assert len(graph.nodes) > 1
+
+
+def test_small_segments_found_no_node_but_join_one(rectangles):
+    small = rectangles().add((1, -0.1, 1.4), (0, 0.2, 0), (0, 0, 0.2))  # 0.04 m^2
+    graph = PlaneSceneGraph()
+    assert graph.update(small.shoot((0, 0, 1.5), (1, 0, 0))[0]).node_ids == (-1,)
+    assert graph.nodes == []
+    wall = rectangles().add((1, -1, 1), (0, 2, 0), (0, 0, 1))
+    graph.update(wall.shoot((0, 0, 1.5), (1, 0, 0))[0])
+    assert graph.update(small.shoot((0, 0, 1.5), (1, 0, 0))[0]).node_ids == (0,)
+    assert graph.nodes[0].observations == 2
+
+
+def test_a_glimpse_does_not_turn_a_wall(rectangles, new_graph):
+    """A scrap of 0.25 m^2, 7 deg off, is believed to be part of an 8 m^2 wall; the wall moves by its share."""
+    wall = rectangles().add((2, -2, 0), (0, 4, 0), (0, 0, 2))
+    graph = new_graph()
+    for y in (-1.0, 0.0, 1.0):
+        graph.update(wall.shoot((0, y, 1), (1, 0, 0))[0])
+    t = np.radians(7.0)
+    scrap = rectangles().add((1.97, 0, 0.75), (0.5 * np.sin(t), 0.5 * np.cos(t), 0), (0, 0, 0.5))
+    graph.update(scrap.shoot((1, 0.2, 1), (1, 0, 0))[0])
+    (node,) = graph.nodes
+    assert node.observations == 4
+    assert np.degrees(np.arccos(abs(node.normal[0]))) < 0.1  # 0.3 of 7 deg would be 2.1
+
+
+def test_tangent_axes_follow_the_long_side_and_the_image(rng):
+    from activestructure_gym.planes import PlaneSegment
+
+    long_side = rng.uniform(-1, 1, (200, 2)) * [2.0, 0.5]
+    turn = Rotation.from_rotvec([0.3, 0.2, 0.9]).as_matrix()
+    points = np.column_stack([long_side, np.zeros(200)]) @ turn.T
+    normal = turn[:, 2]
+    segment = PlaneSegment(normal, 0.0, points.mean(axis=0), 1.0, 0.0, 200, points, 0)
+    for sign in (1.0, -1.0):
+        axes = tangent_axes(segment, sign * turn[:, 0])
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+        np.testing.assert_allclose(axes[2], normal)
+        assert sign * axes[0] @ turn[:, 0] > 0.99
+
+
+def test_bad_configuration_is_refused():
+    for bad in ({"cell": 0.0}, {"fusion_rate": 1.5}, {"normal_window": 0}, {"min_node_area": -1.0}):
+        with pytest.raises(ValueError, match=next(iter(bad))):
+            PlaneGraphConfig(**bad)

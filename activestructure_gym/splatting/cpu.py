@@ -81,9 +81,8 @@ def render_depth_alpha(
     _check(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
-    views = np.empty((len(poses), kernels.VIEW_SIZE), np.float32)
-    for view, pose in zip(views, poses):
-        view[:] = make_view(camera, pose)
+    views = np.repeat(make_view(camera, np.eye(4))[None], len(poses), axis=0)
+    views[:, : kernels.FX] = poses[:, :3].reshape(-1, kernels.FX)
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     tickets = np.zeros(1, np.int64)
     arguments = (tickets, parameters, views, make_grid(count, parameters.shape[1], camera), depth, alpha)
@@ -130,6 +129,22 @@ def mapping_step(
         if copy is not array:
             array[:] = copy[:, : array.shape[1]]
     return StepLosses(color, depth, ssim)
+
+
+def warm_up() -> None:
+    """Compile every kernel with a scene of one Gaussian: 10 to 20 s the first time on a machine, then below 1 s.
+
+    The caller tells the user that something takes a while; without this call the first rendering does the same.
+    """
+    camera = PinholeCamera.from_size(8, 8)
+    parameters = np.zeros((kernels.ROWS, kernels.LANES), np.float32)
+    parameters[[2, 3]] = 1.0
+    moments = np.zeros((2, *parameters.shape), np.float32)
+    mapping_step(
+        parameters, *moments, 1, camera, np.eye(4), np.ones((8, 8, 3), np.float32), np.ones((8, 8), np.float32),
+        LossWeights(), np.zeros(kernels.ROWS, np.float32), threads=1,
+    )  # fmt: skip
+    render_depth_alpha(parameters, 1, camera, np.eye(4)[None], threads=1)
 
 
 def _check(parameters: np.ndarray, count: int) -> None:

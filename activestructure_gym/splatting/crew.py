@@ -9,14 +9,35 @@ from __future__ import annotations
 
 import _thread
 import os
+import time
 from collections.abc import Callable
 
 
+MOST_THREADS = 8  # by default; a picture has too few tiles to feed more
+_LOAD_IS_FRESH_S = 1.0
+_crowded_until: tuple[float, bool] = (0.0, False)  # when to look again, what was seen
+
+
 def default_threads() -> int:
-    """The cores this process may use, or fewer if OMP_NUM_THREADS says so."""
+    """The cores this process may use (or fewer if OMP_NUM_THREADS says so), but one on an overloaded machine.
+
+    There a second thread mostly waits for its turn and everybody waits for it. Results do not depend on the choice.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wish = os.environ.get("OMP_NUM_THREADS", "")
-    return max(1, min(cores, int(wish))) if wish.isdigit() and int(wish) > 0 else cores
+    threads = min(cores, MOST_THREADS, int(wish) if wish.isdigit() and int(wish) > 0 else cores)
+    return 1 if threads > 1 and _machine_is_crowded() else threads
+
+
+def _machine_is_crowded() -> bool:
+    """More than 1.5 runnable tasks per core over the last minute."""
+    global _crowded_until
+    if not hasattr(os, "getloadavg"):
+        return False
+    now = time.monotonic()
+    if now >= _crowded_until[0]:
+        _crowded_until = (now + _LOAD_IS_FRESH_S, os.getloadavg()[0] > 1.5 * (os.cpu_count() or 1))
+    return _crowded_until[1]
 
 
 class _Worker:
@@ -42,7 +63,10 @@ class _Worker:
 
 
 class Crew:
-    """Calls a kernel on several threads at once and waits for all."""
+    """Calls a kernel on several threads at once; done when the caller's own call and all that began have returned.
+
+    The kernel must do the whole work however few threads come.
+    """
 
     def __init__(self) -> None:
         self._workers: list[_Worker] = []
@@ -50,7 +74,7 @@ class Crew:
         self._busy = _thread.allocate_lock()
 
     def run(self, kernel: Callable, arguments: tuple, threads: int) -> None:
-        """``kernel(*arguments)`` on ``threads`` threads, this one included.
+        """``kernel(*arguments)`` on up to ``threads`` threads, this one included.
 
         A second Python thread that comes while the crew is out works alone: tickets make that the same result.
         """
@@ -69,6 +93,9 @@ class Crew:
             try:
                 kernel(*arguments)
             finally:
+                # Who has not woken up by now has nothing left to do: take the call back instead of waiting for a
+                # busy machine to find time for it.
+                called = [worker for worker in called if not worker.start.acquire(blocking=False)]
                 for worker in called:
                     worker.done.acquire()
             for worker in called:

@@ -232,5 +232,6 @@ class Lease:
             self.workspace = Workspace()
 
     def __del__(self) -> None:
-        if len(Lease._free) < 4:
-            Lease._free.append(self.workspace)
+        free = type(self)._free  # the module's names are gone when the interpreter shuts down
+        if len(free) < 4:
+            free.append(self.workspace)

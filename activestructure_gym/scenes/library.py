@@ -6,6 +6,7 @@ import inspect
 import os
 import typing
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from types import UnionType
 from typing import Any
@@ -27,7 +28,10 @@ SCENES.register("replica")(load_replica_scene)
 SCENES.register("matterport3d")(load_matterport3d_scene)
 
 
+# Generated scenes take seconds to build and never change: the last two of each kind are shared by all envs of a
+# process, ray caster and all.
 @SCENES.register("box")
+@lru_cache(maxsize=2)
 def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -> Scene:
     from activestructure_gym.scenes.procedural import make_box_room
 
@@ -35,6 +39,7 @@ def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -
 
 
 @SCENES.register("room")
+@lru_cache(maxsize=2)
 def _room(*, seed: int = 0, furnished: bool = True) -> Scene:
     from activestructure_gym.scenes.procedural import make_apartment
 
@@ -42,6 +47,7 @@ def _room(*, seed: int = 0, furnished: bool = True) -> Scene:
 
 
 @SCENES.register("apartment")
+@lru_cache(maxsize=2)
 def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True) -> Scene:
     from activestructure_gym.scenes.procedural import make_apartment
 

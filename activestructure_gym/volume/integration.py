@@ -16,12 +16,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from activestructure_gym.volume.depth_image import READS_PER_SIDE
+
 UNKNOWN = 0
 FREE = 1
 OCCUPIED = 2
 
-# Blocks of the minimum pyramid are at most a sixth of a footprint, which so grows by less than a third.
-_READS_PER_SIDE = 6
 # Closer than this the footprint of a voxel is larger than the image; also keeps the projection away from z = 0.
 _NEAREST = 0.05
 PARTS_PER_SIDE = 4
@@ -29,45 +29,6 @@ ALL_PARTS = np.uint64(2**64 - 1)
 _ONE = np.uint64(1)
 # Below this the remaining chance of having missed something is called zero, and the voxel needs no more looks.
 _SURE = 1e-3
-
-
-def minimum_pyramid(
-    depth: np.ndarray,  # [H, W] metres, 0 = no return
-) -> tuple[np.ndarray, np.ndarray]:  # (all levels flat, [L, 3] int64: start, height, width of each level)
-    """Minimum over blocks of 2^l x 2^l pixels; a block with a pixel without return is 0."""
-    levels = [np.ascontiguousarray(depth, dtype=np.float32)]
-    while min(levels[-1].shape) > 2 * _READS_PER_SIDE:
-        last = levels[-1]
-        if last.shape[0] % 2 or last.shape[1] % 2:
-            last = np.pad(last, ((0, last.shape[0] % 2), (0, last.shape[1] % 2)), mode="edge")
-        rows = np.minimum(last[0::2], last[1::2])
-        levels.append(np.minimum(rows[:, 0::2], rows[:, 1::2]))
-    sizes = [level.size for level in levels]
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    table = np.array([[start, *level.shape] for start, level in zip(starts, levels)], dtype=np.int64)
-    return np.concatenate([level.ravel() for level in levels]), table
-
-
-def solid_gaps(
-    depth: np.ndarray,  # [H, W] metres, 0 = no return
-    side: int = 5,  # pixels, odd
-) -> np.ndarray:  # [H, W] bool
-    """Pixels that belong to a block of side x side pixels without any return (a morphological opening)."""
-    gap = depth <= 0
-    if not gap.any():
-        return gap
-    centers = gap.copy()
-    for axis in range(2):  # what lies beyond the image may be gap
-        lines = np.moveaxis(centers, axis, 0)
-        padded = np.pad(lines, ((side // 2, side // 2), (0, 0)), constant_values=True)
-        for shift in range(side):
-            lines &= padded[shift : shift + len(lines)]
-    for axis in range(2):
-        lines = np.moveaxis(centers, axis, 0)
-        padded = np.pad(lines, ((side // 2, side // 2), (0, 0)))
-        for shift in range(side):
-            lines |= padded[shift : shift + len(lines)]
-    return centers & gap
 
 
 @njit(cache=True, nogil=True)
@@ -118,7 +79,7 @@ def _nearest_in_footprint(
 ) -> float:
     """Smallest depth over pixels [v0..v1] x [u0..u1] (or a little around them); stops below ``enough``."""
     level = 0
-    while level + 1 < len(levels) and max(u1 - u0, v1 - v0) >> level > _READS_PER_SIDE:
+    while level + 1 < len(levels) and max(u1 - u0, v1 - v0) >> level > READS_PER_SIDE:
         level += 1
     start, width = levels[level, 0], levels[level, 2]
     smallest = np.float32(np.inf)
@@ -133,7 +94,8 @@ def _nearest_in_footprint(
 
 @njit(cache=True, nogil=True)
 def carve(
-    pyramid: np.ndarray,  # from minimum_pyramid
+    depth: np.ndarray,  # [H, W] float32: what was returned, for the TSDF
+    pyramid: np.ndarray,  # from minimum_pyramid: how far each ray is free
     levels: np.ndarray,
     intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
     camera_from_world: np.ndarray,  # [4, 4]
@@ -214,19 +176,16 @@ def carve(
                 x, y, z = bx + k * dx, by + k * dy, bz + k * dz
                 u = min(max(int(fx * x / z + cx), 0), width - 1)
                 v = min(max(int(fy * y / z + cy), 0), height - 1)
-                seen = pyramid[v * width + u]
-                if seen <= 0.0:
-                    continue
-
-                edge = np.inf  # how far inside the outermost rays the centre lies
-                for p in range(4):
-                    edge = min(edge, planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z)
-                distance = seen - z
-                if distance > -truncation and edge >= 0.0:
-                    old = weight[i, j, k]
-                    new = min(distance / truncation, 1.0)
-                    tsdf[i, j, k] = (tsdf[i, j, k] * old + new) / (old + 1.0)
-                    weight[i, j, k] = min(old + 1.0, max_weight)
+                distance = depth[v, u] - z
+                if depth[v, u] > 0.0 and distance > -truncation:
+                    edge = np.inf  # how far inside the outermost rays the centre lies
+                    for p in range(4):
+                        edge = min(edge, planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z)
+                    if edge >= 0.0:
+                        old = weight[i, j, k]
+                        new = min(distance / truncation, 1.0)
+                        tsdf[i, j, k] = (tsdf[i, j, k] * old + new) / (old + 1.0)
+                        weight[i, j, k] = min(old + 1.0, max_weight)
 
                 if last_hit[i, j, k] == image_number or (miss_chance[i, j, k] == 0.0 and solidity[i, j, k] == 0):
                     continue
@@ -234,7 +193,7 @@ def carve(
                 if near < _NEAREST:
                     continue
                 enough = far + margin + margin_growth * far * far
-                if seen <= enough:
+                if pyramid[v * width + u] <= enough:
                     continue
                 left = fx * min((x - extent_x) / near, (x - extent_x) / far) + cx
                 right = fx * max((x + extent_x) / near, (x + extent_x) / far) + cx

@@ -10,6 +10,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import invert_rigid, rotation_angle
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.volume import distance_field, integration
+from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 
 # A grid above this would need gigabytes; it always means wrong units (a mesh in millimetres).
@@ -111,8 +112,9 @@ class VoxelVolume:
         """Take one depth image in (1 to 3 ms at 0.1 m for an apartment, nearly independent of the image's size).
 
         A pixel without return proves nothing, unless ``sensor_range`` says up to where the sensor returns every
-        surface: then its ray is free up to there (with ``dropouts``: where a block of 5 x 5 such pixels is). Without
-        it an agent cannot walk along a hall longer than its sensor's range.
+        surface: then its ray is free up to there. Without it an agent cannot walk along a hall longer than its
+        sensor's range. With ``dropouts`` that holds for blocks of 5 x 5 such pixels; a lost pixel is as near as its
+        neighbours, and thin structures need twice as close looks.
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
@@ -129,14 +131,14 @@ class VoxelVolume:
             depth, intrinsics, view, self.origin, self.voxel_size, config.max_range, self.state, self._solidity,
             self._miss_chance, self._parts, self._last_hit, self._images, config.hit_gain, config.hit_ceiling,
         )  # fmt: skip
-        if sensor_range is not None:
-            gaps = integration.solid_gaps(depth) if dropouts else depth <= 0
-            depth = np.where(gaps, np.float32(sensor_range), depth)
-        lower, upper = self._frustum_box(frame, float(depth.max(initial=0.0)))
-        pyramid, levels = integration.minimum_pyramid(depth)
+        free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
+        # Where returns are lost, the rays that are left count as twice as far apart.
+        thinnest = config.thinnest / (2.0 if dropouts else 1.0)
+        lower, upper = self._frustum_box(frame, float(free_to.max(initial=0.0)))
+        pyramid, levels = minimum_pyramid(free_to)
         integration.carve(
-            pyramid, levels, intrinsics, invert_rigid(view), self.origin, self.voxel_size, config.max_range,
-            config.margin, config.margin_growth, config.thinnest, config.max_miss_chance, self.truncation,
+            depth, pyramid, levels, intrinsics, invert_rigid(view), self.origin, self.voxel_size,
+            config.max_range, config.margin, config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
             config.max_weight, fresh, self._images, lower, upper, self.state, self._solidity, self._miss_chance,
             self._parts, self._last_hit, self.tsdf, self.weight,
         )  # fmt: skip

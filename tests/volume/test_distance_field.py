@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from activestructure_gym.volume import distance_field, integration
+from activestructure_gym.volume import distance_field
 
 
 def brute_force_distance(obstacle):
@@ -69,15 +69,3 @@ def test_sight_line_visits_every_voxel_that_dense_sampling_finds():
     # Sampling can step over a voxel's corner, never the other way round.
     assert not (clear & ~sampled).any()
     assert (clear == sampled).mean() > 0.98 and 0.1 < clear.mean() < 0.9
-
-
-def test_minimum_pyramid_holds_block_minima():
-    depth = np.random.default_rng(4).random((45, 70)).astype(np.float32)
-    values, levels = integration.minimum_pyramid(depth)
-    assert len(levels) > 2
-    for number, (start, height, width) in enumerate(levels):
-        level = values[start : start + height * width].reshape(height, width)
-        size = 2**number
-        for row, column in [(0, 0), (height - 1, width - 1), (height // 2, width // 3)]:
-            block = depth[row * size : (row + 1) * size, column * size : (column + 1) * size]
-            assert level[row, column] == block.min()

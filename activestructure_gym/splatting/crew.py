@@ -12,7 +12,6 @@ import os
 import time
 from collections.abc import Callable
 
-
 MOST_THREADS = 8  # by default; a picture has too few tiles to feed more
 _LOAD_IS_FRESH_S = 1.0
 _crowded_until: tuple[float, bool] = (0.0, False)  # when to look again, what was seen

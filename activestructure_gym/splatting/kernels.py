@@ -15,7 +15,7 @@ Every partial result has its own fixed place, so results do not depend on the nu
 are handed out by atomic counters.
 
 SIMD types and kernels share this one file on purpose: numba's on-disk cache watches only the file a kernel is in.
-What made it fast and what did not: ``docs/performance.md``.
+What made it fast: ``../shared/research/rasteriser.md``, section 4.
 """
 
 from __future__ import annotations
@@ -28,6 +28,15 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
+
+
+def _entry(function):
+    """Compile for use from Python: cached on disk, without the GIL."""
+    try:
+        return njit(cache=True, nogil=True)(function)
+    except RuntimeError:  # numba found no writable place for its cache
+        return njit(nogil=True)(function)
+
 
 F = np.float32
 LANES = 16
@@ -644,7 +653,8 @@ def _jacobian(x, y, inverse_z, view):
 @_inline
 def _opacity(parameters, capacity, i):
     """Opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
-    e = _exp2(_clamped(load(parameters, 10 * capacity + i) * neg(spread(LOG2_E)), spread(F(-80.0)), spread(F(80.0))))
+    power = load(parameters, 10 * capacity + i) * neg(spread(LOG2_E))
+    e = _exp2(_most(_least(power, spread(F(80.0))), spread(F(-80.0))))  # in this order not-a-number becomes opacity 0
     one_more = e + F(1.0)
     opacity = spread(F(1.0)) / one_more
     return opacity, e * opacity, neg(_log2(one_more))
@@ -662,11 +672,11 @@ def _project_block(parameters, i, view, grid, records):
     u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
     j00, j02, j11, j12, _, _ = _jacobian(x, y, inverse_z, view)
     # A cheap bound first: 3.34 sigma of the largest axis through the norm of the Jacobian *at the clamped slope*.
-    largest = _most(
-        load(parameters, 7 * capacity + i),
-        _most(load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)),
-    )
-    largest = _exp2(_clamped(largest * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
+    log0, log1, log2 = (
+        load(parameters, 7 * capacity + i), load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)
+    )  # fmt: skip
+    live = live & (log0 < F(40.0)) & (log1 < F(40.0)) & (log2 < F(40.0))  # not so for what is not a number
+    largest = _exp2(_clamped(_most(log0, _most(log1, log2)) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
     norm = _dot3(j00, j02, j11, j00, j02, j11) + j12 * j12
     reach = sqrt(fma(norm * largest, largest, BLUR_VARIANCE)) * F(3.34)
     width, height = F(grid[WIDTH]), F(grid[HEIGHT])
@@ -705,6 +715,7 @@ def _project_block(parameters, i, view, grid, records):
     l11 = one / root_yy * ROOT
     l00 = root_yy / root_determinant * ROOT
     l01 = neg(xy) / (root_yy * root_determinant) * ROOT
+    live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # not so where a covariance overflows
 
     # The box of the ellipse in blocks whose pixel centres it can contain.
     root = sqrt(inside) * (one / ROOT)
@@ -768,7 +779,7 @@ _U64 = np.uint64
 _COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in range(8)], np.uint64)
 
 
-@njit
+@njit(error_model="numpy")
 def _reach_of_large(records, base, tile_x, tile_y, last_x):
     """Blocks of a tile that an ellipse larger than 8 x 8 blocks touches; scalar, the same intervals as the bitmap."""
     u, v = peek(records, base + U), peek(records, base + V)
@@ -842,7 +853,7 @@ def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, c
     chunk_entries[chunk] = entries
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def plan(grid, histogram, chunk_entries, tile_start):
     """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots."""
     tiles, chunks = grid[TILES_X] * grid[TILES_Y], grid[CHUNKS]
@@ -1475,7 +1486,7 @@ def _differentiate_row(
 # Entry points: every thread calls the same one; tickets hand out the units of work.
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def project(tickets, parameters, view, grid, records, visible, histogram, chunk_entries):
     while True:
         chunk = take_ticket(tickets, 0)
@@ -1484,7 +1495,7 @@ def project(tickets, parameters, view, grid, records, visible, histogram, chunk_
         _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
     while True:
         chunk = take_ticket(tickets, 1)
@@ -1493,7 +1504,7 @@ def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
         _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def blend(tickets, view, grid, records, tile_start, entries, color, depth, alpha):
     state, digits = _scratch(64 * 80), np.empty(512, np.int64)
     while True:
@@ -1505,7 +1516,7 @@ def blend(tickets, view, grid, records, tile_start, entries, color, depth, alpha
         _blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def compare(tickets, grid, image, depth, alpha, target, target_depth, maps, terms, with_ssim):
     buffers = np.zeros(4 * grid[STRIDE], np.float32)
     while True:
@@ -1516,7 +1527,7 @@ def compare(tickets, grid, image, depth, alpha, target, target_depth, maps, term
             _compare_row(own, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, with_ssim)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def differentiate(
     tickets, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha
 ):
@@ -1532,7 +1543,7 @@ def differentiate(
             )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def unblend(
     tickets, view, grid, records, tile_start, entries, color, depth, alpha, by_color, by_depth, by_alpha, slots
 ):
@@ -1547,7 +1558,7 @@ def unblend(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def step(
     tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts
 ):
@@ -1562,7 +1573,7 @@ def step(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def score(tickets, parameters, views, grid, depth, alpha):
     """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
     chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]

@@ -38,3 +38,19 @@ def test_one_compiled_version_of_every_kernel():
     render(work.parameters[:, ::2], 100, work.camera, work.poses[0])
     for name in ("project", "fill", "blend", "compare", "differentiate", "unblend", "step", "score", "plan"):
         assert len(getattr(kernels, name).signatures) == 1, name
+
+
+def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
+    from numba import njit
+    from numba.core import caching
+
+    for name in ("CacheImpl", "_CacheImpl"):  # the name differs between versions of numba
+        if hasattr(caching, name):
+            monkeypatch.setattr(getattr(caching, name), "_locator_classes", [])
+
+    def double(x):
+        return 2 * x
+
+    with pytest.raises(RuntimeError, match="cannot cache"):
+        njit(cache=True)(double)
+    assert kernels._entry(double)(21) == 42

@@ -152,6 +152,30 @@ def test_fitting_lowers_the_loss(splats_of):
     assert history[-1].ssim > history[0].ssim
 
 
+def test_broken_gaussians_are_skipped_and_harm_nobody(splats_of):
+    splats = splats_of("random")
+    target, target_depth = _targets(splats)
+    # In front of the others, so that they would show: not-a-number and infinity everywhere, and a zero quaternion.
+    cases = [(row, value) for row in range(11) for value in (np.nan, np.inf, -np.inf)]
+    # The logarithm of 0 m and the logits of 0 and 1 are not broken.
+    cases = [(row, value) for row, value in cases if row < 7 or np.isnan(value) or (row < 10 and value > 0)]
+    broken = splats.parameters()[:, : len(cases)]
+    for column, (row, value) in enumerate(cases[:-1]):
+        broken[row, column] = value
+    broken[3:7, -1] = 0.0
+    results = []
+    for parameters in (np.concatenate([broken, splats.parameters()], axis=1), splats.parameters()):
+        first, second = np.zeros_like(parameters), np.zeros_like(parameters)
+        losses = mapping_step(
+            parameters, first, second, parameters.shape[1], splats.camera, splats.world_from_camera, target,
+            target_depth, LossWeights(), RATES,
+        )  # fmt: skip
+        results.append((losses, parameters[:, -200:], first[:, -200:]))
+    assert results[0][0] == results[1][0]
+    assert np.array_equal(results[0][1], results[1][1]) and np.array_equal(results[0][2], results[1][2])
+    assert np.isfinite(results[0][1]).all()
+
+
 def test_wrong_arrays_are_refused(splats_of):
     splats = splats_of("random")
     with pytest.raises(ValueError, match="float32"):

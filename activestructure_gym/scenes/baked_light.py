@@ -188,7 +188,7 @@ def _bounce(
     for start in range(0, len(lit), _CHUNK):
         part = slice(start, start + _CHUNK)
         n = samples.normals[part]
-        helper = np.where(np.abs(n[:, 2:]) < 0.9, np.float32([0, 0, 1]), np.float32([1, 0, 0]))
+        helper = np.where(np.abs(n[:, 2:]) < 0.9, np.array([0, 0, 1], np.float32), np.array([1, 0, 0], np.float32))
         tangent = np.cross(helper, n)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         axes = (tangent, np.cross(n, tangent), n)

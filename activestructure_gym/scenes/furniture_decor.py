@@ -26,7 +26,7 @@ def pendant(pen: Pen, size: Size) -> None:
     radius, height = size[0] / 2, size[2]
     shade = pen.materials.glowing(SHADE, 1.05)
     pen.turned([(0, 0.02), (radius, 0.0), (0.55 * radius, 0.2), (0.1, 0.24), (0, 0.24)], shade, segments=20)
-    pen.round(0, 0, 0.23, height, "dark metal", radius=0.0125, segments=6)
+    pen.round(0, 0, 0.23, height - 0.002, "dark metal", radius=0.0125, segments=6)
     pen.round(0, 0, height - 0.03, height - 0.001, "dark metal", radius=0.05)
 
 

@@ -74,8 +74,9 @@ def bathtub(pen: Pen, size: Size) -> None:
     pen.box((-x + 0.012, -y + 0.012, floor), (x - 0.012, -y + rim, height - 0.03), "wall bath")
     pen.box((-x + 0.012, -y + rim, floor), (-x + rim, y - rim, height - 0.03), "ceramic")
     pen.box((x - rim, -y + rim, floor), (x - 0.012, y - rim, height - 0.03), "ceramic")
-    for a, b in (((-x, -y), (x, -y + rim + 0.02)), ((-x, y - rim - 0.02), (x, y))):
-        pen.soft((*a, height - 0.05), (*b, height), "ceramic", radius=0.02)
+    for sign in (-1, 1):
+        a, b = sorted((sign * y, sign * (y - rim - 0.02)))
+        pen.soft((-x, a, height - 0.05), (x, b, height), "ceramic", radius=0.02)
     for sign in (-1, 1):
         a, b = sorted((sign * x, sign * (x - rim - 0.04)))
         pen.soft((a, -y + 0.01, height - 0.05), (b, y - 0.01, height - 0.001), "ceramic", radius=0.02)

@@ -105,7 +105,7 @@ def _describe_side(
     name = f"{space.kind} {owner}"
     outward = axis < 2 and space.outward[axis] == sign
     if space.kind == "window" and outward:
-        return f"{name} pane", materials[f"street {owner}"], True
+        return f"{name} pane", materials[f"street {owner % 3}"], True  # three views for all windows
     if axis == 2 and sign < 0 and space.kind == "door":
         return f"{name} floor", materials[f"floor {layout.spaces[space.room].kind}"], False
     return f"{name} jamb", materials["trim"], False

@@ -20,7 +20,11 @@ _SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_ne
 class MapperConfig:
     """Default mapper: posed RGB-D on a CPU budget.
 
-    "Ablation" in a comment is the own ablation of the backbones dossier, section 5.2; its recipe is 5.3.
+    "Ablation" in a comment is the own ablation of the backbones dossier, section 5.2; its recipe is 5.3. "Measured" is
+    where we leave that recipe: 30 keyframes of a random walk at 160 x 90, 5 iterations each, in hotel_room, bookstore,
+    home_theater and two apartments, two seeds. Mean held-out PSNR and depth error: recipe 21.8 dB, 1.2 cm; ours
+    23.3 dB, 1.0 cm with 1.8 times the Gaussians; ours with one of the recipe's values back in place: circles -.5 dB;
+    no replacing -.8 dB, +.5 cm, half the Gaussians; colour rate -.4 dB; log-scale rate -.5 dB, -.1 cm.
     """
 
     # Seeding

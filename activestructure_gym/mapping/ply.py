@@ -112,7 +112,7 @@ def read_ply(path: str | os.PathLike[str]) -> GaussianMap:
         block32 = block.astype(np.float32)
     usable = np.isfinite(block32).all(axis=1)
     if not usable.all():
-        dropped = f"dropped {len(usable) - int(usable.sum())} of {len(usable)} Gaussians"
+        dropped = f"dropped {np.count_nonzero(~usable)} of {len(block)} Gaussians"
         warnings.warn(f"{path}: {dropped} with values that are not finite", stacklevel=2)
     gaussians = GaussianMap(int(usable.sum()))
     gaussians.append(block32[usable].T)

@@ -19,11 +19,15 @@ from activestructure_gym.sensors.frame import Frame
 class PlaneDetectionConfig:
     """Thresholds. Those with "sigma" are multiples of the sensor's axial noise at the depth in question."""
 
-    depth_noise_scale: float = 1.0  # times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2; 0 = trust depth fully
+    # Times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default suits noise-free depth, as the default sensor and
+    # the paper have it; for other sensors see `depth_noise_scale`. Too small breaks noisy walls into pieces, too large
+    # blurs what stands close in front of them.
+    depth_noise_scale: float = 0.25
     max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot tell a plane from its neighbour
     max_incidence_deg: float = 80.0  # between ray and normal; closer to edge-on neither normal nor extent is known
-    block_columns: int = 40  # blocks across the image; divided by sqrt(depth_noise_scale) where that is above 1
-    min_block: int = 4  # pixels, edge of the smallest block
+    block_columns: int = 40  # blocks across the image at noise scale 1; divided by sqrt(depth_noise_scale) ...
+    max_block_columns: int = 54  # ... and never more than this
+    min_block: int = 3  # pixels, edge of the smallest block
     block_sigma: float = 1.6  # a block is planar below block_sigma * sigma + block_tolerance
     block_tolerance: float = 0.002  # metres
     block_valid_share: float = 0.9  # of the block's pixels must have a return
@@ -50,8 +54,8 @@ class PlaneDetectionConfig:
             raise ValueError(f"depth_noise_scale must be 0 or more, got {self.depth_noise_scale}")
         if not self.max_depth > 0:
             raise ValueError(f"max_depth must be above 0 metres, got {self.max_depth}")
-        if self.block_columns < 1 or self.min_block < 2:
-            raise ValueError("block_columns must be at least 1 and min_block at least 2")
+        if self.block_columns < 1 or self.max_block_columns < 1 or self.min_block < 2:
+            raise ValueError("block_columns and max_block_columns must be at least 1, min_block at least 2")
         if not 0 < self.block_valid_share <= 1:
             raise ValueError(f"block_valid_share must lie in (0, 1], got {self.block_valid_share}")
         if not 0 <= self.min_pixel_share < 1:
@@ -103,8 +107,9 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
 
-    # Noise tilts a small block's plane: a noisier sensor needs larger ones.
-    size = max(config.min_block, int(camera.width * max(config.depth_noise_scale, 1.0) ** 0.5) // config.block_columns)
+    # Noise tilts a small block's plane: a noisier sensor needs larger ones, a better one sees narrower planes.
+    columns = min(config.block_columns / max(config.depth_noise_scale, 1e-6) ** 0.5, config.max_block_columns)
+    size = max(config.min_block, int(camera.width / columns + 0.5))
     if min(depth.shape) < size:
         return nothing
     block_labels, planes = _block_regions(depth, lens, size, config)

@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
 from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
-from activestructure_gym.planes.matching import MatchingConfig, match_segment, same_surface
+from activestructure_gym.planes.matching import MatchingConfig, match_segment, same_surface, stack_planes
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.quality import (
     Deficiencies,
@@ -128,9 +128,10 @@ class PlaneSceneGraph:
         """Id of the node of every segment; unmatched segments found new nodes that later ones may join."""
         eye = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 3]
         right = np.asarray(frame.world_from_camera, dtype=np.float64)[:3, 0]
+        planes = stack_planes(self.nodes)
         owner = []
         for segment in segments:
-            index = match_segment(segment, eye, self.nodes, self.config.matching)
+            index = match_segment(segment, eye, self.nodes, planes, self.config.matching)
             if index is None and segment.area < self.config.min_node_area:
                 owner.append(NO_NODE)
                 continue
@@ -146,6 +147,7 @@ class PlaneSceneGraph:
                 )
                 self._next_id += 1
                 index = len(self.nodes) - 1
+                planes = np.concatenate([planes, stack_planes(self.nodes[-1:])])
             owner.append(self.nodes[index].id)
         return owner
 
@@ -237,7 +239,7 @@ class PlaneSceneGraph:
         """The graph as networkx knows it: nodes by id with their values, edges with ``weight`` and ``tree``."""
         import networkx
 
-        graph = networkx.Graph()
+        graph: networkx.Graph = networkx.Graph()
         for k, node in enumerate(self.nodes):
             graph.add_node(
                 node.id,

@@ -31,15 +31,20 @@ class MatchingConfig:
                 raise ValueError(f"{name} must be 0 or more, got {value}")
 
 
+def stack_planes(nodes: Sequence[PlaneNode]) -> np.ndarray:  # [N, 7]
+    """Normal, offset and centroid of every node, the table that `match_segment` looks through."""
+    return np.array([[*node.normal, node.offset, *node.centroid] for node in nodes]).reshape(-1, 7)
+
+
 def match_segment(
-    segment: PlaneSegment, camera_position: np.ndarray, nodes: Sequence[PlaneNode], config: MatchingConfig
+    segment: PlaneSegment,
+    camera_position: np.ndarray,
+    nodes: Sequence[PlaneNode],
+    planes: np.ndarray,  # [N, 7], see `stack_planes`
+    config: MatchingConfig,
 ) -> int | None:
     """Index of the node that the segment continues (closest plane of those that qualify), or None."""
-    if not nodes:
-        return None
-    normals = np.stack([node.normal for node in nodes])
-    offsets = np.array([node.offset for node in nodes])
-    centroids = np.stack([node.centroid for node in nodes])
+    normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
     # Normals face the viewer, so the sign counts: the other face of a thin wall is another plane.
     cosine = normals @ segment.normal
     to_node = np.abs(normals @ segment.centroid + offsets)
@@ -49,10 +54,9 @@ def match_segment(
     near = (cosine > np.cos(np.radians(config.near_angle_deg))) & (to_node < config.near_distance)
     near &= reach < config.near_reach
     gap = np.maximum(to_node, to_segment)
-    for index in np.argsort(gap, kind="stable"):
+    able = np.flatnonzero(coplanar | near)
+    for index in able[np.argsort(gap[able], kind="stable")]:
         node = nodes[index]
-        if not (coplanar[index] or near[index]):
-            continue
         if not near[index] and reach[index] > config.coplanar_reach and not _touches(segment.points, node, config):
             continue
         if not _depth_jumps(segment, camera_position, node, config):
@@ -62,11 +66,11 @@ def match_segment(
 
 def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) -> bool:
     """Whether two nodes have come to satisfy the coplanar mode."""
-    cosine = first.normal @ second.normal
-    reach = np.linalg.norm(first.centroid - second.centroid)
-    across = abs(first.normal @ second.centroid + first.offset)
-    back = abs(second.normal @ first.centroid + second.offset)
-    if not _coplanar(cosine, min(across, back), max(across, back), reach, config):
+    cosine = np.array(first.normal @ second.normal)
+    reach = np.array(np.linalg.norm(first.centroid - second.centroid))
+    across = np.array(abs(first.normal @ second.centroid + first.offset))
+    back = np.array(abs(second.normal @ first.centroid + second.offset))
+    if not _coplanar(cosine, np.minimum(across, back), np.maximum(across, back), reach, config):
         return False
     if reach <= config.coplanar_reach:
         return True

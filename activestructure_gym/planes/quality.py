@@ -141,13 +141,13 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     count, labels = cv2.connectedComponents(padded, connectivity=8)
     depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
     rows, columns = np.nonzero(padded)
-    label = labels[rows, columns]
+    label = np.asarray(labels, dtype=np.int64)[rows, columns]
     widest = np.zeros(count)
     np.maximum.at(widest, label, depth[rows, columns])
     keep = widest[label] >= config.min_hole_radius
     if not keep.any():
         return nothing
-    rows, columns, label = rows[keep] - 1 + top, columns[keep] - 1 + left, label[keep].astype(np.int64)
+    rows, columns, label = rows[keep] - 1 + top, columns[keep] - 1 + left, label[keep]
     # Tiles start at the hole's own corner: the same hole gives the same centres wherever the grid begins.
     first_row, first_column = np.full(count, 1 << 30), np.full(count, 1 << 30)
     np.minimum.at(first_row, label, rows)

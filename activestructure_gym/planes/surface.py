@@ -140,7 +140,8 @@ class SurfaceGrid:
 
     @cached_property
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.nonzero(self.seen)
+        rows, columns = np.nonzero(self.seen)
+        return rows, columns
 
     @cached_property
     def area(self) -> float:
@@ -176,7 +177,7 @@ class SurfaceGrid:
             return np.zeros(len(points), bool)
         mask, low = self.seen, self.low
         if reach:
-            mask = cv2.dilate(cv2.copyMakeBorder(mask, *(4 * [reach]), cv2.BORDER_CONSTANT, value=0), _disc(reach))
+            mask = np.asarray(cv2.dilate(np.pad(mask, reach), _disc(reach)), dtype=np.uint8)
             low = low - reach
         index = np.floor(self._to_cells(points)).astype(np.int64) - low
         inside = ((index >= 0) & (index < mask.shape)).all(axis=1)

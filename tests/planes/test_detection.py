@@ -174,12 +174,13 @@ def test_a_real_camera_sees_floor_and_wall(shared):
         [line for line in (folder / "trajectory.log").read_text().splitlines() if len(line.split()) == 4]
     ).reshape(-1, 4, 4)
     assert len(poses) == 5
+    config = PlaneDetectionConfig(depth_noise_scale=depth_noise_scale("kinect"))
     normals = []
     for index, pose in enumerate(poses):
         depth = cv2.imread(str(folder / "depth" / f"{index:05d}.png"), cv2.IMREAD_UNCHANGED) / 1000.0
         camera = PinholeCamera(640, 480, 525.0, 525.0, 320.0, 240.0).resized(160, 120)
         small = np.ascontiguousarray(depth[2::4, 2::4], dtype=np.float32)
-        detection = segment_planes(Frame(np.zeros((120, 160, 3), np.uint8), small, pose, camera))
+        detection = segment_planes(Frame(np.zeros((120, 160, 3), np.uint8), small, pose, camera), config)
         floor, wall = sorted(detection.segments[:2], key=lambda s: -abs(s.normal[1]))  # this world's y is vertical
         assert floor.pixels > 3500 and wall.pixels > 3500  # each about a quarter of the image
         angle = np.degrees(np.arccos(abs(floor.normal @ wall.normal)))

@@ -4,6 +4,9 @@ Workloads (sizes of ``../shared/research/rasteriser.md``): Gaussians seeded as d
 of a furnished box room, and one of those views as the target.
 W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iteration. W4: alpha and depth of 64 cameras at
 80x60 over 50k Gaussians (candidate scoring).
+
+Next to the times stands ``floor_share``: the time the needed arithmetic would take at the multiply-add peak measured in
+the same run, over the time taken. It compares machines and versions where milliseconds do not.
 """
 
 from __future__ import annotations
@@ -14,12 +17,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from activestructure_gym.errors import unknown_name
-from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
+from activestructure_gym.splatting import kernels
 from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
+from activestructure_gym.splatting.crew import CREW
+from activestructure_gym.splatting.workspace import Lease, aligned_zeros
 
 _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
+# Per needed pair, a multiply-add as two: offsets 2, exponent 8, exp2 13, limits 2, transmittance 3, sums 8; backward
+# the first 25 again and 40.
+_FLOPS_FORWARD, _FLOPS_BACKWARD = 36, 65
 _RATES = np.zeros(14, np.float32)  # all the arithmetic, but every repetition meets the same map
 _ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
 _BOXES = np.array([
@@ -68,30 +78,86 @@ def run_splatting_benchmark(
     threads: Iterable[int] | None = None,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
-    """Rows ``{workload, task, threads, median_ms, low_ms, high_ms, repeats}`` (low and high are the quartiles).
+    """Rows ``{workload, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms, floor_share, repeats}``.
 
+    Low and high are the quartiles, ``cpu_ms`` the median processor time of all threads together (what is left to look
+    at on a machine shared with others); ``floor_share`` is nan where the floor is not defined (losses, Adam).
     The thread counts are alternated within every repetition, so that a busy spell of the machine hits all of them.
     """
     counts = tuple(threads) if threads is not None else (1, 2)
     rows = []
     for name in workloads:
         progress(f"splatting workload {name}")
-        for task, action in _tasks(name, make_workload(name)).items():
+        work = make_workload(name)
+        views = work.poses if name == "W4" else work.poses[:1]
+        pairs = sum(needed_pairs(work, pose) for pose in views)
+        floors = dict.fromkeys(("forward", "score 64 views"), _FLOPS_FORWARD * pairs)
+        floors["forward + backward"] = (_FLOPS_FORWARD + _FLOPS_BACKWARD) * pairs
+        peaks = {count: multiply_add_peak(count) for count in counts}
+        for task, action in _tasks(name, work).items():
             times: dict[int, list[float]] = {count: [] for count in counts}
+            work_times: dict[int, list[float]] = {count: [] for count in counts}
             for count in counts:
                 action(count)  # warm
             for _ in range(repeats):
                 for count in counts:
-                    start = time.perf_counter()
+                    start, work_start = time.perf_counter(), time.process_time()
                     action(count)
                     times[count].append(1e3 * (time.perf_counter() - start))
+                    work_times[count].append(1e3 * (time.process_time() - work_start))
             for count in counts:
                 low, median, high = statistics.quantiles(times[count], n=4)
+                floor_ms = 1e3 * floors.get(task, float("nan")) / peaks[count]
                 rows.append({
                     "workload": name, "task": task, "threads": count, "median_ms": median, "low_ms": low,
-                    "high_ms": high, "repeats": repeats,
+                    "high_ms": high, "best_ms": min(times[count]), "cpu_ms": statistics.median(work_times[count]),
+                    "floor_share": floor_ms / median, "repeats": repeats,
                 })  # fmt: skip
     return rows
+
+
+def multiply_add_peak(threads: int) -> float:
+    """Flops per second of 16-lane multiply-adds on so many threads, the best of a few tries."""
+    pieces, rounds = 8 * threads, 20_000
+    values = aligned_zeros(kernels.LANES * (2 + pieces))
+    values[: 2 * kernels.LANES] = 0.5
+    best = float("inf")
+    for _ in range(6):
+        tickets = np.zeros(1, np.int64)
+        start = time.perf_counter()
+        CREW.run(kernels.multiply_add, (tickets, rounds, pieces, values), threads)
+        best = min(best, time.perf_counter() - start)
+    return 10 * 2 * kernels.LANES * pieces * rounds / best
+
+
+def needed_pairs(work: Workload, world_from_camera: np.ndarray) -> int:
+    """How many (pixel, Gaussian) pairs enter the picture: the pixel still open and alpha at least 1/255."""
+    workspace = Lease().workspace
+    workspace.render(work.parameters, work.count, work.camera, invert_rigid(world_from_camera), threads=1)
+    splats = workspace.entries[kernels.SORTED_SPLAT]
+    return _count_pairs(workspace.grid, workspace.tile_start, splats, workspace.records)
+
+
+@njit  # not cached on disk: it depends on layouts in another file, which numba's cache would not notice
+def _count_pairs(grid, tile_start, entries, records):
+    pairs = 0
+    for tile in range(grid[kernels.TILES_X] * grid[kernels.TILES_Y]):
+        top, left = kernels.TILE * (tile // grid[kernels.TILES_X]), kernels.TILE * (tile % grid[kernels.TILES_X])
+        for row in range(top, min(top + kernels.TILE, grid[kernels.HEIGHT])):
+            for column in range(left, min(left + kernels.TILE, grid[kernels.WIDTH])):
+                rest = 1.0
+                for entry in range(tile_start[tile], tile_start[tile + 1]):
+                    base = kernels.RECORD * np.int64(entries[entry] & np.uint64(0xFFFFFFFF))
+                    dx, dy = column + 0.5 - records[base + kernels.U], row + 0.5 - records[base + kernels.V]
+                    across = records[base + kernels.L00] * dx + records[base + kernels.L01] * dy
+                    down = records[base + kernels.L11] * dy
+                    power = records[base + kernels.LOG_OPACITY] - across * across - down * down
+                    if power >= -kernels.LOG2_255:
+                        rest *= 1.0 - min(2.0**power, 0.999)
+                        if rest <= kernels.MIN_TRANSMITTANCE:
+                            break
+                        pairs += 1
+    return pairs
 
 
 def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
@@ -103,7 +169,17 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
         }
     state = (work.parameters.copy(), np.zeros_like(work.parameters), np.zeros_like(work.parameters))
     step = (work.count, work.camera, work.poses[0], work.target_rgb, work.target_depth)
+    workspace, gradient = Lease().workspace, np.zeros_like(work.parameters)
+    height, width = work.target_depth.shape
+    images = (np.ones((height, width, 3), np.float32), *np.ones((2, height, width), np.float32))
+
+    def there_and_back(threads: int) -> None:
+        workspace.render(work.parameters, work.count, work.camera, invert_rigid(work.poses[0]), threads=threads)
+        workspace.set_gradient_images(*images)
+        workspace.backward(np.zeros(18, np.float32), gradient, gradient, gradient)
+
     return {
+        "forward + backward": there_and_back,
         "forward": lambda threads: render(work.parameters, work.count, work.camera, work.poses[0], threads=threads),
         "iteration, L1": lambda threads: mapping_step(
             *state, *step, LossWeights(l1_share=1.0), _RATES, threads=threads

@@ -1604,3 +1604,19 @@ def score(tickets, parameters, views, grid, depth, alpha):
             _blend_tile_without_color(
                 tile, start, stop, entries, records, view, grid, state, no_color, own_depth, own_alpha
             )
+
+
+@_entry
+def multiply_add(tickets, rounds, pieces, values):
+    """Ten independent chains of 16-lane multiply-adds: what the processor can do at most. For the benchmark."""
+    x, y = load(values, 0), load(values, LANES)
+    while True:
+        piece = take_ticket(tickets, 0)
+        if piece >= pieces:
+            return
+        a, b, c, d, e = x, y, x + y, x - y, x * y
+        f, g, h, i, j = x + x, y + y, x * x, y * y, y - x
+        for _ in range(rounds):
+            a, b, c, d, e = fma(a, x, y), fma(b, x, y), fma(c, x, y), fma(d, x, y), fma(e, x, y)
+            f, g, h, i, j = fma(f, x, y), fma(g, x, y), fma(h, x, y), fma(i, x, y), fma(j, x, y)
+        store(values, LANES * (2 + piece), a + b + c + d + e + f + g + h + i + j)

@@ -30,7 +30,7 @@ class MappingReport:
     dropped: int  # Gaussians removed to stay below the cap
     count: int  # Gaussians afterwards
     seed_stride: int  # pixels; 0 for a refinement
-    new_share: float  # share of the image's pixels that the map lacked
+    new_share: float  # share of the image's pixels that the map lacked, replaced Gaussians counted as lacking
     views: tuple[int, ...]  # keyframe of every iteration
     color_loss: float  # mean over the iterations; nan without any
     depth_loss: float  # metres, as above

@@ -19,9 +19,9 @@ from activestructure_gym.sensors.frame import Frame
 class PlaneDetectionConfig:
     """Thresholds. Those with "sigma" are multiples of the sensor's axial noise at the depth in question."""
 
-    # Times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default suits noise-free depth, as the default sensor and
-    # the paper have it; for other sensors see `depth_noise_scale`. Too small breaks noisy walls into pieces, too large
-    # blurs what stands close in front of them.
+    # Times the Kinect model 1.2 mm + 1.9 mm (z - 0.4 m)^2. The default suits noise-free depth, as the default sensor
+    # and the paper have it; for other sensors see `depth_noise_scale`. Too small breaks noisy walls into pieces, too
+    # large blurs what stands close in front of them.
     depth_noise_scale: float = 0.25
     max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot tell a plane from its neighbour
     max_incidence_deg: float = 80.0  # between ray and normal; closer to edge-on neither normal nor extent is known

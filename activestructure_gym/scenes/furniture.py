@@ -33,7 +33,6 @@ BUILDERS: dict[str, Callable[[Pen, Size], None]] = {
     "kitchen run": fixtures.kitchen_run,
     "mat": decor.mat,
     "media bench": storage.media_bench,
-    "mirror": decor.mirror,
     "nightstand": storage.nightstand,
     "office chair": seating.office_chair,
     "pendant": decor.pendant,

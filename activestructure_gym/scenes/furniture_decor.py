@@ -83,14 +83,6 @@ def picture(pen: Pen, size: Size) -> None:
     pen.panel((-x + inner, -y + 0.004, inner), (x - inner, y - 0.002, height - inner), role)
 
 
-def mirror(pen: Pen, size: Size) -> None:
-    """Framed mirror, its lower edge on z = 0."""
-    width, depth, height = size
-    x, y = width / 2, depth / 2
-    pen.box((-x, -y, 0.0), (x, y - 0.006, height), "dark wood")
-    pen.box((-x + 0.03, -y + 0.002, 0.03), (x - 0.03, y, height - 0.03), "mirror")
-
-
 def curtain(pen: Pen, size: Size) -> None:
     """Pleated curtain, closed all around, 4 cm thick."""
     width, depth, height = size

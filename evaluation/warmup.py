@@ -1,9 +1,13 @@
-"""Compiling the kernels before the clock of any run starts, while this process prepares the scenes."""
+"""Compiling the kernels before the clock of any run starts, while the scenes are prepared.
+
+``python -m activestructure_gym.evaluation.warmup`` is the process that does it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 import subprocess
 import sys
 import tempfile
@@ -12,9 +16,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.threads import worker_environment
+from activestructure_gym.evaluation.threads import core_count, worker_environment
 
 _FRAMES = 12  # enough for a few decisions, a path and two keyframes on it
 
@@ -24,30 +30,35 @@ def warming_up(policies: Sequence[str], overrides: Mapping[str, Any]) -> Iterato
     """Run the smallest possible job in another process while the block runs, and wait for it at the end.
 
     numba keeps what it compiles on disk, so the first run of a comparison need not compile again, and no run's time
-    contains a compilation. Costs nothing where the second core would be idle. Its result is thrown away, and so is
-    its failure: a real job that fails will say why.
+    contains a compilation. Half of the compiling is the rasteriser's: it gets a process of its own. Results are
+    thrown away, and so are failures: a real job that fails will say why.
     """
-    with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "activestructure_gym.evaluation.worker", str(Path(directory) / "run")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=worker_environment(slots=2),
-            text=True,
-            start_new_session=True,  # Ctrl-C reaches it through us
-        )
-        try:
-            assert process.stdin is not None
-            process.stdin.write(json.dumps(smallest_job(policies, overrides).as_dict()) + "\n")
-            process.stdin.flush()
-            yield
+    job = json.dumps(smallest_job(policies, overrides).as_dict())
+    processes = [_start(part, job) for part in ("map", "world")]
+    try:
+        yield
+        for process in processes:
             process.wait()
-        except BrokenPipeError:
-            pass
-        finally:
+    finally:
+        for process in processes:
             process.terminate()
             process.wait()
+
+
+def _start(part: str, job: str) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "activestructure_gym.evaluation.warmup", part],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=worker_environment(slots=core_count()),
+        text=True,
+        start_new_session=True,  # Ctrl-C reaches it through us
+    )
+    assert process.stdin is not None
+    process.stdin.write(job + "\n")
+    process.stdin.close()
+    return process
 
 
 def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
@@ -63,3 +74,73 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
         overrides=tuple(overrides.items()),
         protocol=dataclasses.replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
     )
+
+
+def plan_around_a_corner() -> np.ndarray:  # [P, 3]
+    """A path for which the straight line is not enough: in the empty box room none ever is needed."""
+    from activestructure_gym.motion import plan_path
+    from activestructure_gym.volume import VolumeConfig, VoxelVolume
+
+    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
+    corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]
+    for place in np.array(corner):
+        volume.mark_free_sphere(place, 0.5)
+    path = plan_path(
+        volume, np.array(corner[0]), np.array(corner[-1]), min_clearance=0.2, rng=np.random.default_rng(0)
+    )
+    assert path is not None
+    return path
+
+
+def compile_map() -> None:
+    """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
+    from activestructure_gym.geometry import PinholeCamera
+    from activestructure_gym.mapping import Mapper, MapperConfig
+    from activestructure_gym.sensors import Frame
+
+    camera = PinholeCamera.from_size(64, 36)
+    colours = np.random.default_rng(0).integers(0, 256, (36, 64, 3), dtype=np.uint8)
+    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
+    for depth in (2.0, 1.5):
+        mapper.observe(Frame(colours, np.full((36, 64), depth, np.float32), np.eye(4), camera))
+    mapper.render_depth_alpha(camera, np.eye(4)[None])
+    mapper.keyframe_psnr()
+
+
+def compile_world() -> None:
+    """Everything of the sensor, the volume, the planes and the motion that needs no map."""
+    from activestructure_gym.motion import first_blocked, path_lengths
+    from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
+    from activestructure_gym.scenes import load_scene
+    from activestructure_gym.sensors import RGBDSensor, SensorConfig
+    from activestructure_gym.volume import VolumeConfig, VoxelVolume
+
+    scene = load_scene("box")
+    sensor = RGBDSensor(scene, SensorConfig(width=64, height=36), np.random.default_rng(0))
+    volume, planes = VoxelVolume(scene.bounds, VolumeConfig()), PlaneSceneGraph(PlaneGraphConfig())
+    poses = scene.free_space.start_poses[:3]
+    for pose in poses:
+        frame = sensor.capture(pose)
+        volume.integrate(frame)
+        planes.update(frame)
+    path_lengths(volume, poses[0, :3, 3], min_clearance=0.2).at(poses[:, :3, 3])
+    first_blocked(volume, poses, 0.2)
+    plan_around_a_corner()
+
+
+def main(part: str) -> None:
+    """One half of the compiling; the half without the map ends with the job on standard input."""
+    from activestructure_gym.evaluation.episode import run_job
+
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # so that the directory is removed
+    job = Job.from_dict(json.loads(sys.stdin.readline()))
+    if part == "map":
+        compile_map()
+        return
+    compile_world()
+    with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
+        run_job(job, Path(directory) / "run")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

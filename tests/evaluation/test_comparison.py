@@ -7,7 +7,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import comparison as module
 from activestructure_gym.evaluation.comparison import Comparison, check_output
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.warmup import smallest_job
+from activestructure_gym.evaluation.warmup import plan_around_a_corner, smallest_job, warming_up
 
 
 @pytest.fixture
@@ -90,3 +90,13 @@ def test_an_output_without_permission(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(InputError, match="no permission"):
         check_output(tmp_path / "new", resume=False)
+
+
+def test_the_warm_up_needs_the_tree_of_the_path_planner():
+    path = plan_around_a_corner()
+    assert len(path) > 2  # no straight line
+
+
+def test_the_warm_up_ends_with_its_block_when_that_fails():
+    with pytest.raises(InputError, match="bad scene"), warming_up(["random"], {}):
+        raise InputError("bad scene")

@@ -7,7 +7,7 @@ from numba import njit
 
 from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
-from activestructure_gym.volume.distance_field import segment_above
+from activestructure_gym.volume.distance_field import bounding_box, segment_above
 
 # Live buckets of the queue: steps are at most sqrt(3) voxels long, seeds at most a diagonal of ESCAPE_REACH apart.
 _BUCKETS = 16
@@ -61,9 +61,7 @@ def _spread(
                 corners[m, corner_count[m]] = offset
                 corner_count[m] += 1
 
-    bucket = np.int64(1 << 60)
-    for s in range(len(seeds)):
-        bucket = min(bucket, int(flat_lengths[seeds[s]]))
+    bucket = int(flat_lengths[seeds].min())
     left = len(seeds)
     for s in range(len(seeds)):
         slot = int(flat_lengths[seeds[s]]) % _BUCKETS
@@ -240,13 +238,8 @@ def _boxed(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The box around the true voxels with a false border (its first index may be -1), and that index."""
     if not mask.any():
         return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
-    lower, upper = [], []
-    for axis in range(3):
-        present = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
-        lower.append(int(present[0]))
-        upper.append(int(present[-1]) + 1)
-    inner = mask[lower[0] : upper[0], lower[1] : upper[1], lower[2] : upper[2]]
-    return np.array(lower, dtype=np.int64) - 1, np.pad(inner, 1)
+    lower, upper = bounding_box(mask)
+    return lower - 1, np.pad(mask[tuple(slice(a, b) for a, b in zip(lower, upper))], 1)
 
 
 def _seeds(

@@ -98,8 +98,8 @@ def _tree_path(
     samples = reachable[rng.integers(len(reachable), size=max_iterations)]
     samples += volume.voxel_size * (rng.random((max_iterations, 3)) - 0.5)
     samples[rng.random(max_iterations) < _GOAL_BIAS] = goal
-    to_grid = [(p - volume.origin) / volume.voxel_size - 0.5 for p in (root, goal, samples)]
-    nodes, parents, last = _grow(volume.clearance, *to_grid, min_clearance, _STEP / volume.voxel_size)
+    from_, to, through = ((p - volume.origin) / volume.voxel_size - 0.5 for p in (root, goal, samples))
+    nodes, parents, last = _grow(volume.clearance, from_, to, through, min_clearance, _STEP / volume.voxel_size)
     if last < 0:
         return None
     chain = []

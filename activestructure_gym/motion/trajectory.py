@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.geometry import look_along
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.volume import VoxelVolume
 
@@ -81,7 +80,7 @@ def interpolate(
         wanted[:before] = ahead[0]
     angles = _limit_turns(wanted, start_angles, goal_angles, most)
 
-    poses = np.stack([pose_at(position, *angle) for position, angle in zip(positions, angles)])
+    poses = poses_at(positions, angles[:, 0], angles[:, 1])
     poses[-1] = goal_pose
     return poses
 
@@ -128,13 +127,21 @@ def yaw_pitch(
     return np.array([yaw, np.arctan2(forward[2], np.hypot(forward[0], forward[1]))])
 
 
-def pose_at(position: np.ndarray, yaw: float, pitch: float) -> np.ndarray:  # [4, 4] world_from_camera
-    """The inverse of `yaw_pitch`, exact for every pitch in [-90, 90] degrees."""
-    pose = look_along(position, np.array([np.cos(yaw), np.sin(yaw), 0.0]))
-    level_down, level_forward = pose[:3, 1].copy(), pose[:3, 2].copy()
-    pose[:3, 1] = np.cos(pitch) * level_down + np.sin(pitch) * level_forward
-    pose[:3, 2] = np.cos(pitch) * level_forward - np.sin(pitch) * level_down
-    return pose
+def poses_at(
+    positions: np.ndarray,  # [T, 3] metres, world
+    yaw: np.ndarray,  # [T] radians
+    pitch: np.ndarray,  # [T] radians
+) -> np.ndarray:  # [T, 4, 4] world_from_camera
+    """The inverse of `yaw_pitch`, exact for every pitch in [-90, 90] degrees (where `look_along` loses the yaw)."""
+    zero, one = np.zeros_like(yaw), np.ones_like(yaw)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw), zero], axis=-1)
+    up = np.stack([zero, zero, one], axis=-1)
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, 0] = np.stack([np.sin(yaw), -np.cos(yaw), zero], axis=-1)
+    poses[:, :3, 1] = np.sin(pitch)[:, None] * ahead - np.cos(pitch)[:, None] * up
+    poses[:, :3, 2] = np.cos(pitch)[:, None] * ahead + np.sin(pitch)[:, None] * up
+    poses[:, :3, 3] = positions
+    return poses
 
 
 def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -175,6 +182,11 @@ def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
     return difference
 
 
+def _at_most(turn: np.ndarray, most: float) -> np.ndarray:
+    length = float(np.linalg.norm(turn))
+    return turn if length <= most else turn * (most / length)
+
+
 def _limit_turns(
     wanted: np.ndarray,  # [T, 2]
     start: np.ndarray,
@@ -188,10 +200,10 @@ def _limit_turns(
         towards = _difference(wanted[n], here)
         home = _difference(goal, here)
         budget = most * (len(wanted) - 1 - n)  # turns left after this frame
-        towards *= min(1.0, most / max(np.linalg.norm(towards), 1e-12))
+        towards = _at_most(towards, most)
         if np.linalg.norm(home - towards) > budget:
             # Bend towards the goal just enough: the reachable set is convex and holds the straight way home.
-            straight = home * min(1.0, most / max(np.linalg.norm(home), 1e-12))
+            straight = _at_most(home, most)
             low, high = 0.0, 1.0
             for _ in range(40):
                 middle = 0.5 * (low + high)

@@ -9,6 +9,17 @@ from numba import njit
 _FAR = np.float32(1e12)
 
 
+def bounding_box(
+    mask: np.ndarray,  # [X, Y, Z] bool, not all false
+) -> tuple[np.ndarray, np.ndarray]:  # ([3] lower, [3] upper) int64 indices, upper exclusive
+    """The smallest box that holds all true voxels."""
+    lower, upper = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    for axis in range(3):
+        present = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
+        lower[axis], upper[axis] = present[0], present[-1] + 1
+    return lower, upper
+
+
 @njit(cache=True, nogil=True)
 def _pass(values: np.ndarray) -> None:  # [A, B, N], in place along the last axis (any strides)
     """``out[n] = min_m values[m] + max(0, |n - m| - 1/2)^2``: squared distance to cubes, one axis at a time."""
@@ -40,7 +51,7 @@ def distance_to_cubes(
     A Euclidean distance transform measures from centre to centre and is between 0.5 and 0.87 voxels too long.
     This one is exact, and faster: 7 ms against 20 to 24 ms of scipy (10 x 8 x 2.7 m at 0.1 m, two thirds free).
     """
-    squared = np.where(obstacle, np.float32(0.0), np.float32(min(_FAR, at_most**2)))
+    squared = np.where(obstacle, np.float32(0.0), np.float32(min(float(_FAR), at_most**2)))
     for axis in (2, 1, 0):
         _pass(np.moveaxis(squared, axis, 2))
     distance = np.sqrt(squared, out=squared)

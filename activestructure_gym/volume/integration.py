@@ -76,7 +76,7 @@ def mark_hits(
 @njit(cache=True, nogil=True)
 def _nearest_in_footprint(
     pyramid: np.ndarray, levels: np.ndarray, u0: int, u1: int, v0: int, v1: int, enough: float
-) -> float:
+) -> np.floating:
     """Smallest depth over pixels [v0..v1] x [u0..u1] (or a little around them); stops below ``enough``."""
     level = 0
     while level + 1 < len(levels) and max(u1 - u0, v1 - v0) >> level > READS_PER_SIDE:

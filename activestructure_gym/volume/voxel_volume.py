@@ -196,7 +196,7 @@ class VoxelVolume:
     def contains(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] bool
         """Whether each point lies inside the grid."""
         voxels = self.voxel_of(points)
-        return ((voxels >= 0) & (voxels < np.array(self.shape))).all(axis=-1)
+        return np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=-1)
 
     def state_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] uint8
         """State of the voxel that holds each point; UNKNOWN beyond the grid."""
@@ -240,7 +240,7 @@ class VoxelVolume:
                 slack = self.config.unknown_slack / self.voxel_size
                 # What lies further outside than the slack cannot be nearer than the shell around the box.
                 border = int(np.ceil(slack)) + 1
-                box = tuple(slice(a, b + 1) for a, b in zip(*_bounding_box(free)))
+                box = tuple(slice(a, b) for a, b in zip(*distance_field.bounding_box(free)))
                 state = np.pad(self.state, border)[tuple(slice(s.start, s.stop + 2 * border) for s in box)]
                 inner = (slice(border, -border),) * 3
                 any_kind = distance_field.distance_to_cubes(state != FREE)[inner]
@@ -293,13 +293,3 @@ class VoxelVolume:
         return distance_field.sight_lines(
             blocking, self._grid_coordinates(starts) + 0.5, self._grid_coordinates(ends) + 0.5, spared
         )
-
-
-def _bounding_box(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inclusive lower and upper index of the true voxels."""
-    lower, upper = [], []
-    for axis in range(3):
-        present = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
-        lower.append(present[0])
-        upper.append(present[-1])
-    return np.array(lower), np.array(upper)

@@ -3,7 +3,7 @@ import pytest
 
 from activestructure_gym.geometry import fibonacci_directions, look_along, rotation_angle
 from activestructure_gym.motion import MotionConfig, first_blocked, interpolate
-from activestructure_gym.motion.trajectory import pose_at, yaw_pitch
+from activestructure_gym.motion.trajectory import poses_at, yaw_pitch
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 CONFIG = MotionConfig()
@@ -86,7 +86,8 @@ def test_yaw_and_pitch_describe_every_level_pose():
     directions = np.vstack([fibonacci_directions(40), [[0, 0, 1.0], [0, 0, -1.0], [1e-12, 0, 1.0]]])
     for direction in directions:
         pose = look_along(np.array([1.0, 2, 3]), direction)
-        np.testing.assert_allclose(pose_at(pose[:3, 3], *yaw_pitch(pose)), pose, atol=1e-9)
+        again = poses_at(pose[None, :3, 3], *yaw_pitch(pose)[:, None])[0]
+        np.testing.assert_allclose(again, pose, atol=1e-9)
 
 
 def test_wrong_input_is_refused():

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.config import ReconstructionConfig
+from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping import Mapper, MappingReport
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
-from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.planes import PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene, check_start_pose
 from activestructure_gym.sensors import Frame, RGBDSensor
 from activestructure_gym.views import CandidatePool, CandidateTable, GainContext, evaluate_gains
@@ -76,7 +76,12 @@ class Reconstruction:
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
         self.mapper = Mapper(config.mapper, np.random.default_rng(mapping))
         self.volume = VoxelVolume(scene.bounds, config.volume)
-        self.planes = PlaneSceneGraph(config.planes)
+        # The plane detector is told at least the noise its own sensor makes.
+        noise_scale = max(
+            config.planes.detection.depth_noise_scale,
+            depth_noise_scale(config.sensor.depth_noise, config.sensor.noise_multiplier),
+        )
+        self.planes = PlaneSceneGraph(replaced(config.planes, {"detection": {"depth_noise_scale": noise_scale}}))
         self.pool = CandidatePool(
             start_pose[:3, 3],
             scene.bounds,

@@ -126,6 +126,12 @@ def test_same_seed_same_episode_and_choices_do_not_shift_other_streams(box: Scen
     assert not np.array_equal(np.stack(other.trajectory)[0], np.stack(first.trajectory)[0])
 
 
+def test_the_plane_detector_knows_its_sensor_s_noise(box: Scene) -> None:
+    for noise, multiplier, expected in (("none", 1.0, 0.25), ("kinect", 1.0, 1.0), ("redwood", 2.0, 2.0)):
+        run = episode(box, sensor={**SMALL["sensor"], "depth_noise": noise, "noise_multiplier": multiplier})
+        assert run.planes.config.detection.depth_noise_scale == expected
+
+
 def test_the_start_is_the_one_asked_for_and_is_checked(box: Scene) -> None:
     run = Reconstruction(configure("fast", SMALL))
     pose = look_along(np.array([2.0, 1.5, 1.3]), np.array([0.0, 1.0, 0.0]))

@@ -76,12 +76,14 @@ def run_splatting_benchmark(
     *,
     repeats: int = 15,
     threads: Iterable[int] | None = None,
+    baseline: bool = False,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
     """Rows ``{workload, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms, floor_share, repeats}``.
 
     Low and high are the quartiles, ``cpu_ms`` the median processor time of all threads together (what is left to look
     at on a machine shared with others); ``floor_share`` is nan where the floor is not defined (losses, Adam).
+    ``baseline`` adds rows of the batched plain-torch renderer (tasks ending in ", torch"; W4 is left out there).
     The thread counts are alternated within every repetition, so that a busy spell of the machine hits all of them.
     """
     counts = tuple(threads) if threads is not None else (1, 2)
@@ -94,7 +96,10 @@ def run_splatting_benchmark(
         floors = dict.fromkeys(("forward", "score 64 views"), _FLOPS_FORWARD * pairs)
         floors["forward + backward"] = (_FLOPS_FORWARD + _FLOPS_BACKWARD) * pairs
         peaks = {count: multiply_add_peak(count) for count in counts}
-        for task, action in _tasks(name, work).items():
+        tasks = _tasks(name, work)
+        if baseline and name != "W4":
+            tasks["iteration, L1, torch"] = _torch_iteration(work)
+        for task, action in tasks.items():
             times: dict[int, list[float]] = {count: [] for count in counts}
             work_times: dict[int, list[float]] = {count: [] for count in counts}
             for count in counts:
@@ -186,6 +191,36 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
         ),
         "iteration, L1 + SSIM": lambda threads: mapping_step(*state, *step, LossWeights(), _RATES, threads=threads),
     }
+
+
+def _torch_iteration(work: Workload) -> Callable[[int], None]:
+    """Render, L1 on colour and depth, backward and Adam in plain torch; the learning rates are 0 here too."""
+    import torch
+
+    from activestructure_gym.splatting.torch_tiles import rasterize_torch_tiles
+
+    live = torch.from_numpy(work.parameters[:, : work.count].copy())
+    groups = (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
+    leaves = [group.contiguous().requires_grad_() for group in groups]
+    optimizer = torch.optim.Adam(leaves, lr=0.0, fused=True)
+    pose = torch.from_numpy(invert_rigid(work.poses[0]).astype(np.float32))
+    target, depth = torch.from_numpy(work.target_rgb), torch.from_numpy(work.target_depth)
+
+    def iteration(threads: int) -> None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(threads)
+        try:
+            picture = rasterize_torch_tiles(*leaves, pose, work.camera)
+            seen = picture[..., 4].detach() > 0.5
+            error = (picture[..., 3][seen] / picture[..., 4][seen] - depth[seen]).abs().mean()
+            loss = 0.5 * (picture[..., :3] - target).abs().mean() + error
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        finally:
+            torch.set_num_threads(before)
+
+    return iteration
 
 
 def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] radians -> [C, 4, 4]

@@ -854,8 +854,11 @@ def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, c
 
 
 @_entry
-def plan(grid, histogram, chunk_entries, tile_start):
-    """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots."""
+def plan(grid, histogram, chunk_entries, tile_start, tile_order):
+    """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots.
+
+    ``tile_order`` lists the tiles with most entries first: handed out so, all threads finish at nearly the same time.
+    """
     tiles, chunks = grid[TILES_X] * grid[TILES_Y], grid[CHUNKS]
     for tile in range(tiles + 1):
         tile_start[tile] = 0
@@ -880,6 +883,7 @@ def plan(grid, histogram, chunk_entries, tile_start):
         entries = chunk_entries[chunk]
         chunk_entries[chunk] = slots
         slots += entries
+    tile_order[:tiles] = np.argsort(tile_start[:tiles] - tile_start[1 : tiles + 1])
     return total
 
 
@@ -1505,12 +1509,13 @@ def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
 
 
 @_entry
-def blend(tickets, view, grid, records, tile_start, entries, color, depth, alpha):
+def blend(tickets, view, grid, records, tile_start, tile_order, entries, color, depth, alpha):
     state, digits = _scratch(64 * 80), np.empty(512, np.int64)
     while True:
-        tile = take_ticket(tickets, 2)
-        if tile >= grid[TILES_X] * grid[TILES_Y]:
+        ticket = take_ticket(tickets, 2)
+        if ticket >= grid[TILES_X] * grid[TILES_Y]:
             return
+        tile = tile_order[ticket]
         start, stop = tile_start[tile], tile_start[tile + 1]
         _sort_tile(start, stop, entries, digits)
         _blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha)
@@ -1545,13 +1550,15 @@ def differentiate(
 
 @_entry
 def unblend(
-    tickets, view, grid, records, tile_start, entries, color, depth, alpha, by_color, by_depth, by_alpha, slots
+    tickets, view, grid, records, tile_start, tile_order, entries, color, depth, alpha, by_color, by_depth, by_alpha,
+    slots,
 ):
     state = _scratch(64 * 112)
     while True:
-        tile = take_ticket(tickets, 5)
-        if tile >= grid[TILES_X] * grid[TILES_Y]:
+        ticket = take_ticket(tickets, 5)
+        if ticket >= grid[TILES_X] * grid[TILES_Y]:
             return
+        tile = tile_order[ticket]
         _unblend_tile(
             tile, tile_start[tile], tile_start[tile + 1], entries, records, view, grid, state, color, depth, alpha,
             by_color, by_depth, by_alpha, slots,
@@ -1580,7 +1587,8 @@ def score(tickets, parameters, views, grid, depth, alpha):
     records = _scratch(max(grid[COUNT] + LANES, 1) * RECORD)
     visible = np.empty(chunks * (CHUNK // LANES), np.int32)
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
-    tile_start, digits = np.empty(tiles + 1, np.int64), np.empty(512, np.int64)
+    tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles, np.int64)
+    digits = np.empty(512, np.int64)
     state, no_color = _scratch(64 * 32), np.empty(0, np.float32)
     entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
     pixels = grid[WIDTH] * grid[HEIGHT]
@@ -1591,7 +1599,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
         view = views[camera]
         for chunk in range(chunks):
             _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
-        total = plan(grid, histogram, chunk_entries, tile_start)
+        total = plan(grid, histogram, chunk_entries, tile_start, tile_order)
         if total > entries.shape[1]:
             entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
         for chunk in range(chunks):

@@ -107,18 +107,20 @@ class Workspace:
         histogram = self._buffer("histogram", chunks * tiles, np.int32)
         chunk_entries = self._buffer("chunk entries", chunks, np.int64)
         self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
+        self.tile_order = self._buffer("tile order", tiles, np.int64)
         self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
         self.color = self._image("color")
         self.tickets[:] = 0
         found = (self.records, self.visible, histogram, chunk_entries)
         self._run(k.project, parameters, self.view, grid, *found)
-        self.total = k.plan(grid, histogram, chunk_entries, self.tile_start)
+        self.total = k.plan(grid, histogram, chunk_entries, self.tile_start, self.tile_order)
         if self.total > self.entries.shape[1]:
             self.entries = np.empty((k.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
         self._run(k.fill, grid, *found, self.entries)
         self._run(
-            k.blend, self.view, grid, self.records, self.tile_start, self.entries, self.color, self.depth, self.alpha
-        )
+            k.blend, self.view, grid, self.records, self.tile_start, self.tile_order, self.entries, self.color,
+            self.depth, self.alpha,
+        )  # fmt: skip
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
@@ -204,8 +206,8 @@ class Workspace:
         slots = self._buffer("slots", self.total * k.LANES)
         self.tickets[:] = 0
         self._run(
-            k.unblend, self.view, self.grid, self.records, self.tile_start, self.entries, self.color, self.depth,
-            self.alpha, self.by_color, self.by_depth, self.by_alpha, slots,
+            k.unblend, self.view, self.grid, self.records, self.tile_start, self.tile_order, self.entries,
+            self.color, self.depth, self.alpha, self.by_color, self.by_depth, self.by_alpha, slots,
         )  # fmt: skip
         pose_parts = self._buffer("pose parts", chunks * k.LANES)
         self._run(

@@ -54,3 +54,24 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
     with pytest.raises(RuntimeError, match="cannot cache"):
         njit(cache=True)(double)
     assert kernels._entry(double)(21) == 42
+
+
+def test_torch_tiles_and_the_kernel_agree_on_a_whole_workload():
+    import torch
+
+    from activestructure_gym.geometry import invert_rigid
+    from activestructure_gym.splatting.torch_tiles import rasterize_torch_tiles
+
+    work = make_workload("W1")
+    live = torch.from_numpy(work.parameters[:, : work.count])
+    pose = torch.from_numpy(invert_rigid(work.poses[0]).astype(np.float32))
+    with torch.no_grad():
+        picture = rasterize_torch_tiles(live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T, pose, work.camera)
+    rendering = render(work.parameters, work.count, work.camera, work.poses[0])
+    # 20,000 Gaussians in several chunks and tiles; float32 on both sides, so a few pixels may cross a threshold, and on
+    # a wall seen head-on neighbours at one depth may change places, which moves colour but neither alpha nor depth.
+    difference = np.abs(picture[..., 4].numpy() - rendering.alpha)
+    assert np.quantile(difference, 0.99) < 2e-5 and difference.max() < 0.02
+    assert np.quantile(np.abs(picture[..., 3].numpy() - rendering.depth), 0.99) < 1e-4
+    difference = np.abs(picture[..., :3].numpy() - rendering.color)
+    assert np.quantile(difference, 0.9) < 2e-5 and difference.max() < 0.1

@@ -276,7 +276,7 @@ def _write_pictures(
 
     arrays = picture_arrays(job.protocol, truth, reconstruction, [view["psnr"] for view in metrics["views"]])
     with open(part / "pictures.npz", "wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     trajectory = {
         "world_from_camera": np.stack(reconstruction.trajectory),
         "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),

@@ -59,13 +59,13 @@ def _run(arguments: Sequence[str]) -> int:
     import tyro
 
     from activestructure_gym.errors import unknown_name
-    from activestructure_gym.evaluation.cli.commands import COMMANDS
+    from activestructure_gym.evaluation.cli.commands import COMMANDS, Command
 
     name, *rest = arguments
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     try:
-        command = tyro.cli(COMMANDS[name], prog=f"asg {name}", args=rest)
+        command: Command = tyro.cli(COMMANDS[name], prog=f"asg {name}", args=rest)
     except SystemExit as end:  # help, or a mistyped option; tyro has printed what there is to say
         return end.code if isinstance(end.code, int) else 2
     return command.run()

@@ -25,7 +25,8 @@ def bench(options: Bench) -> int:
             from activestructure_gym.splatting.benchmark import run_splatting_benchmark
 
             rows = run_splatting_benchmark()
-    print_whole(console, rows_table(rows, title=f"{options.what}, frames per second unless said otherwise"))
+    what = "sensor" if options.what == "sensor" else "rasteriser"
+    print_whole(console, rows_table(rows, title=f"speed of the {what} on this machine"))
     return 0
 
 
@@ -42,7 +43,7 @@ def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
 
 
 def _text(value: Any) -> str:
-    if value is None:
+    if value is None or value != value:  # NaN is not equal to itself
         return "n/a"
     if isinstance(value, float):
         return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import tyro
 
@@ -108,4 +108,17 @@ class Evaluate:
         return evaluate(self)
 
 
-COMMANDS = {"compare": Compare, "scenes": Scenes, "doctor": Doctor, "bench": Bench, "evaluate": Evaluate}
+class Command(Protocol):
+    """What a subcommand is: options, and what to do with them."""
+
+    def run(self) -> int:
+        """The exit code."""
+
+
+COMMANDS: dict[str, type[Command]] = {
+    "compare": Compare,
+    "scenes": Scenes,
+    "doctor": Doctor,
+    "bench": Bench,
+    "evaluate": Evaluate,
+}

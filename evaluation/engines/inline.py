@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from activestructure_gym.evaluation.engines.base import LOGS, Listener, Outcome, run_directory
@@ -17,7 +18,7 @@ def run_inline(jobs: Sequence[Job], directory: Path, listener: Listener, workers
     for job in jobs:
         outcome = Outcome(job)
         try:
-            run_job(job, run_directory(directory, job), lambda progress, job=job: listener.progress(job, progress))
+            run_job(job, run_directory(directory, job), partial(listener.progress, job))
         except Exception as error:  # a third party's policy may raise anything
             log = directory / LOGS / f"{job.name}.log"
             log.parent.mkdir(parents=True, exist_ok=True)

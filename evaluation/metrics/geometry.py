@@ -44,7 +44,7 @@ def nearest_distances(queries: np.ndarray, points: np.ndarray) -> np.ndarray:  #
     """Distance from every query [Q, 3] to the nearest of ``points`` [P, 3]; inf where there are none."""
     if not len(points) or not len(queries):
         return np.full(len(queries), np.inf)
-    return cKDTree(points).query(queries, workers=thread_cap())[0]
+    return np.asarray(cKDTree(points).query(queries, workers=thread_cap())[0])
 
 
 def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:  # [Q], [Q]
@@ -58,8 +58,8 @@ def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.
         nothing = np.full(len(queries), np.inf)
         return nothing, nothing.copy()
     neighbours = min(_NEIGHBOURS, len(surface.points))
-    distance, index = cKDTree(surface.points).query(queries, k=neighbours, workers=thread_cap())
-    distance, index = distance.reshape(len(queries), -1), index.reshape(len(queries), -1)
+    found = cKDTree(surface.points).query(queries, k=neighbours, workers=thread_cap())
+    distance, index = (np.asarray(part).reshape(len(queries), -1) for part in found)
     offset = queries[:, None, :] - surface.points[index]
     height = np.abs((offset * surface.normals[index]).sum(axis=-1))
     sideways = np.sqrt(np.maximum(distance**2 - height**2, 0.0))

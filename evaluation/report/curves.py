@@ -49,9 +49,10 @@ def plot_convergence(runs: Sequence[Run], path: Path, *, title: str) -> None:
     Every seed is also drawn thinly to its own end, which may lie beyond the mean's.
     """
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(10.5, 7.2), dpi=140, layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)  # inches
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)  # inches
+    figure = Figure(figsize=(10.5, 7.2), dpi=140, layout=layout)
     axes = figure.subplots(len(_MEASURES), len(_COSTS), sharey="row", squeeze=False)
     policies = list(dict.fromkeys(run.job.policy for run in runs))
     for row, (measure, measure_label) in enumerate(_MEASURES):

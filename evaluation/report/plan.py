@@ -50,7 +50,7 @@ def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray]) -> Image.Image:
     """The picture, y up: map from above, free and occupied space, path from blue to yellow, keyframes, start, end."""
     scale = plan_scale(arrays["plan_extent"]) * _SMOOTH
-    size = tuple(int(round(float(side) * scale)) for side in arrays["plan_extent"])
+    size = pixel_size(arrays["plan_extent"], scale)
     picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
     opacity = Image.fromarray(arrays["above_alpha"], "L").resize(size, Image.Resampling.BICUBIC)
@@ -93,7 +93,7 @@ def _from_above(
     below = gaussians.parameters[2, : gaussians.count] < height + _HEADROOM_M
     parameters = np.ascontiguousarray(gaussians.parameters[:, : gaussians.count][:, below])
     scale = plan_scale(extent)
-    width, rows = (max(1, int(round(float(side) * scale))) for side in extent)
+    width, rows = pixel_size(extent, scale)
     altitude = _ALTITUDE * float(extent.max())
     focal = altitude * scale
     camera = PinholeCamera(width, rows, focal, focal, width / 2, rows / 2)
@@ -107,6 +107,11 @@ def _from_above(
 def plan_scale(extent: np.ndarray) -> float:  # pixels per metre
     """How large a plan of this extent [2] metres is drawn."""
     return min(_PIXELS_PER_METRE, _LONGEST_SIDE / float(np.max(extent)))
+
+
+def pixel_size(extent: np.ndarray, scale: float) -> tuple[int, int]:
+    """Width and height of a plan of ``extent`` [2] metres, at least one pixel each."""
+    return max(1, round(float(extent[0]) * scale)), max(1, round(float(extent[1]) * scale))
 
 
 def _ground(arrays: Mapping[str, np.ndarray]) -> Image.Image:

@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.report.canvas import (
     to_image,
     write,
 )
-from activestructure_gym.evaluation.report.plan import draw_scale_bar, plan_scale
+from activestructure_gym.evaluation.report.plan import draw_scale_bar, pixel_size, plan_scale
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.sensors.renderer import make_renderer
 
@@ -72,7 +72,7 @@ def _plan(scene: Scene, numbered: list[int]) -> Image.Image:
     )
     extent = (high - low)[:2]
     scale = plan_scale(extent)
-    size = tuple(max(1, int(round(float(side) * scale))) for side in extent)
+    size = pixel_size(extent, scale)
     altitude = _ALTITUDE * float(extent.max())
     camera = PinholeCamera(*size, altitude * scale, altitude * scale, size[0] / 2, size[1] / 2)
     eye = np.array([*(low[:2] + extent / 2), high[2] + altitude])

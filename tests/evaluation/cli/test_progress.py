@@ -1,0 +1,58 @@
+import io
+
+import pytest
+from rich.console import Console
+
+from activestructure_gym.evaluation.cli import progress as module
+from activestructure_gym.evaluation.cli.progress import LiveProgress
+from activestructure_gym.evaluation.engines import Outcome
+from activestructure_gym.evaluation.episode import Progress
+from activestructure_gym.evaluation.jobs import Job
+
+JOBS = [Job("room", "random", 0), Job("room", "my[policy]", 0)]
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    class Clock:
+        now = 100.0
+
+        def monotonic(self):
+            return self.now
+
+    clock = Clock()
+    monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+def watch(clock, *, terminal: bool) -> str:
+    out = io.StringIO()
+    console = Console(file=out, width=120, force_terminal=terminal, color_system=None)
+    with LiveProgress(console, JOBS, 2) as live:
+        for job in JOBS:
+            live.progress(job, Progress("loading"))
+        for frames in (1, 51):
+            live.progress(JOBS[0], Progress("exploring", frames, 201, 12.5))
+            clock.now += 10.0
+        live._display.refresh()
+        live.ended(Outcome(JOBS[0]))
+        live.ended(Outcome(JOBS[1], "RuntimeError: [lost] the way"))
+    return out.getvalue()
+
+
+def test_on_a_terminal_bars_frames_coverage_and_the_time_left(clock):
+    text = watch(clock, terminal=True)
+    assert "51/201" in text and "C.R.  12.5 %" in text and "exploring" in text and "all runs" in text
+    # 50 frames took 10 seconds, 150 are left.
+    assert "0:30 left" in text
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_ended_jobs_stay_with_their_fate_and_odd_names_are_shown_as_they_are(clock, terminal):
+    text = watch(clock, terminal=terminal)
+    assert "✓ room · random · seed 0  51/201 frames  C.R.  12.5 %  20 s" in text
+    assert "✗ room · my[policy] · seed 0  RuntimeError: [lost] the way" in text
+
+
+def test_elsewhere_nothing_but_ended_jobs_is_printed(clock):
+    assert len(watch(clock, terminal=False).splitlines()) == 2

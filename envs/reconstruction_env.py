@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -22,7 +22,7 @@ from activestructure_gym.sensors import Frame
 SceneSpec = str | Scene
 
 
-class ReconstructionEnv(gym.Env[dict[str, np.ndarray], np.int64]):
+class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     """## Description
     An RGB-D camera explores an unknown indoor scene and reconstructs it online as a 3D Gaussian map. Each step the
     agent picks one of K candidate views; it walks there along a collision-free path through space it knows to be
@@ -79,7 +79,13 @@ class ReconstructionEnv(gym.Env[dict[str, np.ndarray], np.int64]):
     * v0: first version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
+    }
+
+    observation_space: spaces.Dict
+    action_space: spaces.Discrete
 
     def __init__(
         self,

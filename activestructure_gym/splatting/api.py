@@ -13,6 +13,8 @@ from activestructure_gym.splatting.backends import BACKENDS, backend_status
 from activestructure_gym.splatting.reference import rasterize_reference
 from activestructure_gym.splatting.workspace import Lease, fitted
 
+_Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+
 
 @dataclass(frozen=True)
 class Rasterization:
@@ -62,11 +64,11 @@ def rasterize(
     return Rasterization(*(torch.stack(channel) for channel in zip(*pictures)))
 
 
-def _render_reference(tensors, camera_from_world, camera, max_alpha):
+def _render_reference(tensors: _Tensors, camera_from_world: torch.Tensor, camera: PinholeCamera, max_alpha: float):
     return rasterize_reference(*tensors, camera_from_world, camera, max_alpha=max_alpha)
 
 
-def _render_gsplat(tensors, camera_from_world, camera, max_alpha):
+def _render_gsplat(tensors: _Tensors, camera_from_world: torch.Tensor, camera: PinholeCamera, max_alpha: float):
     status = backend_status()["gsplat"]
     if status != "works":
         raise InputError(f"splatting backend 'gsplat' cannot run here ({status}); use backend='cpu'.")
@@ -77,7 +79,7 @@ def _render_gsplat(tensors, camera_from_world, camera, max_alpha):
     return rasterize_gsplat(*tensors, camera_from_world, camera)
 
 
-def _render_cpu(tensors, camera_from_world, camera, max_alpha):
+def _render_cpu(tensors: _Tensors, camera_from_world: torch.Tensor, camera: PinholeCamera, max_alpha: float):
     for tensor in (*tensors, camera_from_world):
         if tensor.dtype != torch.float32 or tensor.is_cuda:
             raise InputError(

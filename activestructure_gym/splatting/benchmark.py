@@ -172,8 +172,15 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
                 work.parameters, work.count, work.camera, work.poses, threads=threads
             )
         }
-    state = (work.parameters.copy(), np.zeros_like(work.parameters), np.zeros_like(work.parameters))
-    step = (work.count, work.camera, work.poses[0], work.target_rgb, work.target_depth)
+    parameters = work.parameters.copy()
+    first, second = np.zeros_like(parameters), np.zeros_like(parameters)
+
+    def step(weights: LossWeights, threads: int) -> None:
+        mapping_step(
+            parameters, first, second, work.count, work.camera, work.poses[0], work.target_rgb, work.target_depth,
+            weights, _RATES, threads=threads,
+        )  # fmt: skip
+
     workspace, gradient = Lease().workspace, np.zeros_like(work.parameters)
     height, width = work.target_depth.shape
     images = (np.ones((height, width, 3), np.float32), *np.ones((2, height, width), np.float32))
@@ -186,10 +193,8 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
     return {
         "forward + backward": there_and_back,
         "forward": lambda threads: render(work.parameters, work.count, work.camera, work.poses[0], threads=threads),
-        "iteration, L1": lambda threads: mapping_step(
-            *state, *step, LossWeights(l1_share=1.0), _RATES, threads=threads
-        ),
-        "iteration, L1 + SSIM": lambda threads: mapping_step(*state, *step, LossWeights(), _RATES, threads=threads),
+        "iteration, L1": lambda threads: step(LossWeights(l1_share=1.0), threads),
+        "iteration, L1 + SSIM": lambda threads: step(LossWeights(), threads),
     }
 
 
@@ -200,9 +205,10 @@ def _torch_iteration(work: Workload) -> Callable[[int], None]:
     from activestructure_gym.splatting.torch_tiles import rasterize_torch_tiles
 
     live = torch.from_numpy(work.parameters[:, : work.count].copy())
-    groups = (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
-    leaves = [group.contiguous().requires_grad_() for group in groups]
-    optimizer = torch.optim.Adam(leaves, lr=0.0, fused=True)
+    means, quaternions, log_scales, opacity_logits, colors = (
+        group.contiguous().requires_grad_() for group in (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
+    )
+    optimizer = torch.optim.Adam([means, quaternions, log_scales, opacity_logits, colors], lr=0.0, fused=True)
     pose = torch.from_numpy(invert_rigid(work.poses[0]).astype(np.float32))
     target, depth = torch.from_numpy(work.target_rgb), torch.from_numpy(work.target_depth)
 
@@ -210,7 +216,7 @@ def _torch_iteration(work: Workload) -> Callable[[int], None]:
         before = torch.get_num_threads()
         torch.set_num_threads(threads)
         try:
-            picture = rasterize_torch_tiles(*leaves, pose, work.camera)
+            picture = rasterize_torch_tiles(means, quaternions, log_scales, opacity_logits, colors, pose, work.camera)
             seen = picture[..., 4].detach() > 0.5
             error = (picture[..., 3][seen] / picture[..., 4][seen] - depth[seen]).abs().mean()
             loss = 0.5 * (picture[..., :3] - target).abs().mean() + error

@@ -141,8 +141,8 @@ def warm_up() -> None:
     parameters[[2, 3]] = 1.0
     moments = np.zeros((2, *parameters.shape), np.float32)
     mapping_step(
-        parameters, *moments, 1, camera, np.eye(4), np.ones((8, 8, 3), np.float32), np.ones((8, 8), np.float32),
-        LossWeights(), np.zeros(kernels.ROWS, np.float32), threads=1,
+        parameters, moments[0], moments[1], 1, camera, np.eye(4), np.ones((8, 8, 3), np.float32),
+        np.ones((8, 8), np.float32), LossWeights(), np.zeros(kernels.ROWS, np.float32), threads=1,
     )  # fmt: skip
     render_depth_alpha(parameters, 1, camera, np.eye(4)[None], threads=1)
 

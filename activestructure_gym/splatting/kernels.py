@@ -18,6 +18,9 @@ SIMD types and kernels share this one file on purpose: numba's on-disk cache wat
 What made it fast: ``../shared/research/rasteriser.md``, section 4.
 """
 
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
+
 from __future__ import annotations
 
 import operator

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.splatting import kernels, render, warm_up
+from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha, warm_up
 from activestructure_gym.splatting.benchmark import make_workload, run_splatting_benchmark
 
 
@@ -16,6 +16,27 @@ def test_workloads_are_real_and_repeatable():
     assert np.abs(rendering.color - work.target_rgb)[covered].mean() < 0.1
     error = np.abs(rendering.depth[covered] / rendering.alpha[covered] - work.target_depth[covered])
     assert np.median(error) < 0.05
+
+
+def test_same_bits_for_any_number_of_threads_on_a_whole_workload():
+    # Long enough phases for the other threads to take part: 20 chunks, 20 tiles, 15 groups of rows.
+    work, rates = make_workload("W1"), np.full(14, 1e-3, np.float32)
+    results = []
+    for threads in (1, 2, 3):
+        parameters = work.parameters.copy()
+        first, second = np.zeros_like(parameters), np.zeros_like(parameters)
+        losses = [
+            mapping_step(
+                parameters, first, second, work.count, work.camera, pose, work.target_rgb, work.target_depth,
+                LossWeights(), rates, threads=threads,
+            )
+            for pose in work.poses
+        ]  # fmt: skip
+        scores = render_depth_alpha(parameters, work.count, work.camera, work.poses, threads=threads)
+        results.append((losses, parameters, first, second, *scores))
+    for other in results[1:]:
+        assert other[0] == results[0][0]
+        assert all(np.array_equal(a, b) for a, b in zip(other[1:], results[0][1:]))
 
 
 def test_rows_of_the_benchmark():

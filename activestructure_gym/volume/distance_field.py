@@ -21,12 +21,13 @@ def bounding_box(
 
 
 @njit(cache=True, nogil=True)
-def _pass(values: np.ndarray) -> None:  # [A, B, N], in place along the last axis (any strides)
+def _pass(
+    values: np.ndarray,  # [A, B, N], in place along the last axis (any strides)
+    costs: np.ndarray,  # [N + 1] float32: (n - 1/2)^2, the last one infinite
+    line: np.ndarray,  # [3 N] float32, all _FAR: room on both sides, so that no step needs a bounds check
+) -> None:
     """``out[n] = min_m values[m] + max(0, |n - m| - 1/2)^2``: squared distance to cubes, one axis at a time."""
     length = values.shape[2]
-    costs = (np.arange(length + 1).astype(np.float32) - np.float32(0.5)) ** 2
-    costs[length] = np.inf
-    line = np.full(3 * length, _FAR, np.float32)  # with room on both sides, so that no step needs a bounds check
     for a in range(values.shape[0]):
         for b in range(values.shape[1]):
             for n in range(length):
@@ -53,7 +54,10 @@ def distance_to_cubes(
     """
     squared = np.where(obstacle, np.float32(0.0), np.float32(min(float(_FAR), at_most**2)))
     for axis in (2, 1, 0):
-        _pass(np.moveaxis(squared, axis, 2))
+        length = obstacle.shape[axis]
+        costs = (np.arange(length + 1, dtype=np.float32) - np.float32(0.5)) ** 2
+        costs[length] = np.inf
+        _pass(np.moveaxis(squared, axis, 2), costs, np.full(3 * length, _FAR))
     distance = np.sqrt(squared, out=squared)
     if at_most == np.inf:
         distance[distance > 1e5] = np.inf

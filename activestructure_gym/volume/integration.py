@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.volume.depth_image import READS_PER_SIDE
 
 UNKNOWN = 0
@@ -92,6 +93,37 @@ def _nearest_in_footprint(
     return smallest
 
 
+def frustum_planes(
+    camera: PinholeCamera,
+    camera_from_world: np.ndarray,  # [4, 4]
+    voxel_size: float,
+    max_range: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The frustum of the outermost rays over camera points, and how a voxel stands out from its centre.
+
+    Returns the inequalities a . p >= b as rows [6, 4] (left, right, top, bottom, near, far), half a voxel's extent
+    across each [6], the lowest value of each of the first four over every part of a voxel less that at the voxel's
+    centre [64, 4], and half a voxel's extents along the camera's axes [3].
+    """
+    c = camera
+    planes = np.array([
+        [c.fx, 0.0, c.cx - 0.5, 0.0], [-c.fx, 0.0, c.width - 0.5 - c.cx, 0.0],
+        [0.0, c.fy, c.cy - 0.5, 0.0], [0.0, -c.fy, c.height - 0.5 - c.cy, 0.0],
+        [0.0, 0.0, 1.0, _NEAREST], [0.0, 0.0, -1.0, -max_range],
+    ])  # fmt: skip
+    rotation = camera_from_world[:3, :3]
+    normals = planes[:, :3] @ rotation  # [6, 3] along the world's axes
+    reach = 0.5 * voxel_size * np.abs(normals).sum(axis=1)
+    sides = voxel_size * part_centers() @ normals[:4].T - reach[:4] / PARTS_PER_SIDE
+    return planes, reach, sides, 0.5 * voxel_size * np.abs(rotation).sum(axis=1)
+
+
+def part_centers() -> np.ndarray:  # [64, 3] in voxels
+    """Centre of each part of a voxel from the voxel's centre, in the order of the bits."""
+    steps = (np.arange(PARTS_PER_SIDE) + 0.5) / PARTS_PER_SIDE - 0.5
+    return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
 @njit(cache=True, nogil=True)
 def carve(
     depth: np.ndarray,  # [H, W] float32: what was returned, for the TSDF
@@ -99,9 +131,12 @@ def carve(
     levels: np.ndarray,
     intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
     camera_from_world: np.ndarray,  # [4, 4]
+    planes: np.ndarray,  # from frustum_planes
+    reach: np.ndarray,
+    sides: np.ndarray,
+    extents: np.ndarray,
     origin: np.ndarray,  # [3]
     voxel_size: float,
-    max_range: float,
     margin: float,  # metres
     margin_growth: float,  # metres per square metre of range
     thinnest: float,  # metres
@@ -123,30 +158,8 @@ def carve(
     """Update TSDF, free and occupied for every voxel that touches the view frustum."""
     fx, fy, cx, cy = intrinsics
     height, width = levels[0, 1], levels[0, 2]
-    half = 0.5 * voxel_size
-    rotation = camera_from_world[:3, :3]
-    # Half extents of a voxel along the camera's axes.
-    extent_x = half * (abs(rotation[0, 0]) + abs(rotation[0, 1]) + abs(rotation[0, 2]))
-    extent_y = half * (abs(rotation[1, 0]) + abs(rotation[1, 1]) + abs(rotation[1, 2]))
-    extent_z = half * (abs(rotation[2, 0]) + abs(rotation[2, 1]) + abs(rotation[2, 2]))
-    # The frustum of the outermost rays as inequalities a . p >= b over camera points.
-    planes = np.array([
-        [fx, 0.0, cx - 0.5, 0.0], [-fx, 0.0, width - 0.5 - cx, 0.0],
-        [0.0, fy, cy - 0.5, 0.0], [0.0, -fy, height - 0.5 - cy, 0.0],
-        [0.0, 0.0, 1.0, _NEAREST], [0.0, 0.0, -1.0, -max_range],
-    ])  # fmt: skip
-    reach = np.empty(6)  # how far a voxel sticks out to both sides of a plane
-    sides = np.empty((PARTS_PER_SIDE**3, 4))  # lowest value over a part, less the value at the voxel's centre
-    for p in range(6):
-        normal = planes[p, 0] * rotation[0] + planes[p, 1] * rotation[1] + planes[p, 2] * rotation[2]  # world axes
-        reach[p] = half * np.abs(normal).sum()
-        for n in range(PARTS_PER_SIDE**3):
-            if p < 4:
-                a = (n // PARTS_PER_SIDE**2 + 0.5) / PARTS_PER_SIDE - 0.5
-                b = (n // PARTS_PER_SIDE % PARTS_PER_SIDE + 0.5) / PARTS_PER_SIDE - 0.5
-                c = (n % PARTS_PER_SIDE + 0.5) / PARTS_PER_SIDE - 0.5
-                at = voxel_size * (normal[0] * a + normal[1] * b + normal[2] * c)
-                sides[n, p] = at - reach[p] / PARTS_PER_SIDE
+    rotation = camera_from_world
+    extent_x, extent_y, extent_z = extents
     sure_range = thinnest * min(fx, fy)  # up to here no thin structure fits between two rays
     dx, dy, dz = rotation[0, 2] * voxel_size, rotation[1, 2] * voxel_size, rotation[2, 2] * voxel_size
 

@@ -134,11 +134,13 @@ class VoxelVolume:
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
         # Where returns are lost, the rays that are left count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
+        camera_from_world = invert_rigid(view)
+        planes = integration.frustum_planes(camera, camera_from_world, self.voxel_size, config.max_range)
         lower, upper = self._frustum_box(frame, float(free_to.max(initial=0.0)))
         pyramid, levels = minimum_pyramid(free_to)
         integration.carve(
-            depth, pyramid, levels, intrinsics, invert_rigid(view), self.origin, self.voxel_size,
-            config.max_range, config.margin, config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
+            depth, pyramid, levels, intrinsics, camera_from_world, *planes, self.origin, self.voxel_size, config.margin,
+            config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
             config.max_weight, fresh, self._images, lower, upper, self.state, self._solidity, self._miss_chance,
             self._parts, self._last_hit, self.tsdf, self.weight,
         )  # fmt: skip
@@ -157,11 +159,9 @@ class VoxelVolume:
         box = tuple(slice(a, b) for a, b in zip(lower, upper))
         axes = [np.arange(a, b) for a, b in zip(lower, upper)]
         centers = self.center_of(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
-        side = integration.PARTS_PER_SIDE
-        steps = (np.arange(side) + 0.5) / side - 0.5
-        offsets = self.voxel_size * np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-        farthest = np.abs(centers[..., None, :] + offsets - center) + 0.5 * self.voxel_size / side
-        bits = (np.linalg.norm(farthest, axis=-1) <= radius) @ (np.uint64(1) << np.arange(side**3, dtype=np.uint64))
+        parts = self.voxel_size * integration.part_centers()
+        farthest = np.abs(centers[..., None, :] + parts - center) + 0.5 * self.voxel_size / integration.PARTS_PER_SIDE
+        bits = (np.linalg.norm(farthest, axis=-1) <= radius) @ (np.uint64(1) << np.arange(len(parts), dtype=np.uint64))
         self._parts[box] |= np.where(self._solidity[box] == 0, bits, np.uint64(0))
         inside = self._parts[box] == integration.ALL_PARTS
         self.state[box][inside] = FREE

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.motion import first_blocked_edge, path_lengths
-from activestructure_gym.motion.reachability import _spread
+from activestructure_gym.motion.reachability import _moves, _spread
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 BOUNDS = np.array([[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]])
@@ -47,7 +47,8 @@ def test_lengths_equal_networkx_on_random_grids(share):
     parents = np.full(open_.shape, -1, np.int32)
     offsets = np.array([0.3, 2.6, 1.1], np.float32)
     lengths[tuple(seeds.T)] = offsets
-    _spread(open_, lengths, parents, np.ravel_multi_index(tuple(seeds.T), open_.shape))
+    flat = np.ravel_multi_index(tuple(seeds.T), open_.shape)
+    _spread(open_.ravel(), lengths.ravel(), parents.ravel(), flat, *_moves(open_.shape))
     graph = grid_graph(open_)
     for seed, offset in zip(seeds, offsets):
         graph.add_edge("start", tuple(seed), weight=float(offset))

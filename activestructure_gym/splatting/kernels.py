@@ -832,6 +832,12 @@ def _box(records, base):
     return x & 0xFFFF, y & 0xFFFF, x >> 16, y >> 16
 
 
+@_inline
+def _one_tile(x0, y0, x1, y1):
+    """Most boxes lie in one tile: no need to look at the blocks to count them."""
+    return ((x0 ^ x1) | (y0 ^ y1)) < 8
+
+
 @njit
 def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries):
     """Project 1024 Gaussians and count their entries per tile."""
@@ -847,9 +853,10 @@ def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, c
             base = RECORD * (i + lowest_bit(seen))
             seen &= seen - 1
             x0, y0, x1, y1 = _box(records, base)
+            alone = _one_tile(x0, y0, x1, y1)
             for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
                 for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
-                    if _reach(records, base, x0, y0, x1, y1, tile_x, tile_y) != _U64(0):
+                    if alone or _reach(records, base, x0, y0, x1, y1, tile_x, tile_y) != _U64(0):
                         at = chunk * tiles + tile_y * tiles_x + tile_x
                         poke(histogram, at, peek(histogram, at) + np.int32(1))
                         entries += 1
@@ -905,11 +912,11 @@ def _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries
             depth = _U64(peek_bits(records, base + DEPTH)) << _U64(32)
             x0, y0, x1, y1 = _box(records, base)
             poke_bits(records, base + SLOT, slot)
-            first = slot
+            first, alone = slot, _one_tile(x0, y0, x1, y1)
             for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
                 for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
                     reach = _reach(records, base, x0, y0, x1, y1, tile_x, tile_y)
-                    if reach != _U64(0):
+                    if alone or reach != _U64(0):  # the same rule as when counting
                         counter = chunk * tiles + tile_y * tiles_x + tile_x
                         at = np.int64(peek(histogram, counter))
                         poke(histogram, counter, np.int32(at + 1))

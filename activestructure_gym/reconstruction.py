@@ -101,7 +101,7 @@ class Reconstruction:
 
         # The agent was put down there, so the place around it is known to be free, as far as it is.
         clearance = float(scene.free_space.clearance_at(start_pose[:3, 3])[0])
-        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.body_radius, clearance))
+        self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, clearance))
         frame = self._keyframe()
         self.frames = 1
         self._refresh()
@@ -157,12 +157,9 @@ class Reconstruction:
                 goal[:3, 3],
                 min_clearance=motion.min_clearance,
                 rng=self._planning_rng,
+                distances=self.distances,
             )
-            if path is None:
-                return None
-            poses = interpolate(path, self.pose, goal, motion)
-            blocked = first_blocked(self.volume, poses, motion.min_clearance)
-            return None if blocked is not None else poses
+            return None if path is None else interpolate(path, self.pose, goal, motion)
 
     def _walk(self, poses: np.ndarray) -> tuple[bool, list[Frame]]:
         """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached."""
@@ -177,7 +174,9 @@ class Reconstruction:
             if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
                 keyframes.append(self._keyframe())
                 with self._timed("planning"):
-                    blocked = first_blocked(self.volume, poses[index:end], self.config.motion.min_clearance)
+                    blocked = first_blocked(
+                        self.volume, poses[index:end], self.config.motion.min_clearance, start=self.pose
+                    )
                 end = end if blocked is None else index + blocked
         return index == len(poses), keyframes
 
@@ -185,7 +184,8 @@ class Reconstruction:
         with self._timed("sensor"):
             frame = self.sensor.capture(self.pose)
         with self._timed("volume"):
-            self.volume.integrate(frame)
+            sensor = self.config.sensor
+            self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with self._timed("mapping"):
             self.mapping_report = self.mapper.observe(frame)
         with self._timed("planes"):

@@ -88,9 +88,9 @@ def test_what_blocks_the_way_stops_the_agent_before_it(box: Scene, monkeypatch: 
     run = episode(box)
     calls = []
 
-    def blocked_two_frames_ahead(volume: object, poses: np.ndarray, clearance: float) -> int | None:
+    def blocked_two_frames_ahead(volume: object, poses: np.ndarray, clearance: float, start: np.ndarray) -> int | None:
         calls.append(len(poses))
-        return 2 if len(calls) == 2 and len(poses) > 2 else None  # the first call checks the plan itself
+        return 2 if len(calls) == 1 else None
 
     monkeypatch.setattr(conductor, "first_blocked", blocked_two_frames_ahead)
     turned = [rotation_angle(pose, run.pose) for pose in run.candidates.world_from_camera]

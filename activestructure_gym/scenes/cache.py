@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 # Part of every key: raise it when the meaning of any cached array changes.
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 
 
 def cache_directory() -> Path:

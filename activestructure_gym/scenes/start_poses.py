@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 START_POSES = 16  # per scene; episodes draw from them by seed
 MIN_START_POSES = 8  # limits are loosened until this many are found
 CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried or on a mast
-# Metres of clearance, the first that leaves enough places: the agent's body, then what paths must keep.
-_CLEARANCES = (0.45, 0.35, 0.25, 0.2)
+# Metres of clearance, the first that leaves enough places: what the agent may know to be free around its start
+# (MotionConfig.start_free_radius), less, then what paths must keep.
+_CLEARANCES = (0.6, 0.45, 0.35, 0.25, 0.2)
 _VIEW_RANGE = 6.0  # metres; open space beyond does not make a view better
 _HEADINGS = 72
 

@@ -34,8 +34,8 @@ def explore(caster, bounds, start, rng, *, frames, choose, noise=0.0):
     Returns the positions [T, 3] and the clearance that was stated for each when it was moved to.
     """
     volume, here = VoxelVolume(bounds), start
-    volume.mark_free_sphere(start[:3, 3], MOTION.body_radius)
-    positions, stated = [start[:3, 3]], [MOTION.body_radius]
+    volume.mark_free_sphere(start[:3, 3], 0.45)
+    positions, stated = [start[:3, 3]], [0.45]
 
     def look():
         rays = CAMERA.rays().reshape(-1, 3) @ here[:3, :3].T

@@ -93,7 +93,8 @@ def scene_label(spec: str, parts: int = 1) -> str:
     kind, path, options = _split_spec(spec)
     names = PurePath(path).with_suffix("").parts if "/" in path or "." in path else (path,)
     label = "/".join(names[-parts:]) or path or kind
-    return f"{label}?{options}" if options else label
+    short = "&".join(f"{key}={PurePath(value).name}" for key, value in _pairs(options))
+    return f"{label}?{short}" if short else label
 
 
 def scene_labels(specs: Iterable[str]) -> dict[str, str]:
@@ -111,8 +112,17 @@ def absolute_spec(spec: str) -> str:
     kind, path, options = _split_spec(spec)
     if not Path(path).expanduser().exists():
         return spec
-    path = str(Path(path).expanduser().resolve())
-    return (f"{kind}:" if kind else "") + path + (f"?{options}" if options else "")
+    places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
+    return (f"{kind}:" if kind else "") + _absolute(path) + (f"?{places}" if places else "")
+
+
+def _absolute(path: str) -> str:
+    place = Path(path).expanduser()
+    return str(place.resolve()) if place.exists() else path
+
+
+def _pairs(options: str) -> list[tuple[str, str]]:
+    return [(key, value) for key, _, value in (option.partition("=") for option in options.split("&") if option)]
 
 
 def _split_spec(spec: str) -> tuple[str, str, str]:

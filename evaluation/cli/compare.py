@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.comparison import Comparison, Result
 
 # What runs without any option: chosen to end within a minute on two cores from a cold start.
-DEMO = Compare(scenes=("room",), preset="default", frames=300, views=24)
+DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16)
 
 
 def compare(options: Compare) -> int:

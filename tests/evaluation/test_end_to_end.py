@@ -173,3 +173,17 @@ def test_every_executed_step_is_cast_against_the_true_mesh(place):
 
 def test_nothing_was_written_outside(place, finished):
     assert {path.name for path in Path(place).iterdir()} <= {"cache", "out", "third_party.py", "__pycache__"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["hotel_room.glb", "bookstore.glb", "replica_fixture/room_fix"])
+def test_real_scenes(shared, scene, tmp_path):
+    out = tmp_path / "out"
+    assert main(
+        ["compare", "--scenes", str(shared / "scenes" / scene), "--preset", "fast", "--frames", "60", "--views", "4",
+         "--engine", "inline", "--out", str(out)]
+    ) == 0  # fmt: skip
+    for run in open_comparison(out):
+        metrics = run.metrics["metrics"]
+        assert metrics["collisions"] == 0 and metrics["frames"] == 60
+        assert metrics["precision"] > 80 and metrics["completion_ratio"] > 1

@@ -69,6 +69,7 @@ def test_a_result_of_another_protocol_version_is_not_mixed_in():
         ("some/where/house.obj?units=cm", "house?units=cm"),
         ("replica:data/room_0", "room_0"),
         ("my_scene:cube_room?side=5", "cube_room?side=5"),
+        ("data/room_0?sequence=/somewhere/else/seq_0", "room_0?sequence=seq_0"),
     ],
 )
 def test_short_names_of_scenes(spec, label):
@@ -84,6 +85,7 @@ def test_files_are_found_from_any_directory(tmp_path, monkeypatch):
     (tmp_path / "house.obj").touch()
     monkeypatch.chdir(tmp_path)
     assert absolute_spec("house.obj?units=cm") == f"{tmp_path}/house.obj?units=cm"
+    assert absolute_spec("house.obj?sequence=./house.obj") == f"{tmp_path}/house.obj?sequence={tmp_path}/house.obj"
     assert absolute_spec("mesh:house.obj") == f"mesh:{tmp_path}/house.obj"
     assert absolute_spec("room?seed=1") == "room?seed=1"
 

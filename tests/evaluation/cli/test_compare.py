@@ -33,7 +33,7 @@ def test_without_options_it_is_the_demo(asked, capsys):
     assert main(["compare"]) == 0
     wanted, (_, directory, options) = asked
     assert (wanted.scenes, wanted.policies, wanted.seeds) == (("room",), ("random", "pixel_only"), (0,))
-    assert (wanted.preset, wanted.frame_budget, wanted.protocol.views) == ("default", 300, 24)
+    assert (wanted.preset, wanted.frame_budget, wanted.protocol.views) == ("default", 200, 16)
     assert directory.parts[0] == "runs" and options["engine"] == "local"
     assert "demo" in capsys.readouterr().out
 

@@ -11,7 +11,7 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 _COUNTS = ("seed_stride", "window", "overlap_pixels", "max_gaussians", "max_seed_stride")
 _POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon")
 _NOT_NEGATIVE = ("iterations", "psnr_refresh", "global_psnr", "in_front_factor", "in_front_floor",
-                 "image_weight", "depth_weight")  # fmt: skip
+                 "image_weight", "depth_weight", "alpha_weight")  # fmt: skip
 _SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
            "prune_opacity", "room_share")  # fmt: skip
 
@@ -45,6 +45,7 @@ class MapperConfig:
     image_weight: float = 0.5  # of the image term (SplaTAM)
     l1_share: float = 0.8  # of L1 in the image term; the rest is 1 - SSIM (3DGS)
     depth_weight: float = 1.0  # of the depth term; .3 favours appearance (ablation C8, C9)
+    alpha_weight: float = 0.1  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
     mean_rate: float = 2e-4  # metres per step in a room of scene radius 2 m (2 x SplaTAM: ablation C6)
     quaternion_rate: float = 2e-3  # per step (as above)
     log_scale_rate: float = 6e-3  # per step (measured; 2 x SplaTAM is 2e-3)

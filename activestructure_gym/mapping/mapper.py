@@ -56,7 +56,10 @@ class Mapper:
         self._largest_depth = 0.0  # metres
         self._refresh_next = 0
         self._weights = cpu.LossWeights(
-            image=config.image_weight, l1_share=config.l1_share, depth=config.depth_weight
+            image=config.image_weight,
+            l1_share=config.l1_share,
+            depth=config.depth_weight,
+            alpha=config.alpha_weight,
         )
 
     @property

@@ -29,15 +29,21 @@ class Rendering:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the mapping loss: image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D|."""
+    """Weights of the mapping loss.
+
+    image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean (1 - A)^2 over measured
+    pixels. Without the last term black surfaces become transparent: against the black background that is as good as
+    being black.
+    """
 
     image: float = 0.5  # of the colour terms
     l1_share: float = 0.8  # of L1 in the colour terms, the rest is SSIM
     depth: float = 1.0  # per metre
+    alpha: float = 0.0  # of the missing opacity where there is a depth
 
     def __post_init__(self) -> None:
-        if self.image < 0 or self.depth < 0:
-            raise ValueError(f"loss weights must not be negative, got image={self.image}, depth={self.depth}")
+        if self.image < 0 or self.depth < 0 or self.alpha < 0:
+            raise ValueError(f"loss weights must not be negative, got {self}")
         if not 0.0 <= self.l1_share <= 1.0:
             raise ValueError(f"l1_share must lie in [0, 1], got {self.l1_share}")
 
@@ -123,6 +129,7 @@ def mapping_step(
     color, depth, ssim = workspace.losses(
         target_rgb, target_depth,
         weights.image * weights.l1_share, weights.image * (1 - weights.l1_share), weights.depth,
+        weights.alpha,
     )  # fmt: skip
     workspace.backward(rates, used[1], used[2], used[0])
     for array, copy in zip(state, used):

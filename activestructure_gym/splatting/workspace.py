@@ -161,6 +161,7 @@ class Workspace:
         of_color: float,  # weight of the mean |colour difference|
         of_ssim: float,  # weight of 1 - SSIM
         of_depth: float,  # weight of the mean |depth error|
+        of_alpha: float = 0.0,  # weight of the mean squared missing opacity where there is a depth
     ) -> tuple[float, float, float]:
         """Mean colour difference, depth error and SSIM (nan if its weight is 0); fills the gradient images."""
         height, width = self.camera.height, self.camera.width
@@ -178,6 +179,10 @@ class Workspace:
         self.by_depth = self._buffer("by depth", height * width)
         self.by_alpha = self._buffer("by alpha", height * width)
         self._run(k.differentiate, self.grid, *images, factors, self.by_color, self.by_depth, self.by_alpha)
+        if of_alpha:
+            pixels = height * width
+            missing = (1.0 - self.alpha[:pixels]) * (target_depth[:pixels] > 0)
+            self.by_alpha[:pixels] -= np.float32(2.0 * of_alpha / pixels) * missing
         ssim = sums[k.TERM_SSIM] / values if of_ssim else float("nan")
         return sums[k.TERM_COLOR] / values, sums[k.TERM_DEPTH] / measured, ssim
 

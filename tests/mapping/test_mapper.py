@@ -61,6 +61,18 @@ def test_room_from_twelve_frames(room_frames, held_out_frames):
     )
 
 
+def test_black_walls_stay_opaque(room_frames):
+    """On the black background a transparent Gaussian looks like a black one; only the depth tells them apart."""
+    frame = room_frames[0]
+    black = Frame(np.zeros_like(frame.rgb), frame.depth, frame.world_from_camera, frame.camera)
+    mapper = _mapper()
+    mapper.observe(black)
+    mapper.map.parameters[11:14] += 0.05  # the little too bright that makes transparency attractive
+    mapper.refine(100)
+    alpha = mapper.render(black.camera, black.world_from_camera).alpha
+    assert (alpha > 0.5).mean() > 0.99
+
+
 def test_refinement_improves_the_keyframes_it_is_given(room_frames):
     mapper = _mapper()
     for frame in room_frames[:4]:

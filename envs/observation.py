@@ -13,10 +13,12 @@ from gymnasium import spaces
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
+    from activestructure_gym.motion import MotionConfig
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.sensors import Frame
+    from activestructure_gym.views import CandidateTable
 
-CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "revisit")
+CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
 FARTHEST_M = 1000.0  # bound of every position and length in the observation
 LARGEST_GAIN = 1e6  # bound of every gain
 
@@ -46,8 +48,8 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     height, width = config.sensor.height, config.sensor.width
     K, G, P, F = config.views.max_candidates, len(config.gains), max_planes, len(PLANE_FEATURES)
     far = FARTHEST_M
-    columns_low = np.array([-far, -far, -far, -1, -1, -1, 0, 0], np.float32)
-    columns_high = np.array([far, far, far, 1, 1, 1, far, 1], np.float32)
+    columns_low = np.array([-far, -far, -far, -1, -1, -1, 0, 0, 0], np.float32)
+    columns_high = np.array([far, far, far, 1, 1, 1, far, 10 * far, 1], np.float32)
     f32, u8, i8 = np.float32, np.uint8, np.int8
     return {
         "rgb": Key((height, width, 3), u8, 0, 255, "sRGB", "colour image of the last keyframe"),
@@ -80,8 +82,18 @@ def observation_table(config: ReconstructionConfig, max_planes: int) -> str:
     return "\n".join(rows)
 
 
+def least_frames(pose: np.ndarray, table: CandidateTable, motion: MotionConfig) -> np.ndarray:  # [n]
+    """Frames it takes to reach each candidate: its steps or its turns, whichever are more, and at least one."""
+    from activestructure_gym.geometry import rotation_angle
+
+    steps = table.path_length / motion.max_step_m
+    turns = np.degrees(rotation_angle(table.world_from_camera, pose)) / motion.max_turn_deg
+    return np.clip(np.ceil(np.maximum(steps, turns) - 1e-6), 1, 10 * FARTHEST_M)
+
+
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
     """The observation of the current state. Every array is new: nothing is shared with another observation."""
+    # Late imports: policies take names from this module without loading the world.
     from scipy.spatial.transform import Rotation
 
     from activestructure_gym.views import visible_planes
@@ -92,7 +104,8 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     candidates[:count, 0:3] = np.clip(table.world_from_camera[:, :3, 3], -FARTHEST_M, FARTHEST_M)
     candidates[:count, 3:6] = np.clip(table.world_from_camera[:, :3, 2], -1.0, 1.0)
     candidates[:count, 6] = np.minimum(table.path_length, FARTHEST_M)
-    candidates[:count, 7] = table.revisit
+    candidates[:count, 7] = least_frames(reconstruction.pose, table, config.motion)
+    candidates[:count, 8] = table.revisit
     gains = np.zeros((size, len(config.gains)), np.float32)
     gains[:count] = np.clip(reconstruction.gains, -LARGEST_GAIN, LARGEST_GAIN)
     mask = np.zeros(size, np.int8)

@@ -12,7 +12,7 @@ from activestructure_gym.registry import Registry
 
 Observation = dict[str, np.ndarray]
 
-PATH_LENGTH = CANDIDATE_FEATURES.index("path_length")
+FRAMES = CANDIDATE_FEATURES.index("frames")
 
 
 class Policy(ABC):
@@ -56,9 +56,13 @@ class Policy(ABC):
 POLICIES: Registry[type[Policy]] = Registry("policy", "policies")
 
 
-def travel_discount(observation: Observation, scale_m: float = 4.0) -> np.ndarray:  # [K] in (0, 1]
-    """g(T_c, T_cur) of Eq. 15 as exp(-path length / scale), shared by all policies (the paper leaves g open)."""
-    return np.exp(-observation["candidates"][:, PATH_LENGTH] / scale_m)
+def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.ndarray:  # [K] in (0, 1]
+    """g(T_c, T_cur) of Eq. 15 as 1 / (1 + frames / 5), shared by all policies: gain per frame paid.
+
+    The paper leaves g open. Frames count turns as well as steps, so turning on the spot is not free; 5 is the keyframe
+    interval. Measured against exp(-metres / 4) in docs/method.md.
+    """
+    return 1.0 / (1.0 + observation["candidates"][:, FRAMES] / scale_frames)
 
 
 def best_valid(scores: np.ndarray, observation: Observation) -> int:

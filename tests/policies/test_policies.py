@@ -65,13 +65,13 @@ def test_random_reaches_every_valid_row_and_no_other(rng: np.random.Generator) -
 def test_pixel_only_by_hand(rng: np.random.Generator) -> None:
     observed = observation(rng, rows=3, valid=3)
     observed["candidate_gains"][:, 0] = [0.5, 0.6, 0.9]
-    observed["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = [0.0, 1.0, 8.0]
-    # 0.5, 0.6 exp(-1/4) = 0.467, 0.9 exp(-2) = 0.122
+    observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [5.0, 10.0, 45.0]
+    # 0.5 / 2 = 0.25, 0.6 / 3 = 0.2, 0.9 / 10 = 0.09
     policy = PixelOnly()
     policy.reset(0)
     assert policy.act(observed) == 0
-    assert policy.trace() == {"pixel": pytest.approx(0.5), "travel": pytest.approx(1.0)}
-    observed["candidate_gains"][1, 0] = 0.7  # 0.545
+    assert policy.trace() == {"pixel": pytest.approx(0.5), "travel": pytest.approx(0.5)}
+    observed["candidate_gains"][1, 0] = 0.9  # 0.3
     assert policy.act(observed) == 1
     observed["candidate_gains"][:, 0] = 0.0  # everything covered: the nearest
     assert policy.act(observed) == 0
@@ -88,8 +88,8 @@ def test_gains_are_found_by_name_whatever_their_order(rng: np.random.Generator) 
 
 def test_travel_discount_and_best_valid(rng: np.random.Generator) -> None:
     observed = observation(rng, rows=3, valid=2)
-    observed["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = [0.0, 4.0, 0.0]
-    np.testing.assert_allclose(travel_discount(observed), [1.0, np.exp(-1), 1.0], rtol=1e-6)
+    observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [0.0, 5.0, 45.0]
+    np.testing.assert_allclose(travel_discount(observed), [1.0, 0.5, 0.1], rtol=1e-6)
     assert best_valid(np.array([1.0, 1.0, 5.0]), observed) == 0
 
 
@@ -102,7 +102,7 @@ def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator)
     try:
         policy = POLICIES.get("nearest_for_this_test")()
         observed = observation(rng)
-        lengths = observed["candidates"][:8, CANDIDATE_FEATURES.index("path_length")]
+        lengths = observed["candidates"][:8, CANDIDATE_FEATURES.index("frames")]
         assert policy.act(observed) == lengths.argmin()
     finally:
         del POLICIES._entries["nearest_for_this_test"]

@@ -60,7 +60,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `gains` | tuple of str | `("pixel",)` | gains to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
-    | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done |
+    | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done; None = never |
     | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
     | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | where every episode starts |
     | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side |
@@ -96,15 +96,15 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         gains: Sequence[str] | None = None,
         config: ReconstructionConfig | Mapping[str, Any] | None = None,
         reward: RewardConfig | Mapping[str, Any] | None = None,
-        coverage_target: float = 0.99,
+        coverage_target: float | None = 0.99,
         max_planes: int = 64,
         start_pose: Sequence[float] | np.ndarray | None = None,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode must be one of {self.metadata['render_modes']} or None, got {render_mode!r}")
-        if not 0 < coverage_target <= 1:
-            raise InputError(f"coverage_target is a share in (0, 1], got {coverage_target}")
+        if coverage_target is not None and not 0 < coverage_target <= 1:
+            raise InputError(f"coverage_target is a share in (0, 1] or None, got {coverage_target}")
         if max_planes < 1:
             raise InputError(f"max_planes must be at least 1, got {max_planes}")
         if not isinstance(config, ReconstructionConfig):
@@ -196,7 +196,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     @property
     def _covered(self) -> bool:
-        return self._coverage.share >= self.coverage_target
+        return self.coverage_target is not None and self._coverage.share >= self.coverage_target
 
     def _draw_scene(self) -> Scene:
         index = int(self.np_random.integers(len(self._scenes))) if len(self._scenes) > 1 else 0

@@ -107,7 +107,7 @@ def build(job: Job, scene: Scene) -> tuple[Policy, ReconstructionEnv]:
         frame_budget=job.frame_budget,
         gains=tuple(policy.required_gains),
         config=dict(job.overrides),
-        coverage_target=1.0,
+        coverage_target=None,
         start_pose=job.start_pose,
     )
     policy.bind(env.config.gains)

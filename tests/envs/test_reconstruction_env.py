@@ -84,6 +84,15 @@ def test_reaching_the_coverage_target_terminates(box_options: dict[str, Any]) ->
     assert not any(s[3]["is_success"] for s in steps[:-1])
 
 
+def test_without_a_target_no_ground_truth_ends_the_episode(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**{**box_options, "coverage_target": None})
+    _, info = env.reset(seed=0)
+    env._coverage.seen[:] = True
+    steps = step_until_end(env, info)
+    assert steps[-1][1:3] == (False, True)
+    assert not any(s[3]["is_success"] for s in steps)
+
+
 def test_rendering(box_options: dict[str, Any]) -> None:
     env = ReconstructionEnv(**box_options, render_mode="rgb_array")
     with pytest.raises(gym.error.ResetNeeded):

@@ -12,7 +12,6 @@ from activestructure_gym.splatting.cpu import (
     mapping_step,
     render,
     render_depth_alpha,
-    warm_up,
 )
 from activestructure_gym.splatting.ssim import ssim_and_gradient
 
@@ -25,5 +24,4 @@ __all__ = [
     "render",
     "render_depth_alpha",
     "ssim_and_gradient",
-    "warm_up",
 ]

@@ -31,9 +31,9 @@ class Rendering:
 class LossWeights:
     """Weights of the mapping loss.
 
-    image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean (1 - A)^2 over measured
-    pixels. Without the last term black surfaces become transparent: against the black background that is as good as
-    being black.
+    image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean over all pixels of
+    (1 - A)^2 where there is a depth, else 0. Without the last term black surfaces become transparent: against the black
+    background that is as good as being black.
     """
 
     image: float = 0.5  # of the colour terms
@@ -136,22 +136,6 @@ def mapping_step(
         if copy is not array:
             array[:] = copy[:, : array.shape[1]]
     return StepLosses(color, depth, ssim)
-
-
-def warm_up() -> None:
-    """Compile every kernel with a scene of one Gaussian: 10 to 20 s the first time on a machine, then below 1 s.
-
-    The caller tells the user that something takes a while; without this call the first rendering does the same.
-    """
-    camera = PinholeCamera.from_size(8, 8)
-    parameters = np.zeros((kernels.ROWS, kernels.LANES), np.float32)
-    parameters[[2, 3]] = 1.0
-    moments = np.zeros((2, *parameters.shape), np.float32)
-    mapping_step(
-        parameters, moments[0], moments[1], 1, camera, np.eye(4), np.ones((8, 8, 3), np.float32),
-        np.ones((8, 8), np.float32), LossWeights(), np.zeros(kernels.ROWS, np.float32), threads=1,
-    )  # fmt: skip
-    render_depth_alpha(parameters, 1, camera, np.eye(4)[None], threads=1)
 
 
 def _check(parameters: np.ndarray, count: int) -> None:

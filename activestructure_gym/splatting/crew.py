@@ -82,6 +82,7 @@ class Crew:
         if threads <= 1 or not self._busy.acquire(blocking=False):
             kernel(*arguments)
             return
+        consistent = False
         try:
             while len(self._workers) < threads - 1:
                 self._workers.append(_Worker())
@@ -97,11 +98,14 @@ class Crew:
                 called = [worker for worker in called if not worker.start.acquire(blocking=False)]
                 for worker in called:
                     worker.done.acquire()
+                consistent = True
             for worker in called:
                 error, worker.error = worker.error, None
                 if error is not None:
                     raise error
         finally:
+            if not consistent:  # Ctrl-C between the locks: who knows which are held; the next call gets new workers
+                self._workers = []
             self._busy.release()
 
 

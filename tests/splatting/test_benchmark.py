@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha, warm_up
+from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha
 from activestructure_gym.splatting.benchmark import make_workload, run_splatting_benchmark
 
 
@@ -51,8 +51,14 @@ def test_rows_of_the_benchmark():
 
 def test_one_compiled_version_of_every_kernel():
     # A second signature (read-only or strided input that slipped through) would cost seconds in the middle of a run.
-    warm_up()
     work = make_workload("W1")
+    moments, target = np.zeros((2, *work.parameters.shape), np.float32), work.target_rgb.copy()
+    target.flags.writeable = False
+    mapping_step(
+        work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth, LossWeights(),
+        np.zeros(14, np.float32),
+    )  # fmt: skip
+    render_depth_alpha(work.parameters, work.count, work.camera, work.poses[:1])
     frozen = work.parameters[:, :100].copy()
     frozen.flags.writeable = False
     render(frozen, 100, work.camera, work.poses[0])

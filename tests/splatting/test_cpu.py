@@ -69,7 +69,7 @@ def ssim_torch(x, y):
 @pytest.mark.parametrize("kind", ["random", "border", "flat", "clamped"])
 def test_mapping_step_is_autograd_plus_visible_only_adam(kind, splats_of):
     splats = splats_of(kind, seed=2)
-    count, weights = splats.means.shape[0], LossWeights(image=0.7, l1_share=0.6, depth=0.4)
+    count, weights = splats.means.shape[0], LossWeights(image=0.7, l1_share=0.6, depth=0.4, alpha=0.3)
     target, target_depth = _targets(splats)
     color, depth, alpha = rasterize_reference(*splats.tensors, splats.camera_from_world, splats.camera)
     y, d = torch.tensor(target, dtype=torch.float64), torch.tensor(target_depth, dtype=torch.float64)
@@ -77,6 +77,7 @@ def test_mapping_step_is_autograd_plus_visible_only_adam(kind, splats_of):
     mask = (d > 0) & (alpha.detach() > 0.5)
     depth_error = (depth[mask] / alpha[mask] - d[mask]).abs().mean()
     loss = weights.image * (weights.l1_share * l1 + (1 - weights.l1_share) * (1 - ssim)) + weights.depth * depth_error
+    loss = loss + weights.alpha * ((1 - alpha) ** 2 * (d > 0)).mean()
     gradients = torch.autograd.grad(loss, splats.tensors, retain_graph=True)
     gradient = torch.cat([g if g.dim() > 1 else g[:, None] for g in gradients], dim=1).T.numpy()
     (weight_sums,) = torch.autograd.grad(color[..., 0].sum(), splats.colors)

@@ -66,6 +66,25 @@ def test_a_worker_that_has_not_woken_up_is_not_waited_for():
     assert _calls_of_two(crew) == 2
 
 
+def test_an_interrupt_while_waiting_does_not_reach_the_next_call():
+    # A lock left held or released by Ctrl-C would let a later call return before its workers have finished.
+    crew = Crew()
+    assert _calls_of_two(crew) == 2
+    worker = crew._workers[0]
+
+    class Interrupted:
+        def acquire(self):
+            raise KeyboardInterrupt
+
+        def release(self):
+            pass
+
+    worker.done = Interrupted()
+    with pytest.raises(KeyboardInterrupt):
+        _calls_of_two(crew)
+    assert _calls_of_two(crew) == 2 and worker not in crew._workers
+
+
 def test_a_second_caller_works_alone():
     crew, inside, leave = Crew(), threading.Event(), threading.Event()
 

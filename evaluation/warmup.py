@@ -56,8 +56,11 @@ def _start(part: str, job: str) -> subprocess.Popen[str]:
         start_new_session=True,  # Ctrl-C reaches it through us
     )
     assert process.stdin is not None
-    process.stdin.write(job + "\n")
-    process.stdin.close()
+    try:
+        process.stdin.write(job + "\n")
+        process.stdin.close()
+    except BrokenPipeError:
+        pass  # it died at once
     return process
 
 
@@ -124,7 +127,7 @@ def compile_world() -> None:
         volume.integrate(frame)
         planes.update(frame)
     path_lengths(volume, poses[0, :3, 3], min_clearance=0.2).at(poses[:, :3, 3])
-    first_blocked(volume, poses, 0.2)
+    first_blocked(volume, poses[1:], 0.2, start=poses[0])
     plan_around_a_corner()
 
 

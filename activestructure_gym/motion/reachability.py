@@ -11,7 +11,7 @@ from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import bounding_box, segment_above
 
-# Live buckets of the queue: steps are at most sqrt(3) voxels long, seeds at most a diagonal of ESCAPE_REACH apart.
+# Live buckets of the queue: steps are at most sqrt(3) voxels long, and so far apart are the seeds' lengths at most.
 _BUCKETS = 16
 
 

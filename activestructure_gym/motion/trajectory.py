@@ -93,27 +93,19 @@ def first_blocked(
     poses: np.ndarray,  # [T, 4, 4] world_from_camera: what is still to be executed
     min_clearance: float,  # metres
     *,
-    start: np.ndarray | None = None,  # [4, 4] where the agent is now
+    start: np.ndarray,  # [4, 4] where the agent is now
 ) -> int | None:
     """Index of the first pose that can no longer be moved to, after the volume has learned more; None if all can.
 
-    Execute ``poses[:index]`` and plan anew from there. With ``start`` the way to the first pose is checked too, turning
-    on the spot is never blocked, and an agent that finds itself in a tight place may leave it (`first_blocked_edge`).
-    Without, every pose must keep the clearance.
+    Execute ``poses[:index]`` and plan anew from there. Turning on the spot is never blocked, and an agent that finds
+    itself in a tight place may leave it (`first_blocked_edge`).
 
     What a path may lose between its samples (0.43 voxels) is allowed for: frames sample it elsewhere, and a path that
     was planned on this very volume is never blocked.
     """
-    min_clearance = min_clearance - SAMPLING_DIP * volume.voxel_size
-    positions = np.asarray(poses)[:, :3, 3]
-    if not len(positions):
-        return None
-    if start is not None:
-        return first_blocked_edge(volume, np.vstack([start[None, :3, 3], positions]), min_clearance=min_clearance)
-    if volume.clearance_at(positions[:1])[0] < min_clearance:
-        return 0
-    edge = first_blocked_edge(volume, positions, min_clearance=min_clearance)
-    return None if edge is None else edge + 1  # edge n leads to pose n + 1
+    positions = np.vstack([start[None, :3, 3], np.asarray(poses)[:, :3, 3]])
+    # Edge n of these positions leads to pose n.
+    return first_blocked_edge(volume, positions, min_clearance=min_clearance - SAMPLING_DIP * volume.voxel_size)
 
 
 def yaw_pitch(

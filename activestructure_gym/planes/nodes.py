@@ -37,11 +37,6 @@ class PlaneNode:
         return self.keyframes.bit_count()
 
     @property
-    def last_keyframe(self) -> int:
-        """Index of the newest keyframe that showed the plane."""
-        return self.keyframes.bit_length() - 1
-
-    @property
     def area(self) -> float:
         """a_i in square metres."""
         return self.surface.area

@@ -98,7 +98,6 @@ class VoxelVolume:
         self._images = 0
         self._last_view: np.ndarray | None = None
         self._clearance: np.ndarray | None = None
-        self._occupied_distance: np.ndarray | None = None
 
     # -- updates --------------------------------------------------------------------------------------------------
 
@@ -181,7 +180,7 @@ class VoxelVolume:
         return lower.astype(np.int64), upper.astype(np.int64)
 
     def _changed(self) -> None:
-        self._clearance = self._occupied_distance = None
+        self._clearance = None
 
     # -- the grid -------------------------------------------------------------------------------------------------
 
@@ -212,17 +211,6 @@ class VoxelVolume:
         """Share of the grid's voxels that are free or occupied."""
         return float(np.count_nonzero(self.state)) / self.state.size
 
-    @property
-    def frontier_mask(self) -> np.ndarray:  # [X, Y, Z] bool
-        """Free voxels that touch an unknown one with a face."""
-        unknown = self.state == UNKNOWN
-        beside = np.zeros(self.shape, dtype=bool)
-        for axis in range(3):
-            here, there = np.moveaxis(beside, axis, 0), np.moveaxis(unknown, axis, 0)
-            here[:-1] |= there[1:]
-            here[1:] |= there[:-1]
-        return beside & (self.state == FREE)
-
     # -- distances ------------------------------------------------------------------------------------------------
 
     @property
@@ -250,14 +238,6 @@ class VoxelVolume:
                 self._clearance[box] = voxels * np.float32(self.voxel_size)
         return self._clearance
 
-    @property
-    def occupied_distance(self) -> np.ndarray:  # [X, Y, Z] float32 metres, inf while nothing is occupied
-        """Distance from each voxel's centre to the nearest occupied voxel; unknown space counts as empty."""
-        if self._occupied_distance is None:
-            voxels = distance_field.distance_to_cubes(self.state == OCCUPIED)
-            self._occupied_distance = voxels * np.float32(self.voxel_size)
-        return self._occupied_distance
-
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
         """Clearance interpolated between voxel centres; 0 beyond the grid. Within an eighth of a voxel of the exact
         distance beside a wall."""
@@ -282,14 +262,12 @@ class VoxelVolume:
         self,
         starts: np.ndarray,  # [N, 3] metres, or [3] for all
         ends: np.ndarray,  # [N, 3], or [3]
-        *,
-        spare: float | None = None,  # metres before the end that may be occupied (the surface looked at); 2 voxels
-        through_unknown: bool = True,
     ) -> np.ndarray:  # [N] bool
-        """Whether one can see from start to end as far as is known: no occupied voxel on the way."""
+        """Whether one can see from start to end as far as is known: no occupied voxel on the way.
+
+        The last two voxels before the end may be occupied: they hold the surface that is looked at.
+        """
         starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
-        blocking = self.state == OCCUPIED if through_unknown else self.state != FREE
-        spared = 2.0 if spare is None else spare / self.voxel_size
         return distance_field.sight_lines(
-            blocking, self._grid_coordinates(starts) + 0.5, self._grid_coordinates(ends) + 0.5, spared
+            self.state == OCCUPIED, self._grid_coordinates(starts) + 0.5, self._grid_coordinates(ends) + 0.5, 2.0
         )

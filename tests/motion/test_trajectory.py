@@ -111,15 +111,13 @@ def test_newly_seen_obstacle_blocks_the_rest_of_the_way():
     start, goal = look_along(path[0], np.array([1.0, 0, 0])), look_along(path[1], np.array([1.0, 0, 0]))
     frames = interpolate(path, start, goal, CONFIG)
     assert first_blocked(volume, frames, 0.2, start=start) is None
-    assert first_blocked(volume, frames, 0.2) is None
-    assert first_blocked(volume, frames[:0], 0.2) is None
+    assert first_blocked(volume, frames[:0], 0.2, start=start) is None
     volume.state[tuple(volume.voxel_of(np.array([4.05, 1.5, 1.2])))] = OCCUPIED
     volume._changed()
     stop = first_blocked(volume, frames, 0.2, start=start)
     # The voxel spans x = 4.0 to 4.1: the last good frame keeps 0.2 m to it, up to the sampling of half a voxel.
-    assert stop is not None and stop == first_blocked(volume, frames, 0.2)
+    assert stop is not None
     assert 4.0 - 0.2 - 0.1 < frames[stop - 1][0, 3] <= 4.0 - 0.2 + 1e-6
     assert first_blocked(volume, frames[stop:], 0.2, start=frames[stop - 1]) == 0
-    assert first_blocked(volume, frames[stop:], 0.2) == 0
     turning = np.stack([look_along(frames[stop - 1][:3, 3], np.array([1.0, 0.1 * n, 0])) for n in range(5)])
     assert first_blocked(volume, turning, 0.2, start=frames[stop - 1]) is None

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """A mapping from name to object of one kind (``kind`` is the plural used for the entry-point group)."""
+    """A mapping from name to object of one ``kind``; ``plural`` names the group of entry points."""
 
     def __init__(self, kind: str, plural: str) -> None:
         self.kind = kind
@@ -54,8 +54,10 @@ class Registry(Generic[T]):
     def _import(self, path: str) -> T:
         module_name, _, attribute = path.partition(":")
         try:
-            return getattr(importlib.import_module(module_name), attribute)
+            module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:
             raise InputError(f"{self.kind} '{path}': there is no module called '{error.name}' on sys.path") from error
+        try:  # apart from the import: an AttributeError inside the module is its author's to see
+            return getattr(module, attribute)
         except AttributeError as error:
             raise InputError(f"{self.kind} '{path}': module '{module_name}' has no '{attribute}'") from error

@@ -39,3 +39,10 @@ def test_a_wrong_name_gets_one_sentence(name: str, message: str) -> None:
     with pytest.raises(InputError) as error:
         things.get(name)
     assert str(error.value) == message
+
+
+def test_an_error_inside_a_plug_in_stays_what_it_is(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "asg_broken_plug_in.py").write_text("import math\nmath.tau_and_a_half\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(AttributeError, match="tau_and_a_half"):
+        Registry("thing", "things").get("asg_broken_plug_in:x")

@@ -137,10 +137,10 @@ class GaussianMap:
                 content = {name: file[name] for name in file.files}
         except FileNotFoundError:
             raise InputError(f"expected a saved Gaussian map, but there is no file '{path}'") from None
-        except (OSError, ValueError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:  # TypeError: a lone .npy
             raise InputError(f"'{path}' is not a Gaussian map saved as npz ({error})") from error
         version = content.get("format_version")
-        if version is None or version.shape != () or int(version) != _FORMAT_VERSION:
+        if version is None or version.shape != () or version != _FORMAT_VERSION:
             raise InputError(
                 f"'{path}' has the map format {version}, this version reads format {_FORMAT_VERSION}; "
                 "save the map again or export it as PLY"
@@ -149,6 +149,9 @@ class GaussianMap:
         shapes = [None if block is None else block.shape for block in blocks]
         if shapes[0] is None or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != ROWS:
             raise InputError(f"'{path}' should hold three arrays of one shape (14, n), but their shapes are {shapes}")
+        types = [content[name].dtype for name in ("parameters", "first_moment", "second_moment")]
+        if any(dtype.kind != "f" for dtype in types):
+            raise InputError(f"'{path}' should hold three arrays of floats, but their types are {types}")
         loaded = cls(shapes[0][1])
         loaded.append(content["parameters"])
         loaded.first_moment[:, : loaded.count] = content["first_moment"]

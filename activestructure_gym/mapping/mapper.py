@@ -13,7 +13,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
-from activestructure_gym.mapping.gaussian_map import LOG_SCALE, GaussianMap
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
@@ -199,7 +199,7 @@ class Mapper:
 
     def _drop_weakest(self, number: int) -> int:
         """Remove the ``number`` Gaussians with the smallest opacity (of equal ones the older go)."""
-        logits = self.map.parameters[10, : self.map.count]
+        logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
         mask = np.ones(self.map.count, dtype=bool)
         mask[np.argsort(logits, kind="stable")[:number]] = False
         return self.map.keep(mask)
@@ -250,7 +250,7 @@ class Mapper:
         # At coarse resolution the seeds themselves can be larger than the scene's share; they must survive.
         limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
         with np.errstate(divide="ignore", invalid="ignore"):
-            keep = live[10] >= np.log(threshold) - np.log1p(-threshold)
+            keep = live[OPACITY_LOGIT] >= np.log(threshold) - np.log1p(-threshold)
             keep &= live[LOG_SCALE].max(axis=0) <= np.log(limit)
             keep &= np.isfinite(live.sum(axis=0))
         return self.map.keep(keep)

@@ -116,9 +116,27 @@ def _damage_empty(path):
     path.write_bytes(b"")
 
 
+def _damage_archive(path):
+    with open(path, "wb") as file:
+        np.save(file, np.zeros((14, 1), np.float32))
+
+
+def _damage_type(path):
+    arrays = dict.fromkeys(("parameters", "first_moment", "second_moment"), np.full((14, 1), "x"))
+    np.savez(path, format_version=np.int64(1), **arrays)
+
+
+def _damage_version_type(path):
+    np.savez(path, format_version=np.array("one"), parameters=np.zeros((14, 1), np.float32))
+
+
 @pytest.mark.parametrize(
-    "damage", [_damage_version, _damage_shape, _damage_pickle, _damage_bytes, _damage_empty, lambda path: None]
-)
+    "damage",
+    [
+        _damage_version, _damage_version_type, _damage_shape, _damage_type, _damage_pickle, _damage_archive,
+        _damage_bytes, _damage_empty, lambda path: None,
+    ],
+)  # fmt: skip
 def test_files_that_are_no_maps_are_refused(tmp_path, damage):
     damage(tmp_path / "map.npz")
     with pytest.raises(InputError, match=r"map\.npz"):

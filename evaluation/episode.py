@@ -262,11 +262,15 @@ def _write_record(
     with open(part / "steps.jsonl", "w", encoding="utf-8") as file:
         file.writelines(store.json_line(step) for step in episode.steps)
     with open(part / "trajectory.npz", "wb") as file:
-        np.savez(
-            file,
-            world_from_camera=np.stack(reconstruction.trajectory),
-            keyframes=np.array(reconstruction.keyframe_indices, dtype=np.int64),
-        )
+        np.savez(file, **_path_arrays(reconstruction))  # type: ignore[arg-type]
+
+
+def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
+    """Every executed pose [T, 4, 4], and which of them were keyframes [K]."""
+    return {
+        "world_from_camera": np.stack(reconstruction.trajectory),
+        "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),
+    }
 
 
 def _write_pictures(
@@ -277,9 +281,5 @@ def _write_pictures(
     arrays = picture_arrays(job.protocol, truth, reconstruction, [view["psnr"] for view in metrics["views"]])
     with open(part / "pictures.npz", "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    trajectory = {
-        "world_from_camera": np.stack(reconstruction.trajectory),
-        "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),
-    }
     run_views(arrays, title=job.title).save(part / "views.png")
-    run_plan(arrays, trajectory, title=job.title).save(part / "plan.png")
+    run_plan(arrays, _path_arrays(reconstruction), title=job.title).save(part / "plan.png")

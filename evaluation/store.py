@@ -6,7 +6,7 @@ A comparison's directory::
     jobs/<job name>/             one per finished job
         .done                    the job's hash; what has no such file is not a result
         config.json              job, protocol, resolved configuration, scene, versions
-        metrics.json             the numbers and the convergence curve; the same on every machine
+        metrics.json             the numbers and the convergence curve; no clock in it
         timing.json              wall-clock seconds by stage, and the machine
         steps.jsonl              one line per decision
         trajectory.npz           every executed pose, keyframe indices
@@ -63,7 +63,7 @@ class Run:
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
-        """What the pictures were drawn from; see `episode.picture_arrays`."""
+        """What the pictures were drawn from; see `report.pictures.picture_arrays`."""
         return load_arrays(self.directory / "pictures.npz")
 
 

@@ -43,8 +43,10 @@ def free_space_views(
     """``count`` views drawn uniformly in the scene's free space, the same ones for every run on this scene.
 
     The first n of them do not depend on ``count``. Rendered once and cached by the scene's content. Raises
-    `InputError` where the scene has no free space.
+    `InputError` where the scene has no free space, and for more than 1024 views.
     """
+    if count > _POSES_DRAWN:
+        raise InputError(f"at most {_POSES_DRAWN} held-out views can be drawn, got {count}")
     key = f"views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{count}-{camera}-{supersample}"
     arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(scene, count), camera, supersample))
     return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])

@@ -112,9 +112,10 @@ def _listen(name: str, process: subprocess.Popen[str], messages: queue.SimpleQue
 
 def _tell(listener: Listener, job: Job, line: str) -> None:
     try:
-        listener.progress(job, Progress(**json.loads(line)))
+        progress = Progress(**json.loads(line))
     except (json.JSONDecodeError, TypeError):
-        pass  # a line torn by a dying worker
+        return  # a line torn by a dying worker
+    listener.progress(job, progress)
 
 
 def _finish(worker: _Worker, directory: Path) -> Outcome:

@@ -31,6 +31,11 @@ def test_views_stand_free_and_look_neither_up_nor_down(box):
     assert seen.rgb.std() > 10  # something is to be seen
 
 
+def test_more_views_than_are_ever_drawn_are_refused(box):
+    with pytest.raises(InputError, match="at most 1024"):
+        views.free_space_views(box, count=1025, camera=CAMERA)
+
+
 def test_fewer_views_are_the_first_of_more(box):
     few = views.free_space_views(box, count=3, camera=CAMERA, supersample=1)
     many = views.free_space_views(box, count=5, camera=CAMERA, supersample=1)

@@ -74,6 +74,8 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
     if not isinstance(spec, str):
         return _build("", *_file_factory(Path(spec)), options)
     target, text_options = _split_options(spec)
+    if not target.strip() or target in (f"{name}:" for name in SCENES):
+        raise InputError(f"a scene is a name, a mesh file or a folder, got '{spec}'; `asg scenes` lists the names")
     kind, colon, rest = target.partition(":")
     if colon and kind in SCENES and _reads_files(SCENES.get(kind)):
         return _build(kind, SCENES.get(kind), rest, {**text_options, **options})
@@ -90,9 +92,12 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
 
 
 def _split_options(spec: str) -> tuple[str, dict[str, str]]:
-    if "?" not in spec or Path(spec).exists():
+    if "?" not in spec or Path(spec).expanduser().exists():
         return spec, {}
-    target, _, query = spec.partition("?")
+    # The name of a file may hold a question mark too: the options stand behind the last one.
+    target, _, query = spec.rpartition("?")
+    if not Path(target).expanduser().exists():
+        target, _, query = spec.partition("?")
     try:
         return target, dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
     except ValueError as error:
@@ -108,6 +113,10 @@ def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
     if path.is_dir():
         meshes = sorted(file for file in path.iterdir() if file.suffix.lower() in MESH_SUFFIXES)
         if len(meshes) != 1:
+            inner = sorted(folder for folder in path.iterdir() if is_replica(folder) or is_matterport3d(folder))
+            if inner and not meshes:
+                shown = ", ".join(str(folder) for folder in inner[:5])
+                raise InputError(f"'{path}' is a folder of scenes; give one of them: {shown}")
             found = f"it holds {', '.join(m.name for m in meshes[:5])}" if meshes else "it holds no mesh file"
             raise InputError(f"'{path}' is a folder of no known scene layout, and {found}; name the mesh file")
         return load_mesh_scene, str(meshes[0])

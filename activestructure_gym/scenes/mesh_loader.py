@@ -62,9 +62,12 @@ def load_mesh_scene(
     from activestructure_gym.scenes.mesh_parts import TextureStore, assemble
 
     path = check_mesh_file(path)
+    if max_texture < 1:
+        raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")
     textures = TextureStore(max_texture)
     parts, declared_scale, declared_up = _read(path, textures)
     scale = declared_scale if units is None else _metres_per_unit(units)
+    assumed = up is None and path.suffix.lower() in (".glb", ".gltf")
     up = declared_up if up is None else up
     if up not in _WORLD_FROM_FILE:
         raise unknown_name("up axis", str(up), _WORLD_FROM_FILE)
@@ -72,7 +75,10 @@ def load_mesh_scene(
     mesh = assemble(parts, textures.images)
     rotation = np.asarray(_WORLD_FROM_FILE[up], dtype=np.float64)
     mesh = replace(mesh, vertices=(mesh.vertices.astype(np.float64) @ rotation.T * scale).astype(np.float32))
-    return finished_scene(mesh, path, name=name or path.stem, notes=texture_notes(textures), scale=scale)
+    notes = texture_notes(textures)
+    if assumed:
+        notes.append("z is taken as up, as scanned scenes have it; glTF of modelling tools is y-up: give up=y there")
+    return finished_scene(mesh, path, name=name or path.stem, notes=notes, scale=scale)
 
 
 def check_mesh_file(path: str | os.PathLike[str]) -> Path:
@@ -109,6 +115,8 @@ def finished_scene(
     notes = list(notes)
     if dropped:
         notes.append(f"{dropped} triangles without area were dropped")
+    if not mesh.textures and not np.ptp(mesh.colors, axis=0).any():
+        notes.append("the mesh has one colour only: images of it are flat, and PSNR and SSIM say little")
     return replace(scene, notes=(scale_note(scene, scale), *notes))
 
 
@@ -204,7 +212,10 @@ def scale_note(scene: Scene, scale: float = 1.0) -> str:
     low, high = scene.bounds
     size = " x ".join(f"{side:.2f}" for side in high - low)
     height = ceiling_height(scene)
-    if high[2] - low[2] > 1.5 * (high - low)[:2].min():
+    shorter, (lowest, highest) = float((high - low)[:2].min()), _PLAUSIBLE_CEILING
+    # A corridor or a closet is higher than wide; it lies on its side only if that width could be a height.
+    narrow = height is not None and lowest <= height <= highest and shorter < lowest
+    if high[2] - low[2] > 1.5 * shorter and not narrow:
         side = "its height is not its shortest side; if the scene lies on its side, try up=y"
         return f"{size} m (x, y, z): {side}"
     if height is None:

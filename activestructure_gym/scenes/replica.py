@@ -44,6 +44,8 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
         InputError: nothing of the kind is there, or a file is broken.
     """
     path = Path(path).expanduser()
+    if path.name in ("", ".."):  # "." has a name too
+        path = Path(os.path.abspath(path))
     mesh_file, root = _mesh_file(path)
     if (path / "traj.txt").is_file() and sequence is None:
         sequence = path
@@ -207,4 +209,3 @@ def _labels(info_file: Path, object_ids: np.ndarray) -> PartLabels:
         names=tuple(f"{names.get(int(i), 'object')} {i}" for i in ids),
         structural=np.array([names.get(int(i)) in STRUCTURAL_CLASSES for i in ids], dtype=bool),
     )
-

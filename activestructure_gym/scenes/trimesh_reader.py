@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,16 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
     """All triangles of the file; quads and polygons are split, colours and textures kept."""
     import trimesh
 
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what matters of it is said by the loader
+    source: Any = str(path)
+    if path.suffix.lower() == ".obj":
+        source = io.StringIO(_obj_text(path.read_bytes()))
+    elif path.suffix.lower() == ".stl":
+        _check_stl(path.read_bytes())
     with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
-        scene = trimesh.load_scene(str(path), process=False, resolver=_resolver(path, textures))
+        scene = trimesh.load_scene(
+            source, file_type=path.suffix[1:].lower(), process=False, resolver=_resolver(path, textures)
+        )
     parts = []
     for node in scene.graph.nodes_geometry:
         world_from_node, name = scene.graph[node]
@@ -25,6 +35,28 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
     return parts
 
 
+def _decoded(data: bytes) -> str:
+    """Text in UTF-8, or in Latin-1 as older exporters write names; trimesh needs one more package for that."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _obj_text(data: bytes) -> str:
+    if b"\0" in data:
+        raise ValueError("it is a binary file and no OBJ text; is the suffix right?")
+    return _decoded(data)
+
+
+def _check_stl(data: bytes) -> None:
+    """A binary STL has the length that its count of triangles says; anything else has to be text."""
+    expected = 84 + 50 * int.from_bytes(data[80:84], "little")
+    if len(data) < 84 or len(data) == expected or b"\0" not in data:
+        return
+    raise ValueError(f"it is neither text nor a whole binary STL ({len(data)} bytes where its header says {expected})")
+
+
 def _resolver(path: Path, textures: TextureStore) -> Any:
     """Finds what the file refers to wherever that lies; trimesh's own stops at the mesh's folder and keeps silent."""
     from trimesh.resolvers import FilePathResolver
@@ -32,7 +64,8 @@ def _resolver(path: Path, textures: TextureStore) -> Any:
     class AnywhereResolver(FilePathResolver):
         def get(self, name: str) -> bytes:
             try:
-                return find_reference(path.parent, name).read_bytes()
+                data = find_reference(path.parent, name).read_bytes()
+                return _decoded(data).encode() if name.lower().endswith(".mtl") else data
             except OSError:
                 textures.unreadable.append(name)
                 raise

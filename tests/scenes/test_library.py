@@ -41,6 +41,10 @@ def test_a_registered_scene_with_typed_options(hut):
         ("hut?seed=two", "option seed of scene 'hut' must be int, got 'two'"),
         ("hut?roof=maybe", "must be bool, got 'maybe'"),
         ("hut?size=1", "must be 2 values with commas, got '1'"),
+        ("", "a scene is a name, a mesh file or a folder, got ''"),
+        ("replica:", "got 'replica:'"),
+        ("mesh:?up=y", "got 'mesh:?up=y'"),
+        (":", "neither a known name nor of the form package.module:Name"),
         ("hut?width", "not of the form key=value"),
         ("no_module_here:make", "no module called 'no_module_here'"),
         ("gone.glb", "there is no mesh file 'gone.glb'"),
@@ -107,6 +111,7 @@ def test_a_folder_with_one_mesh_is_that_mesh(mesh_file):
 def test_a_file_name_with_a_question_mark(mesh_file):
     odd = mesh_file.rename(mesh_file.with_name("what?units=cm.ply"))
     assert load_scene(str(odd), units="mm").bounds[1, 0] == pytest.approx(4.0)
+    assert load_scene(f"{odd}?units=mm&up=y").bounds[1, 0] == pytest.approx(4.0)
 
 
 def test_replica_and_matterport_are_recognised(replica_folder, tmp_path, gltf, make_box):
@@ -121,6 +126,18 @@ def test_replica_and_matterport_are_recognised(replica_folder, tmp_path, gltf, m
     gltf.write(folder / "abc.glb")
     for spec in (f"{folder}", f"matterport3d:{folder}", f"matterport3d:{folder}/abc.glb", f"{folder}/abc.glb"):
         assert load_scene(spec).name == "abc"
+    with pytest.raises(InputError, match="is a folder of scenes; give one of them: .*abc"):
+        load_scene(str(folder.parent))
+
+
+def test_the_folder_one_stands_in(replica_folder, monkeypatch):
+    monkeypatch.chdir(replica_folder / "room_a")
+    assert load_scene(".").name == load_scene("replica:.").name == "room_a"
+    monkeypatch.chdir("habitat")
+    assert load_scene("replica:..").name == "room_a"
+    monkeypatch.chdir(replica_folder / "seq")
+    with pytest.raises(InputError, match="is no Replica scene"):
+        load_scene("replica:.")
 
 
 def test_a_loaded_scene_passes_through(furnished_room):

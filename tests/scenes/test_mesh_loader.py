@@ -44,7 +44,11 @@ def test_every_format_gives_the_same_room(write_box, suffix):
     scene = load_mesh_scene(write_box(suffix))
     np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [4, 3, 2.5]], atol=1e-6)
     assert len(scene.mesh.faces) == 12 and scene.name == "room" and scene.source.endswith(suffix)
-    assert scene.notes == ("4.00 x 3.00 x 2.50 m (x, y, z), ceiling height 2.50 m: plausible",)
+    assert scene.notes[0] == "4.00 x 3.00 x 2.50 m (x, y, z), ceiling height 2.50 m: plausible"
+    # What the user has to know to trust a picture of it: only glTF leaves open which axis is up.
+    assert any("y-up" in note for note in scene.notes) == (suffix in (".glb", ".gltf"))
+    assert not any("y-up" in note for note in load_mesh_scene(scene.source, up="z").notes)
+    assert any("one colour only" in note for note in scene.notes)
     mesh = scene.mesh
     assert (mesh.vertices.dtype, mesh.faces.dtype, mesh.colors.dtype) == (np.float32, np.int32, np.float32)
     assert len(mesh.colors) == len(mesh.uv) == len(mesh.vertices) and len(mesh.face_texture) == len(mesh.faces)
@@ -122,12 +126,18 @@ def test_corrupt_files_of_every_format(tmp_path, suffix, content):
     assert "cannot be read" in message or "no triangles" in message
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".ply", ".dae"])
+@pytest.mark.parametrize("suffix", [".glb", ".ply", ".dae", ".stl"])
 def test_a_file_that_is_cut_off(write_box, suffix):
     path = write_box(suffix)
     data = path.read_bytes()
     path.write_bytes(data[: int(0.7 * len(data))])
-    assert "cannot be read" in _error(path)
+    message = _error(path)
+    assert "cannot be read" in message and "module" not in message  # no package would help
+
+
+def test_a_binary_file_called_obj_is_no_missing_package(write_box):
+    odd = write_box(".glb").rename(write_box(".obj"))
+    assert "no OBJ text" in _error(odd)
 
 
 def test_empty_mesh_and_mesh_without_area(tmp_path, gltf):
@@ -181,7 +191,7 @@ def test_unknown_units_and_axes(write_box):
 
 @pytest.mark.parametrize("factor, said", [(1 / 0.3048, "units=ft"), (10.0, "units=dm"), (0.3, "units=")])
 def test_the_scale_check_names_units_that_make_a_room(write_box, factor, said):
-    (note,) = load_mesh_scene(write_box(".stl", factor)).notes
+    note = load_mesh_scene(write_box(".stl", factor)).notes[0]
     assert "unusual" in note and said in note
 
 
@@ -191,6 +201,19 @@ def test_a_scene_on_its_side_is_noticed(tmp_path, make_box):
     trimesh.Trimesh(*make_box((0, 0, 0), (6, 2.5, 5)), process=False).export(tmp_path / "side.stl")
     assert "try up=y" in load_mesh_scene(tmp_path / "side.stl").notes[0]
     assert "plausible" in load_mesh_scene(tmp_path / "side.stl", up="y").notes[0]
+
+
+@pytest.mark.parametrize("size", [(30.0, 1.6, 2.5), (1.2, 1.2, 2.4)])
+def test_a_corridor_and_a_closet_stand_upright(tmp_path, make_box, size):
+    import trimesh
+
+    trimesh.Trimesh(*make_box((0, 0, 0), size), process=False).export(tmp_path / "narrow.stl")
+    assert "plausible" in load_mesh_scene(tmp_path / "narrow.stl").notes[0]
+
+
+def test_max_texture_is_a_size(write_box):
+    with pytest.raises(InputError, match="at least 1, got 0"):
+        load_mesh_scene(write_box(".stl"), max_texture=0)
 
 
 @pytest.mark.parametrize("name", ["bookstore", "garage", "home_theater", "hotel_room"])

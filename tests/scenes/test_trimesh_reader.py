@@ -42,6 +42,15 @@ def test_obj_with_material_file_and_texture_outside_its_folder(tmp_path):
     np.testing.assert_allclose(wood.uv[at_origin], [0, 1])  # v counts down from the top
 
 
+def test_obj_and_materials_in_latin_1(tmp_path):
+    (tmp_path / "room.obj").write_bytes(OBJ.replace("../materials/", "").replace("red", "grün").encode("latin-1"))
+    (tmp_path / "room.mtl").write_bytes("newmtl grün\nKd 0.2 0.8 0.4\n".encode("latin-1"))
+    parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
+    assert not textures.unreadable and sum(len(part.faces) for part in parts) == 3
+    green = next(part for part in parts if len(part.faces) == 1)
+    np.testing.assert_allclose(green.colors, [0.2, 0.8, 0.4], atol=1 / 255)
+
+
 def test_obj_says_which_files_are_missing(tmp_path):
     (tmp_path / "room.obj").write_text(OBJ)
     parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -82,6 +84,7 @@ def configure(preset: str = "default", overrides: Mapping[str, Any] | None = Non
 def replaced(config: T, overrides: Mapping[str, Any]) -> T:
     """A copy of a (nested) frozen dataclass with the named fields replaced."""
     names = {f.name for f in dataclasses.fields(config)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(type(config))
     changes = {}
     for name, value in overrides.items():
         if name not in names:
@@ -91,8 +94,26 @@ def replaced(config: T, overrides: Mapping[str, Any]) -> T:
             value = replaced(current, value)
         elif isinstance(current, tuple) and isinstance(value, list):
             value = tuple(value)  # JSON and TOML have no tuples
+        _check_kind(f"{type(config).__name__}.{name}", value, hints[name])
         changes[name] = value
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+def _check_kind(what: str, value: Any, hint: Any) -> None:
+    """Refuse a value of another kind than the field's: most would only fail in the middle of an episode."""
+    kinds = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list"}
+    kind = typing.get_origin(hint) or hint
+    if dataclasses.is_dataclass(kind):
+        good, expected = isinstance(value, kind), "a group of fields"  # type: ignore[arg-type]
+    elif kind in (int, float):
+        good = isinstance(value, numbers.Integral if kind is int else numbers.Real) and not isinstance(value, bool)
+        expected = kinds[kind]
+    elif kind in kinds:
+        good, expected = isinstance(value, kind), kinds[kind]
+    else:  # unions and literals are left to the config itself
+        return
+    if not good:
+        raise InputError(f"{what} must be {expected}, got {value!r}")
 
 
 def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -53,6 +53,8 @@ class Registry(Generic[T]):
 
     def _import(self, path: str) -> T:
         module_name, _, attribute = path.partition(":")
+        if not module_name.replace(".", "_").isidentifier() or not attribute.isidentifier():
+            raise InputError(f"{self.kind} '{path}' is neither a known name nor of the form package.module:Name")
         try:
             module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:

@@ -78,6 +78,7 @@ class Comparison:
         from activestructure_gym.config import configure
         from activestructure_gym.policies import POLICIES, Policy
 
+        configure(self.preset, self.overrides)  # what policies replace must be usable too
         changes = dict(self.overrides)
         if self.frame_budget is not None:
             changes["frame_budget"] = self.frame_budget
@@ -93,13 +94,15 @@ class Comparison:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.reconstruction_env import as_pose
         from activestructure_gym.scenes import check_start_pose, load_scene
+        from activestructure_gym.volume.voxel_volume import grid_shape
 
         scene = load_scene(spec)
+        config = configure(self.preset, self.overrides)
+        grid_shape(scene.bounds, config.volume.voxel_size)
         if not len(scene.free_space.start_poses) and self.start_pose is None:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.start_pose is not None:
-            body_radius = configure(self.preset, self.overrides).motion.body_radius
-            check_start_pose(scene, as_pose(self.start_pose), body_radius)
+            check_start_pose(scene, as_pose(self.start_pose), config.motion.body_radius)
         self.protocol.truth(scene)
         return scene
 
@@ -125,6 +128,8 @@ def check_output(directory: Path, *, resume: bool) -> None:
     parent = directory
     while not parent.exists():
         parent = parent.parent
+    if not parent.is_dir():
+        raise InputError(f"the output '{directory}' cannot be made: '{parent}' is a file")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(f"the output '{directory}' cannot be written: no permission in '{parent}'")
 
@@ -143,7 +148,10 @@ def run_comparison(
     Unfinished jobs are never counted, finished ones never repeated. Call `check_output` first.
     """
     run = get_engine(engine)
-    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the output '{directory}' cannot be made: {error.strerror}") from error
     store.remove_parts(directory / JOBS)
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = 1 if engine == "inline" else max(1, min(len(todo), workers or core_count()))
@@ -174,6 +182,9 @@ def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
 
 
 def open_comparison(directory: Path) -> list[Run]:
-    """All finished runs of a comparison's directory."""
-    jobs = store.read_json(directory / store.COMPARISON)["jobs"]
-    return finished_runs(directory, [Job.from_dict(content) for content in jobs.values()])
+    """All finished runs of a comparison's directory; raises `InputError` if its record cannot be read."""
+    try:
+        contents = list(store.read_json(directory / store.COMPARISON)["jobs"].values())
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+    return finished_runs(directory, [Job.from_dict(content) for content in contents])

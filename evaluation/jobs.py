@@ -110,7 +110,7 @@ def scene_labels(specs: Iterable[str]) -> dict[str, str]:
 def absolute_spec(spec: str) -> str:
     """The same scene, named so that it is found from any working directory."""
     kind, path, options = _split_spec(spec)
-    if not Path(path).expanduser().exists():
+    if not path or not Path(path).expanduser().exists():
         return spec
     places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
     return (f"{kind}:" if kind else "") + _absolute(path) + (f"?{places}" if places else "")

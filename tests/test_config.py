@@ -42,7 +42,12 @@ def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
         ("fast", {"gains": ("pixl",)}, "unknown gain 'pixl'; did you mean 'pixel'"),
         ("fast", {"views.directions": 0}, "directions"),
         ("fast", {"sensor.width": 0}, "width"),
-        ("fast", {"frame_budget": "many"}, "cannot be used"),
+        ("fast", {"frame_budget": "many"}, "frame_budget must be a whole number, got 'many'"),
+        ("fast", {"mapper.iterations": 2.5}, "MapperConfig.iterations must be a whole number, got 2.5"),
+        ("fast", {"sensor.max_range": True}, "SensorConfig.max_range must be a number, got True"),
+        ("fast", {"sensor": 3}, "sensor must be a group of fields, got 3"),
+        ("fast", {"motion": None}, "motion must be a group of fields, got None"),
+        ("fast", {"gains": "pixel"}, "gains must be a list, got 'pixel'"),
     ],
 )
 def test_a_bad_configuration_gets_one_clear_sentence(preset: str, overrides: dict, message: str) -> None:

@@ -30,6 +30,8 @@ def test_registered_imported_and_installed_names_are_found(monkeypatch: pytest.M
     [
         ("mien", "unknown thing 'mien'; did you mean 'mine'? Known: mine"),
         ("nowhere.at_all:x", "thing 'nowhere.at_all:x': there is no module called 'nowhere' on sys.path"),
+        (":", "thing ':' is neither a known name nor of the form package.module:Name"),
+        ("a:b:c", "thing 'a:b:c' is neither a known name nor of the form package.module:Name"),
         ("math:tau_and_a_half", "thing 'math:tau_and_a_half': module 'math' has no 'tau_and_a_half'"),
     ],
 )

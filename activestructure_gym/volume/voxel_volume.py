@@ -59,6 +59,19 @@ class VolumeConfig:
             raise ValueError(f"expected 1 <= hit_gain <= hit_ceiling, got {self.hit_gain} and {self.hit_ceiling}")
 
 
+def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
+    """Voxels along x, y, z over bounds [2, 3] in metres; `InputError` where they are too many to keep."""
+    extent = np.asarray(bounds[1], dtype=np.float64) - bounds[0]
+    cells = np.ceil(extent / voxel_size - 1e-9) + 2.0
+    if cells.prod() > _MOST_VOXELS:
+        sides = " x ".join(f"{side:.0f}" for side in extent)
+        raise InputError(
+            f"expected a workspace of building size, got {sides} m: {cells.prod():.1e} voxels of {voxel_size} m; "
+            "check the units of the mesh, or raise voxel_size"
+        )
+    return int(cells[0]), int(cells[1]), int(cells[2])
+
+
 class VoxelVolume:
     """A dense axis-aligned grid over the workspace, updated from depth images.
 
@@ -76,16 +89,9 @@ class VoxelVolume:
         if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
             raise ValueError(f"bounds must be [2, 3] with upper above lower, got {bounds.tolist()}")
         size = self.config.voxel_size
-        cells = np.ceil((bounds[1] - bounds[0]) / size - 1e-9) + 2.0
-        if cells.prod() > _MOST_VOXELS:
-            extent = " x ".join(f"{e:.0f}" for e in bounds[1] - bounds[0])
-            raise InputError(
-                f"expected a workspace of building size, got {extent} m: {cells.prod():.1e} voxels of {size} m; "
-                "check the units of the mesh, or raise voxel_size"
-            )
         self.voxel_size = size
         self.truncation = max(self.config.truncation, 3.0 * size)
-        self.shape: tuple[int, int, int] = (int(cells[0]), int(cells[1]), int(cells[2]))
+        self.shape = grid_shape(bounds, size)
         # The spare part of the last voxels is shared by both sides.
         self.origin = bounds.mean(axis=0) - 0.5 * size * np.array(self.shape)
         self.state = np.full(self.shape, UNKNOWN, dtype=np.uint8)

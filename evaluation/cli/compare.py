@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Compare
-from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, parse_start, split_list
+from activestructure_gym.evaluation.cli.options import (
+    parse_overrides,
+    parse_seeds,
+    parse_start,
+    split_list,
+    split_scenes,
+)
 from activestructure_gym.evaluation.cli.output import print_whole
 from activestructure_gym.evaluation.threads import core_count
 
@@ -31,6 +38,10 @@ def compare(options: Compare) -> int:
     from activestructure_gym.evaluation.store import COMPARISON
 
     console = Console(highlight=False)
+    if options.resume and not options.out:
+        raise InputError("--resume needs --out: the directory of the comparison to go on with")
+    if options.workers < 0:
+        raise InputError(f"--workers is the number of runs at a time, or 0 for one per core, got {options.workers}")
     demo = not options.scenes
     if demo:
         options = _with_demo_defaults(options)
@@ -79,7 +90,7 @@ def _comparison(options: Compare) -> Comparison:
     if options.views is not None:
         protocol = dataclasses.replace(protocol, views=options.views)
     return Comparison(
-        scenes=split_list(options.scenes),
+        scenes=split_scenes(options.scenes),
         policies=split_list(options.policies),
         seeds=parse_seeds(options.seeds),
         preset=options.preset or "default",

@@ -51,6 +51,8 @@ def _open(names: tuple[str, ...]) -> list[Run]:
     from activestructure_gym.evaluation.comparison import open_comparison
     from activestructure_gym.evaluation.store import COMPARISON, read_run
 
+    if not names:
+        raise InputError("asg evaluate needs the directory of a comparison or of a run")
     runs: list[Run] = []
     for name in names:
         directory = Path(name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError
@@ -25,11 +26,20 @@ def split_list(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(items)
 
 
+def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
+    """Like `split_list`, but a word that is a file, with options or without, stays whole whatever its name holds."""
+    items: list[str] = []
+    for word in words:
+        whole = any(Path(name).expanduser().is_file() for name in (word, word.rpartition("?")[0]))
+        items += [word] if whole else split_list([word])
+    return tuple(items)
+
+
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
     """Whole numbers from 0 on."""
     seeds = []
     for text in split_list(words):
-        if not text.isdigit():
+        if not (text.isascii() and text.isdigit()):
             raise InputError(f"a seed is a whole number from 0 on, got '{text}'")
         seeds.append(int(text))
     return tuple(seeds)

@@ -1,11 +1,12 @@
 import itertools
 import os
+from pathlib import Path
 
 import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import comparison as module
-from activestructure_gym.evaluation.comparison import Comparison, check_output
+from activestructure_gym.evaluation.comparison import Comparison, check_output, open_comparison
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.warmup import plan_around_a_corner, smallest_job, warming_up
 
@@ -81,8 +82,13 @@ def test_an_output_that_is_not_ours_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="--resume"):
         check_output(tmp_path, resume=False)
     check_output(tmp_path, resume=True)
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot be made: '.*file' is a file"):
         check_output(file / "below", resume=False)
+
+
+def test_an_output_that_cannot_be_made():
+    with pytest.raises(InputError, match="cannot be made"):
+        module.run_comparison([], Path("/proc/no_such_place"), None)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
@@ -90,6 +96,13 @@ def test_an_output_without_permission(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(InputError, match="no permission"):
         check_output(tmp_path / "new", resume=False)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"jobs": 3}', "no json"])
+def test_a_damaged_record_is_one_sentence(tmp_path, content):
+    (tmp_path / "compare.json").write_text(content)
+    with pytest.raises(InputError, match="cannot be read as a comparison"):
+        open_comparison(tmp_path)
 
 
 def test_the_warm_up_needs_the_tree_of_the_path_planner():

@@ -54,6 +54,8 @@ def bad_meshes(tmp_path):
     faces = "f 1 2 4 3\nf 5 6 8 7\nf 1 2 6 5\nf 3 4 8 7\nf 1 3 7 5\nf 2 4 8 6\n"
     write_obj(tmp_path / "millimetres.obj", corners, faces)
     (tmp_path / "text.glb").write_text("this is no mesh")
+    # 150 m long: a building may be, but no volume of 0.1 m voxels.
+    write_obj(tmp_path / "inches.obj", corners * 0.03, faces)
 
 
 @pytest.mark.parametrize(
@@ -64,6 +66,12 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "nan.obj"], ["nan.obj", "NaN"]),
         (["compare", "--scenes", "millimetres.obj"], ["millimetres.obj", "units=mm"]),
         (["compare", "--scenes", "text.glb"], ["text.glb"]),
+        (["compare", "--scenes", "inches.obj"], ["150 x 120 x 78 m", "units"]),
+        (["compare", "--scenes", "box", "--set", "volume.voxel_size=0.001"], ["voxels of 0.001 m"]),
+        (["compare", "--scenes", "box", "--set", 'gains=["deep"]'], ["unknown gain 'deep'"]),
+        (["compare", "--scenes", "box", "--set", "sensor=3"], ["sensor must be a group of fields"]),
+        (["compare", "--scenes", "box", "--workers", "-1"], ["--workers", "-1"]),
+        (["compare", "--scenes", "box", "--seeds", "²"], ["whole number"]),
         (["compare", "--scenes", "bx"], ["unknown scene 'bx'", "did you mean 'box'"]),
         (["compare", "--scenes", "box", "--start", "0.01,0.01,1.3,0"], ["start"]),
         (["compare", "--scenes", "box", "--start", "90,90,1.3,0"], ["start"]),
@@ -77,6 +85,7 @@ def bad_meshes(tmp_path):
         (["scenes", "missing.obj"], ["missing.obj"]),
         (["scenes", "--picture", "a.png"], ["needs a scene"]),
         (["scenes", "box", "--picture", "a.jpg"], [".png"]),
+        (["evaluate"], ["needs the directory"]),
         (["evaluate", "nothing"], ["nothing", "not a finished run"]),
         (["compre"], ["unknown command 'compre'", "did you mean 'compare'"]),
     ],
@@ -90,6 +99,11 @@ def test_bad_input_is_one_sentence_and_two_and_nothing_is_written(arguments, wor
     assert all(word in captured.err for word in words), captured.err
     assert captured.err.startswith("asg: ") and captured.err.count("\n") == 1 and "Traceback" not in captured.err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_resume_needs_to_know_what(capsys):
+    assert main(["compare", "--scenes", "box", "--resume"]) == 2
+    assert "--resume needs --out" in capsys.readouterr().err
 
 
 def test_a_foreign_directory_is_not_written_into(tmp_path, capsys):

@@ -1,7 +1,13 @@
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, parse_start, split_list
+from activestructure_gym.evaluation.cli.options import (
+    parse_overrides,
+    parse_seeds,
+    parse_start,
+    split_list,
+    split_scenes,
+)
 
 
 @pytest.mark.parametrize(
@@ -18,6 +24,13 @@ from activestructure_gym.evaluation.cli.options import parse_overrides, parse_se
 )
 def test_commas_and_spaces_separate_but_not_inside_a_scenes_numbers(words, items):
     assert split_list(words) == items
+
+
+def test_the_name_of_a_file_stays_whole(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my, room?.glb").touch()
+    words = ["my, room?.glb", "my, room?.glb?up=y&units=cm", "box,room"]
+    assert split_scenes(words) == (*words[:2], "box", "room")
 
 
 def test_seeds():

@@ -28,3 +28,23 @@ def shared() -> Path:
     if not (SHARED / "scenes").is_dir():
         pytest.skip(f"{SHARED} is not here")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def cast_boxes():
+    """Makes a ray caster over axis-aligned boxes, each (lower, upper) in metres."""
+    import trimesh
+
+    from activestructure_gym.scenes.raycaster import RayCaster
+
+    def make(*bounds) -> RayCaster:
+        parts = []
+        for lower, upper in bounds:
+            lower, upper = np.array(lower, float), np.array(upper, float)
+            part = trimesh.creation.box(extents=upper - lower)
+            part.apply_translation((lower + upper) / 2)
+            parts.append(part)
+        mesh = trimesh.util.concatenate(parts)
+        return RayCaster(mesh.vertices, mesh.faces, threads=1)
+
+    return make

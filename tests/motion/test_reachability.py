@@ -6,19 +6,9 @@ import pytest
 
 from activestructure_gym.motion import first_blocked_edge, path_lengths
 from activestructure_gym.motion.reachability import _moves, _spread
-from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
+from activestructure_gym.volume import OCCUPIED, VoxelVolume
 
 BOUNDS = np.array([[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]])
-
-
-def volume_with(*obstacles, bounds=BOUNDS):
-    """A volume known to be free but for the given boxes (lower, upper) in metres."""
-    volume = VoxelVolume(bounds)
-    volume.state[1:-1, 1:-1, 1:-1] = FREE
-    centers = volume.center_of(np.stack(np.indices(volume.shape), axis=-1))
-    for lower, upper in obstacles:
-        volume.state[((centers > lower) & (centers < upper)).all(axis=-1)] = OCCUPIED
-    return volume
 
 
 WALL = [(3.0, -1.0, -1.0), (3.2, 5.0, 9.0)]
@@ -58,8 +48,8 @@ def test_lengths_equal_networkx_on_random_grids(share):
     assert np.isinf(lengths[~open_]).all()
 
 
-def test_straight_line_in_free_space_is_exact_and_the_grid_within_ten_percent():
-    volume, rng = volume_with(), np.random.default_rng(0)
+def test_straight_line_in_free_space_is_exact_and_the_grid_within_ten_percent(free_volume):
+    volume, rng = free_volume(), np.random.default_rng(0)
     start = np.array([0.8, 0.9, 1.2])
     points = rng.uniform(BOUNDS[0] + 0.35, BOUNDS[1] - 0.35, size=(300, 3))
     distances = path_lengths(volume, start, min_clearance=0.2)
@@ -72,28 +62,28 @@ def test_straight_line_in_free_space_is_exact_and_the_grid_within_ten_percent():
         assert length - 1e-6 <= along <= 1.104 * length + 0.2
 
 
-def test_lengths_are_symmetric():
-    volume, rng = volume_with(*WALL_WITH_DOOR), np.random.default_rng(1)
+def test_lengths_are_symmetric(free_volume):
+    volume, rng = free_volume(*WALL_WITH_DOOR), np.random.default_rng(1)
     points = volume.center_of(volume.voxel_of(rng.uniform(BOUNDS[0] + 0.4, BOUNDS[1] - 0.4, size=(8, 3))))
     lengths = np.stack([path_lengths(volume, p, min_clearance=0.2).at(points) for p in points])
     assert np.isfinite(lengths).sum() > 30
     np.testing.assert_allclose(lengths, lengths.T, rtol=1e-5, atol=1e-5)
 
 
-def test_a_closed_wall_cannot_be_passed_and_a_door_can():
+def test_a_closed_wall_cannot_be_passed_and_a_door_can(free_volume):
     here, there = np.array([1.0, 2.0, 1.2]), np.array([5.0, 2.0, 1.2])
-    closed = path_lengths(volume_with(WALL), here, min_clearance=0.2)
+    closed = path_lengths(free_volume(WALL), here, min_clearance=0.2)
     assert np.isinf(closed.at(there)[0]) and closed.path_to(there) is None
     assert (closed.reachable[:, 0] < 3.0).all()
-    door = volume_with(*WALL_WITH_DOOR)
+    door = free_volume(*WALL_WITH_DOOR)
     # The door is 0.9 m wide: passable with 0.2 m on each side, not with 0.5 m.
     assert path_lengths(door, here, min_clearance=0.2).at(there)[0] == pytest.approx(4.0, abs=0.01)
     assert np.isinf(path_lengths(door, here, min_clearance=0.5).at(there)[0])
 
 
-def test_every_edge_of_a_path_keeps_the_clearance():
+def test_every_edge_of_a_path_keeps_the_clearance(free_volume):
     rng = np.random.default_rng(2)
-    volume = volume_with(*WALL_WITH_DOOR, *[(c, c + 0.4) for c in rng.uniform([0, 0, 0], [5.5, 3.5, 2.0], (12, 3))])
+    volume = free_volume(*WALL_WITH_DOOR, *[(c, c + 0.4) for c in rng.uniform([0, 0, 0], [5.5, 3.5, 2.0], (12, 3))])
     start = volume.center_of(np.argwhere(volume.clearance > 0.3)[500]) + 0.02
     distances = path_lengths(volume, start, min_clearance=0.2)
     points = rng.uniform(BOUNDS[0], BOUNDS[1], size=(400, 3))
@@ -108,8 +98,8 @@ def test_every_edge_of_a_path_keeps_the_clearance():
             assert volume.segments_free(path[:-1], path[1:], min_clearance=0.2, step=0.01).mean() > 0.9
 
 
-def test_a_start_in_a_tight_place_leaves_it_straight():
-    volume = volume_with(WALL)
+def test_a_start_in_a_tight_place_leaves_it_straight(free_volume):
+    volume = free_volume(WALL)
     start, goal = np.array([2.9, 2.05, 1.25]), np.array([1.0, 2.0, 1.2])  # 0.1 m from the wall
     assert 0.05 < volume.clearance_at(start[None])[0] < 0.2
     path = path_lengths(volume, start, min_clearance=0.2).path_to(goal)
@@ -131,8 +121,8 @@ def test_a_start_without_free_space_reaches_nothing():
     assert distances.at(np.zeros((0, 3))).shape == (0,)
 
 
-def test_a_map_stays_valid_when_the_volume_changes():
-    volume = volume_with()
+def test_a_map_stays_valid_when_the_volume_changes(free_volume):
+    volume = free_volume()
     distances = path_lengths(volume, np.array([1.0, 2.0, 1.2]), min_clearance=0.2)
     goal = np.array([[5.0, 2.0, 1.2]])
     before = distances.at(goal)

@@ -1,20 +1,17 @@
+from functools import partial
+
 import numpy as np
 import pytest
 
 from activestructure_gym.motion import first_blocked_edge, path_lengths, plan_path
 from activestructure_gym.motion.rrt import shorten
-from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 BOUNDS = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
 
 
-def room(*obstacles):
-    volume = VoxelVolume(BOUNDS)
-    volume.state[1:-1, 1:-1, 1:-1] = FREE
-    centers = volume.center_of(np.stack(np.indices(volume.shape), axis=-1))
-    for lower, upper in obstacles:
-        volume.state[((centers > lower) & (centers < upper)).all(axis=-1)] = OCCUPIED
-    return volume
+@pytest.fixture(scope="module")
+def free_room(free_volume):
+    return partial(free_volume, size=BOUNDS[1])
 
 
 def length(path):
@@ -22,17 +19,17 @@ def length(path):
 
 
 @pytest.fixture(scope="module")
-def divided_room():
+def divided_room(free_room):
     rng = np.random.default_rng(0)
-    boxes = [(c, c + [0.5, 0.5, 1.2]) for c in rng.uniform([0.3, 0.3, 0], [5, 4, 1.0], (9, 3))]
-    return room(((3.0, -1, -1), (3.1, 3.9, 9)), *boxes)
+    crates = [(c, c + [0.5, 0.5, 1.2]) for c in rng.uniform([0.3, 0.3, 0], [5, 4, 1.0], (9, 3))]
+    return free_room(((3.0, -1, -1), (3.1, 3.9, 9)), *crates)
 
 
-def test_free_line_is_taken_as_it_is():
+def test_free_line_is_taken_as_it_is(free_room):
     start, goal = np.array([1.0, 1.0, 1.2]), np.array([5.0, 4.0, 1.5])
-    path = plan_path(room(), start, goal, min_clearance=0.2, rng=np.random.default_rng(0))
+    path = plan_path(free_room(), start, goal, min_clearance=0.2, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(path, [start, goal])
-    assert len(plan_path(room(), start, start, min_clearance=0.2, rng=np.random.default_rng(0))) == 1
+    assert len(plan_path(free_room(), start, start, min_clearance=0.2, rng=np.random.default_rng(0))) == 1
 
 
 def test_paths_keep_the_clearance_are_short_and_depend_on_the_generator_only(divided_room):
@@ -74,15 +71,15 @@ def test_a_tree_that_is_too_small_falls_back_to_the_grid(divided_room):
     assert first_blocked_edge(divided_room, path, min_clearance=0.2) is None
 
 
-def test_no_way_is_none():
-    closed = room(((3.0, -1, -1), (3.1, 9, 9)))
+def test_no_way_is_none(free_room):
+    closed = free_room(((3.0, -1, -1), (3.1, 9, 9)))
     rng = np.random.default_rng(0)
     assert plan_path(closed, np.array([1.0, 1, 1.2]), np.array([5.0, 1, 1.2]), min_clearance=0.2, rng=rng) is None
     assert plan_path(closed, np.array([1.0, 1, 1.2]), np.array([99.0, 1, 1.2]), min_clearance=0.2, rng=rng) is None
 
 
-def test_start_in_a_tight_place():
-    volume = room(((3.0, -1, -1), (3.1, 3.9, 9)))
+def test_start_in_a_tight_place(free_room):
+    volume = free_room(((3.0, -1, -1), (3.1, 3.9, 9)))
     start, goal = np.array([2.9, 1.0, 1.25]), np.array([4.5, 1.0, 1.2])
     path = plan_path(volume, start, goal, min_clearance=0.2, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(path[[0, -1]], [start, goal])
@@ -90,11 +87,11 @@ def test_start_in_a_tight_place():
     assert volume.segments_free(path[1:-1], path[2:], min_clearance=0.2).all()
 
 
-def test_shortening_never_lengthens_and_straightens_free_detours():
-    volume, rng = room(), np.random.default_rng(3)
+def test_shortening_never_lengthens_and_straightens_free_detours(free_room):
+    volume, rng = free_room(), np.random.default_rng(3)
     detour = rng.uniform(BOUNDS[0] + 0.4, BOUNDS[1] - 0.4, size=(12, 3))
     np.testing.assert_array_equal(shorten(volume, detour, min_clearance=0.2, rng=rng), detour[[0, -1]])
-    around = room(((2.5, -1, -1), (3.5, 4.0, 9)))
+    around = free_room(((2.5, -1, -1), (3.5, 4.0, 9)))
     path = np.array([[1.0, 0.5, 1.2], [1.0, 4.6, 1.2], [5.0, 4.6, 1.2], [5.0, 0.5, 1.2]])
     short = shorten(around, path, min_clearance=0.2, rng=rng)
     # Taut around corners (2.3, 4.2) and (3.7, 4.2): 2 * hypot(1.3, 3.7) + 1.4 = 9.24 m; 12.2 m before.

@@ -1,31 +1,15 @@
 """The law the rest serves: no executed segment crosses the true mesh, whatever has been seen of it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import trimesh
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, path_lengths, plan_path
-from activestructure_gym.scenes.raycaster import RayCaster
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.volume import VoxelVolume
 
 CAMERA = PinholeCamera.from_size(160, 90)
 MOTION = MotionConfig()
-SHARED = Path(__file__).parents[3] / "shared" / "scenes"
-
-
-def boxes(*bounds):
-    parts = []
-    for lower, upper in bounds:
-        lower, upper = np.array(lower, float), np.array(upper, float)
-        part = trimesh.creation.box(extents=upper - lower)
-        part.apply_translation((lower + upper) / 2)
-        parts.append(part)
-    mesh = trimesh.util.concatenate(parts)
-    return RayCaster(mesh.vertices, mesh.faces, threads=1)
 
 
 def explore(caster, bounds, start, rng, *, frames, choose, noise=0.0):
@@ -81,13 +65,13 @@ def crossings(caster, positions):
     return int((caster.occluded(starts, ends, margin=0.0) | caster.occluded(ends, starts, margin=0.0)).sum())
 
 
-def test_thin_pole_between_two_places_is_never_crossed():
+def test_thin_pole_between_two_places_is_never_crossed(cast_boxes):
     bounds, metres = np.array([[0.0, 0.0, 0.0], [6.0, 2.4, 2.4]]), 0.0
     for seed in range(8):
         rng = np.random.default_rng(seed)
         # On the straight line between the places, 3 cm wide: at 5 m every second column of rays can miss it.
         x, y = rng.uniform(2.5, 3.5), 1.2 + rng.uniform(-0.05, 0.05)
-        caster = boxes(bounds, ([x - 0.015, y - 0.015, 0], [x + 0.015, y + 0.015, 2.4]))
+        caster = cast_boxes(bounds, ([x - 0.015, y - 0.015, 0], [x + 0.015, y + 0.015, 2.4]))
         places = np.array([[5.2, 1.2, 1.2], [0.8, 1.2, 1.2]])
 
         def to_and_fro(volume, distances, rng, places=places):
@@ -107,12 +91,12 @@ def test_thin_pole_between_two_places_is_never_crossed():
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.0019])  # sigma / z^2 of a Kinect
-def test_random_episodes_in_a_cluttered_room_keep_clear_of_everything(noise):
+def test_random_episodes_in_a_cluttered_room_keep_clear_of_everything(noise, cast_boxes):
     rng = np.random.default_rng(1)
     bounds, metres = np.array([[0.0, 0.0, 0.0], [5.0, 4.0, 2.5]]), 0.0
     tables = [(c + [0, 0, 0.70], c + [0.9, 0.6, 0.72]) for c in rng.uniform([0, 0, 0], [4, 3.3, 0], (4, 3))]
     legs = [(c, c + [0.03, 0.03, 1.9]) for c in rng.uniform([1.5, 0, 0], [5, 4, 0], (6, 3))]
-    caster = boxes(bounds, *tables, *legs, ([3.0, 1.0, 0.0], [3.05, 4.0, 2.5]))
+    caster = cast_boxes(bounds, *tables, *legs, ([3.0, 1.0, 0.0], [3.05, 4.0, 2.5]))
     for seed in range(4):
         rng = np.random.default_rng(seed)
         start = look_along(np.array([0.8, 2.0, 1.5]), np.array([1.0, 0.0, 0.0]))
@@ -128,12 +112,10 @@ def test_random_episodes_in_a_cluttered_room_keep_clear_of_everything(noise):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hotel_room.glb", "bookstore.glb"])
-def test_random_episodes_in_scanned_scenes_cross_nothing(name):
-    if not (SHARED / name).exists():
-        pytest.skip(f"needs {SHARED / name}")
+def test_random_episodes_in_scanned_scenes_cross_nothing(name, shared):
     from activestructure_gym.scenes.library import load_scene
 
-    scene, metres = load_scene(SHARED / name), 0.0
+    scene, metres = load_scene(shared / "scenes" / name), 0.0
     for seed, start in enumerate(scene.free_space.start_poses[:6]):
         positions, _ = explore(
             scene.raycaster, scene.bounds, start, np.random.default_rng(seed), frames=100, choose=random_views

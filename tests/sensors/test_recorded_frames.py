@@ -1,22 +1,17 @@
 """Frames that another program has drawn of a mesh it has written: the fixture in the layout of Replica sequences."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from activestructure_gym.sensors import make_renderer
 
-FIXTURE = Path(__file__).parents[3] / "shared" / "scenes" / "replica_fixture"
 
-
-@pytest.mark.skipif(not FIXTURE.is_dir(), reason=f"{FIXTURE} is not here")
-def test_recorded_frames_are_redrawn():
+def test_recorded_frames_are_redrawn(shared):
     from activestructure_gym.scenes.library import load_scene
     from activestructure_gym.scenes.sequence import load_sequence
 
-    renderer = make_renderer("raycast", load_scene(f"replica:{FIXTURE / 'room_fix'}"))
-    sequence = load_sequence(FIXTURE / "seq" / "room_fix")
+    fixture = shared / "scenes" / "replica_fixture"
+    renderer = make_renderer("raycast", load_scene(f"replica:{fixture / 'room_fix'}"))
+    sequence = load_sequence(fixture / "seq" / "room_fix")
     for index in range(0, len(sequence), 4):
         frame = sequence.frame(index)
         rgb, depth = renderer.render(frame.camera, frame.world_from_camera)

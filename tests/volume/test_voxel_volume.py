@@ -2,28 +2,14 @@ import pickle
 
 import numpy as np
 import pytest
-import trimesh
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.scenes.raycaster import RayCaster
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(160, 90)
 ROOM = np.array([[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]])
-
-
-def boxes(*bounds):
-    """A ray caster over axis-aligned boxes."""
-    parts = []
-    for lower, upper in bounds:
-        lower, upper = np.array(lower, float), np.array(upper, float)
-        part = trimesh.creation.box(extents=upper - lower)
-        part.apply_translation((lower + upper) / 2)
-        parts.append(part)
-    mesh = trimesh.util.concatenate(parts)
-    return RayCaster(mesh.vertices, mesh.faces, threads=1)
 
 
 def capture(caster, pose, camera=CAMERA, noise=None):
@@ -44,9 +30,9 @@ def look_around(caster, volume, rng, count, lower=(0.6, 0.6, 0.6), upper=(3.4, 2
 
 
 @pytest.fixture(scope="module")
-def room_volume():
+def room_volume(cast_boxes):
     volume = VoxelVolume(ROOM)
-    look_around(boxes(ROOM), volume, np.random.default_rng(0), 80)
+    look_around(cast_boxes(ROOM), volume, np.random.default_rng(0), 80)
     return volume
 
 
@@ -93,18 +79,18 @@ def test_clearance_is_never_above_the_truth_by_more_than_the_slack(room_volume):
     assert np.median((true - stated)[seen]) < 2 * room_volume.voxel_size
 
 
-def test_kinect_noise_keeps_the_room_safe_and_open():
+def test_kinect_noise_keeps_the_room_safe_and_open(cast_boxes):
     volume, rng = VoxelVolume(ROOM), np.random.default_rng(3)
-    look_around(boxes(ROOM), volume, rng, 120, noise=rng)
+    look_around(cast_boxes(ROOM), volume, rng, 120, noise=rng)
     touching, outside = cube_to_room_surface(volume)
     assert not (volume.state == FREE)[touching | outside].any()
     centers = volume.center_of(np.stack(np.indices(volume.shape), axis=-1))
     assert (volume.state[room_clearance(centers) > 0.3] == FREE).mean() > 0.97
 
 
-def test_a_pixel_without_return_proves_nothing():
+def test_a_pixel_without_return_proves_nothing(cast_boxes):
     volume = VoxelVolume(ROOM)
-    frame = capture(boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
+    frame = capture(cast_boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
     volume.integrate(Frame(frame.rgb, np.zeros_like(frame.depth), frame.world_from_camera, frame.camera))
     assert volume.observed_share == 0.0
     depth = frame.depth.copy()
@@ -115,9 +101,9 @@ def test_a_pixel_without_return_proves_nothing():
     assert volume.state_at(np.array([[2.5, 1.85, 1.25], [2.5, 1.15, 1.25]])).tolist() == [FREE, FREE]
 
 
-def test_up_to_the_sensors_range_no_return_means_nothing_there():
+def test_up_to_the_sensors_range_no_return_means_nothing_there(cast_boxes):
     # One wall at x = 8, the sensor reaches 5 m: nothing returns, yet the hall before the wall is free.
-    caster, bounds = boxes(([8.0, -9, -9], [8.1, 9, 9])), np.array([[0.0, -1.0, 0.0], [8.0, 1.0, 2.0]])
+    caster, bounds = cast_boxes(([8.0, -9, -9], [8.1, 9, 9])), np.array([[0.0, -1.0, 0.0], [8.0, 1.0, 2.0]])
     frame = capture(caster, look_along(np.array([0.5, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])))
     frame.depth[frame.depth > 5.0] = 0.0
     volume = VoxelVolume(bounds)
@@ -128,10 +114,10 @@ def test_up_to_the_sensors_range_no_return_means_nothing_there():
     assert (volume.weight == 0).all()  # no surface distance without a return
 
 
-def test_a_seam_between_two_views_is_pieced_together():
+def test_a_seam_between_two_views_is_pieced_together(cast_boxes):
     # Two level views 86 degrees apart overlap by 4 degrees: at 1.5 m that is 10 cm, less than a voxel is wide. No view
     # sees the seam's voxels whole, together they see all of them.
-    caster, center = boxes(([-4, -4, 0], [4, 4, 2.6])), np.array([0.0, 0.0, 1.3])
+    caster, center = cast_boxes(([-4, -4, 0], [4, 4, 2.6])), np.array([0.0, 0.0, 1.3])
     volume = VoxelVolume(np.array([[-4.0, -4.0, 0.0], [4.0, 4.0, 2.6]]))
     yaws = np.radians([3.0, 89.0])
     alone = []
@@ -151,8 +137,8 @@ def test_a_seam_between_two_views_is_pieced_together():
     assert (volume.state_at(across) == FREE).all()
 
 
-def test_lost_returns_do_not_close_the_space():
-    caster, rng = boxes(ROOM), np.random.default_rng(2)
+def test_lost_returns_do_not_close_the_space(cast_boxes):
+    caster, rng = cast_boxes(ROOM), np.random.default_rng(2)
     counts = []
     for dropouts in (True, False):
         volume = VoxelVolume(ROOM)
@@ -167,8 +153,8 @@ def test_lost_returns_do_not_close_the_space():
     assert counts[0] > 5 * counts[1]
 
 
-def test_what_is_behind_a_surface_or_out_of_range_stays_unknown():
-    caster = boxes(([-1, -1, 0], [9, 4, 2.5]), ([2.0, 1.0, 0.0], [2.2, 2.0, 2.5]))
+def test_what_is_behind_a_surface_or_out_of_range_stays_unknown(cast_boxes):
+    caster = cast_boxes(([-1, -1, 0], [9, 4, 2.5]), ([2.0, 1.0, 0.0], [2.2, 2.0, 2.5]))
     volume = VoxelVolume(np.array([[-1.0, -1.0, 0.0], [9.0, 4.0, 2.5]]), VolumeConfig(max_range=4.0))
     volume.integrate(capture(caster, look_along(np.array([0.5, 1.5, 1.2]), np.array([1.0, 0.0, 0.0]))))
     assert volume.state_at(np.array([[1.5, 1.5, 1.2], [2.05, 1.5, 1.2], [2.6, 1.5, 1.2]])).tolist() == [
@@ -179,11 +165,11 @@ def test_what_is_behind_a_surface_or_out_of_range_stays_unknown():
     assert (volume.state[volume.voxel_of(np.array([4.8, 0.0, 0.0]))[0] :] == UNKNOWN).all()
 
 
-def test_thin_pole_is_never_free_however_it_falls_between_the_rays():
+def test_thin_pole_is_never_free_however_it_falls_between_the_rays(cast_boxes):
     rng = np.random.default_rng(5)
     for _ in range(30):
         x, y = rng.uniform([2.8, 1.2], [3.4, 1.8])
-        caster = boxes(([0, 0, 0], [6, 3, 2.5]), ([x - 0.015, y - 0.015, 0], [x + 0.015, y + 0.015, 2.5]))
+        caster = cast_boxes(([0, 0, 0], [6, 3, 2.5]), ([x - 0.015, y - 0.015, 0], [x + 0.015, y + 0.015, 2.5]))
         volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [6.0, 3.0, 2.5]]), VolumeConfig(max_miss_chance=0.0))
         for _ in range(10):
             direction = np.array([1.0, rng.normal() * 0.3, rng.normal() * 0.2])
@@ -193,9 +179,9 @@ def test_thin_pole_is_never_free_however_it_falls_between_the_rays():
         assert (volume.state_at(on_pole) != FREE).all()
 
 
-def test_far_looks_need_to_agree():
+def test_far_looks_need_to_agree(cast_boxes):
     # f = 80: at 4 m rays are 5 cm apart, a 3 cm pole is met with chance 0.6, so ceil(log 0.05 / log 0.4) = 4 looks.
-    caster, volume = boxes(([-5, -5, 0], [5, 5, 2.5])), VoxelVolume(np.array([[-5.0, -5.0, 0.0], [5.0, 5.0, 2.5]]))
+    caster, volume = cast_boxes(([-5, -5, 0], [5, 5, 2.5])), VoxelVolume(np.array([[-5.0, -5.0, 0.0], [5.0, 5.0, 2.5]]))
     far, near = np.array([[3.95, 0.0, 1.2]]), np.array([[2.0, 0.0, 1.2]])
     states = []
     for n in range(5):
@@ -207,8 +193,8 @@ def test_far_looks_need_to_agree():
     assert states == [UNKNOWN, UNKNOWN, UNKNOWN, FREE, FREE]
 
 
-def test_a_wrong_hit_clears_after_enough_sure_looks_and_a_true_one_never():
-    caster, volume = boxes(ROOM), VoxelVolume(ROOM)
+def test_a_wrong_hit_clears_after_enough_sure_looks_and_a_true_one_never(cast_boxes):
+    caster, volume = cast_boxes(ROOM), VoxelVolume(ROOM)
     pose = look_along(np.array([0.6, 1.5, 1.25]), np.array([1.0, 0.0, 0.0]))
     wrong = capture(caster, pose)
     wrong.depth[45, 80] = 1.5
@@ -279,8 +265,8 @@ def test_tsdf_vanishes_on_the_wall(room_volume):
     assert zero == pytest.approx(4.0, abs=0.035)
 
 
-def test_integration_is_deterministic_and_survives_pickling():
-    caster, volumes = boxes(ROOM), []
+def test_integration_is_deterministic_and_survives_pickling(cast_boxes):
+    caster, volumes = cast_boxes(ROOM), []
     for _ in range(2):
         volume = VoxelVolume(ROOM)
         look_around(caster, volume, np.random.default_rng(7), 5)
@@ -300,7 +286,7 @@ def test_sight_ends_at_what_is_occupied(room_volume):
     assert empty.sight_free(inside, wall)[0]  # unknown space hides nothing
 
 
-def test_wrong_input_is_refused():
+def test_wrong_input_is_refused(cast_boxes):
     with pytest.raises(InputError, match="units"):
         VoxelVolume(np.array([[0.0, 0.0, 0.0], [8000.0, 6000.0, 2500.0]]))
     with pytest.raises(ValueError, match="upper above lower"):
@@ -309,6 +295,6 @@ def test_wrong_input_is_refused():
         VolumeConfig(voxel_size=0.0)
     with pytest.raises(ValueError, match="hit_gain"):
         VolumeConfig(hit_gain=0)
-    frame = capture(boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
+    frame = capture(cast_boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
     with pytest.raises(ValueError, match="camera"):
         VoxelVolume(ROOM).integrate(Frame(frame.rgb, frame.depth[:10], frame.world_from_camera, CAMERA))

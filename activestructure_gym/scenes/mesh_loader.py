@@ -34,6 +34,7 @@ _WORLD_FROM_FILE = {
 }
 
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
+_COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
 _PLAUSIBLE_CEILING = (1.9, 6.0)  # metres, floor to ceiling
 
 
@@ -110,11 +111,18 @@ def finished_scene(
         labels = replace(labels, face_part=labels.face_part[keep]) if labels is not None else None
     if not len(mesh.faces):
         raise InputError(f"'{path}' holds no triangles with an area; give a mesh with a surface, not points or lines")
-    _check_extent(path, mesh.vertices[mesh.faces.reshape(-1)], scale)
+    mesh = _without_loose_vertices(mesh)
+    _check_extent(path, mesh.vertices, scale)
     scene = Scene(name=name, mesh=mesh, source=str(path), labels=labels)
     notes = list(notes)
     if dropped:
         notes.append(f"{dropped} triangles without area were dropped")
+    farthest = np.abs(mesh.vertices).max()
+    if np.spacing(farthest) > _COARSEST_STEP:
+        notes.append(
+            f"the mesh lies {farthest:.0f} m from the origin, where positions are kept in steps of "
+            f"{1000 * np.spacing(farthest):.0f} mm: move it to the origin"
+        )
     if not mesh.textures and not np.ptp(mesh.colors, axis=0).any():
         notes.append("the mesh has one colour only: images of it are flat, and PSNR and SSIM say little")
     return replace(scene, notes=(scale_note(scene, scale), *notes))
@@ -182,6 +190,18 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
         raise InputError(
             f"'{path}' has {broken} of {total} vertices that are not finite (NaN or infinite); repair the mesh first"
         )
+
+
+def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
+    """Scans are left with vertices that no triangle uses, and one of them far away would stretch the bounds."""
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces] = True
+    if used.all():
+        return mesh
+    index = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return replace(
+        mesh, vertices=mesh.vertices[used], colors=mesh.colors[used], uv=mesh.uv[used], faces=index[mesh.faces]
+    )
 
 
 def _has_area(mesh: SceneMesh) -> np.ndarray:  # [F] bool

@@ -6,6 +6,7 @@ import inspect
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -13,6 +14,8 @@ from rich.table import Table
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Scenes
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+
+_MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
 
 def scenes(options: Scenes) -> int:
@@ -64,6 +67,9 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
         ("content", scene.content_hash[:16]),
     ]
     lines += [("note", note) for note in scene.notes]
+    bottomless = float(np.isinf(space.height[space.clearance > 0]).mean())
+    if bottomless > _MOST_BOTTOMLESS:
+        lines.append(("note", f"{100 * bottomless:.0f} % of the free space has no floor below; is one missing?"))
     return {"scene": scene, "lines": lines}
 
 

@@ -211,6 +211,29 @@ def test_a_corridor_and_a_closet_stand_upright(tmp_path, make_box, size):
     assert "plausible" in load_mesh_scene(tmp_path / "narrow.stl").notes[0]
 
 
+def test_a_vertex_that_no_triangle_uses_does_not_count(tmp_path, make_box):
+    import trimesh
+
+    vertices, faces = make_box((0, 0, 0), (4, 3, 2.5))
+    vertices, colors = np.vstack([[[500, 500, 500]], vertices]), np.arange(9 * 3).reshape(9, 3)
+    trimesh.Trimesh(vertices, faces + 1, vertex_colors=colors, process=False).export(tmp_path / "stray.ply")
+    scene = load_mesh_scene(tmp_path / "stray.ply")
+    np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [4, 3, 2.5]])
+    corners = scene.mesh.faces.reshape(-1)
+    np.testing.assert_allclose(scene.mesh.vertices[corners], vertices[1:][faces.reshape(-1)])
+    np.testing.assert_allclose(scene.mesh.colors[corners] * 255, colors[1:][faces.reshape(-1)], atol=1e-4)
+
+
+def test_a_mesh_in_survey_coordinates_is_told_of_its_steps(tmp_path, make_box):
+    import trimesh
+
+    for offset, said in ((9e4, True), (900.0, False)):
+        vertices, faces = make_box((offset, 0, 0), (offset + 4, 3, 2.5))
+        trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "far.ply")
+        notes = load_mesh_scene(tmp_path / "far.ply").notes
+        assert any("steps of 8 mm: move it to the origin" in note for note in notes) == said
+
+
 def test_max_texture_is_a_size(write_box):
     with pytest.raises(InputError, match="at least 1, got 0"):
         load_mesh_scene(write_box(".stl"), max_texture=0)

@@ -162,6 +162,15 @@ def test_scenes_are_listed_and_described(capsys, tmp_path):
         assert min(image.size) > 200
 
 
+def test_a_scene_without_floor_is_noticed(tmp_path, capsys):
+    corners = np.array([(x, y, z) for x in (0, 5) for y in (0, 4) for z in (0, 2.6)])
+    walls_and_ceiling = "f 1 2 4 3\nf 5 6 8 7\nf 1 2 6 5\nf 3 4 8 7\nf 2 4 8 6\n"
+    for name, floor in (("bottomless.obj", ""), ("whole.obj", "f 1 3 7 5\n")):
+        write_obj(tmp_path / name, corners, walls_and_ceiling + floor)
+        assert main(["scenes", name]) == 0
+        assert ("no floor below" in capsys.readouterr().out) == (not floor)
+
+
 def test_bench_prints_what_was_measured(monkeypatch, capsys):
     from activestructure_gym.sensors import benchmark
 

@@ -10,7 +10,7 @@ import pytest
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors import raycast
-from activestructure_gym.sensors.raycast import RaycastRenderer
+from activestructure_gym.sensors.raycast import RaycastRenderer, default_threads
 from activestructure_gym.sensors.shading import shading_tables_of
 
 CAMERA = PinholeCamera.from_size(64, 37)
@@ -35,7 +35,7 @@ def test_depth_of_the_box_room_is_exact(box_room, room_poses, supersample):
 
 
 def test_depth_does_not_depend_on_the_colour_samples(cluttered_room, room_poses):
-    renderer = RaycastRenderer(cluttered_room)
+    renderer = RaycastRenderer(cluttered_room, threads=2)
     depths = [renderer.render(CAMERA, room_poses[0], supersample=s)[1] for s in (1, 2, 3, 4)]
     assert all(np.array_equal(depths[0], other) for other in depths[1:])
 
@@ -86,7 +86,7 @@ def test_result_does_not_depend_on_threads_or_bands(cluttered_room, room_poses, 
 
 
 def test_one_renderer_serves_several_threads(cluttered_room, room_poses):
-    renderer = RaycastRenderer(cluttered_room)
+    renderer = RaycastRenderer(cluttered_room, threads=2)
     expected = [renderer.render(CAMERA, pose) for pose in room_poses]
     with ThreadPoolExecutor(4) as pool:
         got = list(pool.map(lambda pose: renderer.render(CAMERA, pose), room_poses))
@@ -96,7 +96,7 @@ def test_one_renderer_serves_several_threads(cluttered_room, room_poses):
 
 
 def test_pickle_gives_the_same_pictures(cluttered_room, room_poses):
-    renderer = RaycastRenderer(cluttered_room)
+    renderer = RaycastRenderer(cluttered_room, threads=2)
     expected = renderer.render(CAMERA, room_poses[2])
     copy = pickle.loads(pickle.dumps(renderer))
     for got, want in zip(copy.render(CAMERA, room_poses[2]), expected):
@@ -105,7 +105,7 @@ def test_pickle_gives_the_same_pictures(cluttered_room, room_poses):
 
 def test_works_in_a_forked_child(cluttered_room, room_poses):
     # A pool's threads do not exist in the child; waiting for them would last for ever.
-    renderer = RaycastRenderer(cluttered_room)
+    renderer = RaycastRenderer(cluttered_room, threads=2)
     camera = PinholeCamera.from_size(160, 90)
     expected = renderer.render(camera, room_poses[0])[1].sum()
     assert renderer._pool is not None
@@ -147,3 +147,9 @@ def test_counts_below_one_are_refused(box_room, wrong):
         RaycastRenderer(box_room, threads=wrong.get("threads", 1)).render(
             CAMERA, np.eye(4), supersample=wrong.get("supersample", 1)
         )
+
+
+def test_one_thread_where_the_environment_says_so(monkeypatch):
+    for text, expected in (("1", 1), ("2", 2), ("8", 2), ("", 2)):
+        monkeypatch.setenv("OMP_NUM_THREADS", text)
+        assert default_threads() == expected

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 TILE = (270, 480)  # height and width of the two views, pixels
 # Okabe-Ito colours, legible to colour-blind readers.
 UNKNOWN_COLOUR, FREE_COLOUR, OCCUPIED_COLOUR = (120, 124, 130), (245, 245, 240), (40, 44, 52)
+PARTLY_COLOUR = (200, 192, 178)  # occupied at some heights, free at others: the camera may pass above or below
 PATH_COLOUR, AGENT_COLOUR, CANDIDATE_COLOUR = (0, 114, 178), (213, 94, 0), (0, 158, 115)
 MARGIN, CAPTION = 8, 26
 
@@ -27,19 +28,28 @@ def draw_panel(reconstruction: Reconstruction, frame: Frame) -> np.ndarray:  # [
     views = [_fit(frame.rgb, TILE), _fit((np.clip(rendered, 0, 1) * 255).astype(np.uint8), TILE)]
     left = np.concatenate([_captioned(views[0], "camera"), _captioned(views[1], "Gaussian map")], axis=0)
     plan = _fit(draw_plan(reconstruction, left.shape[0] - CAPTION), (left.shape[0] - CAPTION, left.shape[0]))
-    text = f"frame {reconstruction.frames}/{reconstruction.frame_budget}   {reconstruction.metres:.1f} m"
+    text = (
+        f"frame {reconstruction.frames}/{reconstruction.frame_budget}   {reconstruction.metres:.1f} m   "
+        f"{reconstruction.mapper.map.count} Gaussians   {len(reconstruction.planes.nodes)} planes"
+    )
     return np.concatenate([left, _captioned(plan, text)], axis=1)
 
 
 def plan_image(volume: VoxelVolume, height_m: float) -> np.ndarray:  # [X, Y, 3] uint8
-    """The volume seen from above: what is known in the band of half a metre around ``height_m``."""
+    """The volume seen from above: what is known in the band of half a metre around ``height_m``.
+
+    Dark where nothing in the band is free, light where all that is known is free, in between (a table below the
+    camera, the lintel of a door) where both occur.
+    """
     center = int(volume.voxel_of(np.array([[volume.origin[0], volume.origin[1], height_m]]))[0, 2])
     half = max(1, round(0.5 / volume.config.voxel_size))
     band = volume.state[:, :, max(0, center - half) : center + half + 1]
+    free, occupied = (band == FREE).any(axis=2), (band == OCCUPIED).any(axis=2)
     image = np.empty((*band.shape[:2], 3), np.uint8)
     image[:] = UNKNOWN_COLOUR
-    image[(band == FREE).any(axis=2)] = FREE_COLOUR
-    image[(band == OCCUPIED).any(axis=2)] = OCCUPIED_COLOUR
+    image[free] = FREE_COLOUR
+    image[occupied] = OCCUPIED_COLOUR
+    image[free & occupied] = PARTLY_COLOUR
     return image
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Integral, Real
+from os import PathLike
 from typing import Any
 
 import gymnasium as gym
@@ -19,7 +21,7 @@ from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 
-SceneSpec = str | Scene
+SceneSpec = str | PathLike[str] | Scene
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
@@ -103,17 +105,17 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode must be one of {self.metadata['render_modes']} or None, got {render_mode!r}")
-        if coverage_target is not None and not 0 < coverage_target <= 1:
-            raise InputError(f"coverage_target is a share in (0, 1] or None, got {coverage_target}")
-        if max_planes < 1:
-            raise InputError(f"max_planes must be at least 1, got {max_planes}")
+        if coverage_target is not None and not (isinstance(coverage_target, Real) and 0 < coverage_target <= 1):
+            raise InputError(f"coverage_target is a share in (0, 1] or None, got {coverage_target!r}")
+        if not isinstance(max_planes, Integral) or max_planes < 1:
+            raise InputError(f"max_planes must be a whole number of at least 1, got {max_planes!r}")
         if not isinstance(config, ReconstructionConfig):
             config = configure(preset, config)
         changes: dict[str, Any] = {}
         if frame_budget is not None:
             changes["frame_budget"] = frame_budget
         if gains is not None:
-            changes["gains"] = tuple(gains)
+            changes["gains"] = gains if isinstance(gains, str) else tuple(gains)
         self.config = replaced(config, changes)
         self.reward_config = reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), reward or {})
         self.render_mode = render_mode
@@ -122,7 +124,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self.reconstruction = Reconstruction(self.config)
         self.observation_space = observation_space(self.config, max_planes)
         self.action_space = spaces.Discrete(self.config.views.max_candidates)
-        self._scenes = [scene] if isinstance(scene, str | Scene) else list(scene)
+        if not isinstance(scene, str | PathLike | Scene | Sequence):
+            raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {scene!r}")
+        self._scenes = [scene] if isinstance(scene, str | PathLike | Scene) else list(scene)
         if not self._scenes:
             raise InputError("scene must name at least one scene, got an empty sequence")
         self._start_pose = None if start_pose is None else as_pose(start_pose)
@@ -178,6 +182,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     def action_masks(self) -> np.ndarray:  # [K] bool
         """The mask as sb3-contrib's MaskablePPO asks for it."""
+        if self._frame is None:
+            raise gym.error.ResetNeeded("there are no candidates before reset()")
         return np.arange(self.action_space.n) < len(self.reconstruction.candidates)
 
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
@@ -227,7 +233,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
 def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
     """A ``world_from_camera`` matrix from one, or from (x, y, z, yaw in degrees) looking horizontally (0 = +x)."""
-    array = np.asarray(value, dtype=np.float64)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {value!r}") from error
     if not np.isfinite(array).all():
         raise InputError(f"a start pose must be finite numbers, got {value}")
     if array.shape == (4, 4):

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_points
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
 
 @dataclass(frozen=True)
@@ -19,12 +21,17 @@ class RewardConfig:
     tolerance_m: float = 0.05  # a sample is seen if the sensor's depth agrees this well; the C.R. threshold
     tolerance_share: float = 0.01  # of the depth, on top: a pixel is wider far away
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+                raise InputError(f"reward {name} must be a finite number, got {value!r}")
+
 
 class SurfaceCoverage:
     """Which samples of the observable surface some keyframe has seen."""
 
     def __init__(self, points: np.ndarray, config: RewardConfig) -> None:
-        self._points = np.asarray(points, dtype=np.float64)  # [S, 3] world
+        self._points = np.ascontiguousarray(points, dtype=np.float64)  # [S, 3] world
         self._config = config
         self.seen = np.zeros(len(points), dtype=bool)
 
@@ -35,15 +42,50 @@ class SurfaceCoverage:
 
     def add(self, depth: np.ndarray, camera: PinholeCamera, world_from_camera: np.ndarray) -> None:
         """Count what a depth image [H, W] taken at the true pose [4, 4] shows."""
-        todo = np.flatnonzero(~self.seen)
-        local = transform_points(invert_rigid(world_from_camera), self._points[todo])
-        todo, local = todo[local[:, 2] > 0], local[local[:, 2] > 0]
-        pixel = np.floor(camera.project(local)).astype(int)
-        inside = ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(axis=1)
-        todo, local, pixel = todo[inside], local[inside], pixel[inside]
-        tolerance = self._config.tolerance_m + self._config.tolerance_share * local[:, 2]
-        observed = depth[pixel[:, 1], pixel[:, 0]]
-        self.seen[todo[(observed > 0) & (np.abs(observed - local[:, 2]) < tolerance)]] = True
+        _mark_seen(
+            self.seen,
+            self._points,
+            np.ascontiguousarray(invert_rigid(world_from_camera), dtype=np.float64),
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            np.ascontiguousarray(depth, dtype=np.float32),
+            self._config.tolerance_m,
+            self._config.tolerance_share,
+        )
+
+
+@njit(cache=True, nogil=True)
+def _mark_seen(
+    seen: np.ndarray,  # [S] bool, changed in place
+    points: np.ndarray,  # [S, 3] world
+    camera_from_world: np.ndarray,  # [4, 4]
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    depth: np.ndarray,  # [H, W] metres
+    tolerance_m: float,
+    tolerance_share: float,
+) -> None:
+    """Every keyframe of every step asks this of all samples: in numpy it took as long as the volume's integration."""
+    height, width = depth.shape
+    m = camera_from_world
+    for n in range(len(points)):
+        if seen[n]:
+            continue
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        far = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        if far <= 0.0:
+            continue
+        u = np.floor(fx * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / far + cx)
+        v = np.floor(fy * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / far + cy)
+        if not (0.0 <= u < width and 0.0 <= v < height):
+            continue
+        observed = depth[int(v), int(u)]
+        if observed > 0.0 and abs(observed - far) < tolerance_m + tolerance_share * far:
+            seen[n] = True
 
 
 def reward_terms(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import fibonacci_directions, look_along
 from activestructure_gym.motion import DistanceMap
 from activestructure_gym.volume import VoxelVolume
@@ -34,15 +35,18 @@ class ViewConfig:
     def __post_init__(self) -> None:
         if not self.lattice_step_m > 0:
             raise ValueError(f"lattice_step_m must be above 0, got {self.lattice_step_m}")
-        if not self.heights_m:
-            raise ValueError("heights_m needs at least one height")
+        if not isinstance(self.heights_m, tuple) or not self.heights_m:
+            raise ValueError(f"heights_m must be a tuple of at least one height, got {self.heights_m!r}")
         if self.directions < 1 or self.max_candidates < 1 or self.max_revisits < 0:
             raise ValueError(
                 "directions and max_candidates must be at least 1 and max_revisits at least 0, got "
                 f"{self.directions}, {self.max_candidates}, {self.max_revisits}"
             )
         if self.max_revisits >= self.max_candidates:
-            raise ValueError(f"max_revisits ({self.max_revisits}) must stay below max_candidates")
+            raise ValueError(
+                f"max_revisits ({self.max_revisits}) must stay below max_candidates ({self.max_candidates}): "
+                "revisits are offered in the same table"
+            )
         if not 0 < self.scoring_scale <= 1:
             raise ValueError(f"scoring_scale must lie in (0, 1], got {self.scoring_scale}")
         if not 0 < self.coverage_alpha < 1:
@@ -70,7 +74,8 @@ class CandidatePool:
     ) -> None:
         """``anchor`` [3] is the start position, ``bounds`` [2, 3] the workspace, both in metres, world.
 
-        ``clearance_m`` is the least distance of a candidate to anything not known to be free.
+        ``clearance_m`` is the least distance of a candidate to anything not known to be free. Raises `InputError` if
+        no height lies in the workspace.
         """
         self.config = config
         self._clearance_m = clearance_m
@@ -80,6 +85,11 @@ class CandidatePool:
         first = np.ceil((bounds[0, :2] - anchor[:2]) / step).astype(int)
         last = np.floor((bounds[1, :2] - anchor[:2]) / step).astype(int)
         heights = [z for z in config.heights_m if bounds[0, 2] <= anchor[2] + z <= bounds[1, 2]]
+        if not heights:
+            raise InputError(
+                f"no height of views.heights_m {config.heights_m} keeps the camera inside the scene: it starts at "
+                f"{anchor[2]:.2f} m, and the scene reaches from {bounds[0, 2]:.2f} m to {bounds[1, 2]:.2f} m"
+            )
         grid = np.stack(
             np.meshgrid(
                 np.arange(first[0], last[0] + 1) * step,

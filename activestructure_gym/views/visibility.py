@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 
-from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.volume import VoxelVolume
 
@@ -31,20 +32,54 @@ def visible_planes(
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
     points = np.stack([_spread(plane.points) for plane in planes])  # [P, S, 3]
     normals = np.stack([plane.normal for plane in planes])  # [P, 3]
-    eyes = world_from_camera[:, None, None, :3, 3]
-    camera_from_world = invert_rigid(world_from_camera)
-    local = np.einsum("kij,psj->kpsi", camera_from_world[:, :3, :3], points) + camera_from_world[:, None, None, :3, 3]
-    distance = np.linalg.norm(local, axis=-1)  # [K, P, S]
-    in_range = (local[..., 2] > 0) & (distance >= NEAREST_M) & (distance <= FARTHEST_M)
-    pixels = camera.project(np.where(in_range[..., None], local, 1.0))
-    inside = (pixels >= 0).all(-1) & (pixels[..., 0] < camera.width) & (pixels[..., 1] < camera.height)
-    cosine = np.einsum("kpsi,pi->kps", eyes - points, normals) / np.maximum(distance, 1e-9)
-    seen = in_range & inside & (cosine >= STEEPEST_COSINE)
+    seen = _in_view(
+        np.ascontiguousarray(points, dtype=np.float64),
+        np.ascontiguousarray(normals, dtype=np.float64),
+        np.ascontiguousarray(world_from_camera, dtype=np.float64),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.width,
+        camera.height,
+    )
     if volume is not None and seen.any():
         view, plane, sample = np.nonzero(seen)
         seen[view, plane, sample] = volume.sight_free(world_from_camera[view, :3, 3], points[plane, sample])
     return seen.mean(axis=2) >= LEAST_SHARE
 
 
+@njit(cache=True, nogil=True)
+def _in_view(
+    points: np.ndarray,  # [P, S, 3] world
+    normals: np.ndarray,  # [P, 3]
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    width: int,
+    height: int,
+) -> np.ndarray:  # [K, P, S] bool
+    """Frustum, distance and view angle of every point from every candidate; asked in every step, hence compiled."""
+    seen = np.zeros((len(poses), points.shape[0], points.shape[1]), np.bool_)
+    for k in range(len(poses)):
+        pose = poses[k]
+        for p in range(points.shape[0]):
+            for s in range(points.shape[1]):
+                x, y, z = points[p, s, 0] - pose[0, 3], points[p, s, 1] - pose[1, 3], points[p, s, 2] - pose[2, 3]
+                depth = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z
+                distance = np.sqrt(x * x + y * y + z * z)
+                if depth <= 0.0 or distance < NEAREST_M or distance > FARTHEST_M:
+                    continue
+                u = fx * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / depth + cx
+                v = fy * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / depth + cy
+                if not (0.0 <= u < width and 0.0 <= v < height):
+                    continue
+                cosine = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2]) / distance
+                seen[k, p, s] = cosine >= STEEPEST_COSINE
+    return seen
+
+
 def _spread(points: np.ndarray) -> np.ndarray:  # [N, 3] -> [SAMPLES, 3]
-    return points[np.linspace(0, len(points) - 1, SAMPLES).astype(int)]
+    return points[np.arange(SAMPLES) * (len(points) - 1) // (SAMPLES - 1)]

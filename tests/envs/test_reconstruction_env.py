@@ -8,13 +8,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import least_frames, observation_keys, observation_table
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.views import CandidateTable
+from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 
 @pytest.fixture
@@ -141,11 +142,48 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"scene": []}, "at least one scene"),
         ({"start_pose": (1.0, 2.0)}, "a start pose is"),
         ({"start_pose": (1.0, 2.0, float("nan"), 0.0)}, "finite"),
+        ({"start_pose": "door"}, "a start pose is"),
+        ({"gains": "pixel"}, "gains must be a list, got 'pixel'"),
+        ({"scene": 3}, "scene must be a name, a path"),
+        ({"max_planes": 1.5}, "max_planes must be a whole number"),
+        ({"coverage_target": "all"}, "coverage_target is a share"),
+        ({"config": {"views.heights_m": ()}}, "heights_m must be a tuple"),
     ],
 )
 def test_bad_input_gets_one_clear_sentence(box_options: dict[str, Any], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message.replace("(", r"\(")):
         ReconstructionEnv(**{**box_options, **changes})
+
+
+@pytest.mark.parametrize("reward", [{"coverage": float("nan")}, {"path": "far"}])
+def test_a_reward_that_is_no_number_is_refused(box_options: dict[str, Any], reward: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        ReconstructionEnv(**box_options, reward=reward)
+
+
+def test_heights_outside_the_scene_are_refused_at_reset(box_options: dict[str, Any]) -> None:
+    config = {**box_options["config"], "views": {"max_candidates": 24, "heights_m": (5.0, -5.0)}}
+    env = ReconstructionEnv(**{**box_options, "config": config})
+    with pytest.raises(InputError, match="no height of views.heights_m"):
+        env.reset(seed=0)
+
+
+def test_masks_before_reset_say_so(env: ReconstructionEnv) -> None:
+    with pytest.raises(gym.error.ResetNeeded):
+        env.action_masks()
+
+
+def test_plan_tells_walls_from_what_the_camera_may_pass_over() -> None:
+    volume = VoxelVolume(np.array([[0.0, 0, 0], [1, 1, 2]]), VolumeConfig())
+    column = {(2, 2): (FREE, FREE), (4, 4): (OCCUPIED, OCCUPIED), (6, 6): (OCCUPIED, FREE)}
+    middle = int(volume.voxel_of(np.array([[0.5, 0.5, 1.0]]))[0, 2])
+    for (x, y), (below, above) in column.items():
+        volume.state[x, y, middle - 2 : middle], volume.state[x, y, middle : middle + 3] = below, above
+    image = panel.plan_image(volume, 1.0)
+    colours = (panel.FREE_COLOUR, panel.OCCUPIED_COLOUR, panel.PARTLY_COLOUR)
+    for (x, y), colour in zip(column, colours):
+        np.testing.assert_array_equal(image[x, y], colour)
+    np.testing.assert_array_equal(image[8, 2], panel.UNKNOWN_COLOUR)
 
 
 def test_a_start_inside_a_wall_is_refused(box_options: dict[str, Any]) -> None:

@@ -50,3 +50,22 @@ def test_empty_inputs() -> None:
     plane = SimpleNamespace(points=patch((2.0, 0.0, 0.0), 0), normal=np.array([-1.0, 0, 0]))
     assert visible_planes([], CAMERA, np.eye(4)[None]).shape == (1, 0)
     assert visible_planes([plane] * 2, CAMERA, np.zeros((0, 4, 4))).shape == (0, 2)
+
+
+def test_compiled_view_test_agrees_with_the_formula(rng: np.random.Generator) -> None:
+    points, normals = rng.uniform(-4, 4, (30, 16, 3)), rng.normal(size=(30, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = [SimpleNamespace(points=p, normal=n) for p, n in zip(points, normals)]
+    poses = np.stack([look_along(rng.uniform(-1, 1, 3), rng.normal(size=3)) for _ in range(20)])
+    expected = np.zeros((20, 30), dtype=bool)
+    for k, pose in enumerate(poses):
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        distance = np.linalg.norm(local, axis=-1)
+        ahead = local[..., 2] > 0
+        pixel = CAMERA.project(np.where(ahead[..., None], local, 1.0))
+        inside = (pixel >= 0).all(-1) & (pixel < [CAMERA.width, CAMERA.height]).all(-1)
+        cosine = np.einsum("psi,pi->ps", pose[:3, 3] - points, normals) / distance
+        seen = ahead & inside & (distance >= 0.2) & (distance <= 5.0) & (cosine >= np.cos(np.radians(80.0)))
+        expected[k] = seen.mean(axis=1) >= 0.1
+    assert 0.02 < expected.mean() < 0.98
+    np.testing.assert_array_equal(visible_planes(planes, CAMERA, poses), expected)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,7 +74,9 @@ def plot_convergence(runs: Sequence[Run], path: Path, *, title: str) -> None:
         fontsize=11,
         title=_reading_aid(runs),
     )
-    figure.savefig(path)
+    with warnings.catch_warnings():  # a scene's name may hold letters the font lacks; the curves do not
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        figure.savefig(path)
 
 
 def _reading_aid(runs: Sequence[Run]) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from activestructure_gym.evaluation.report.canvas import corner_label, tile_grid, to_image
+from activestructure_gym.evaluation.report.canvas import corner_label, text_width, tile_grid, to_image
 from activestructure_gym.evaluation.report.plan import draw_plan, legend, plan_arrays
 
 if TYPE_CHECKING:
@@ -64,9 +64,11 @@ def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
 def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
     """One plan per run, side by side, in one scale."""
     plans = [draw_plan(run.pictures, run.trajectory) for run in runs]
-    size = max(plan.width for plan in plans), max(plan.height for plan in plans)
-    tiles = [_on_page(plan, size) for plan in plans]
     labels = [f"{run.job.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
+    # The plan of a closet is narrower than what stands above it.
+    width = max(max(plan.width for plan in plans), *(text_width(label, 14) for label in labels))
+    size = width, max(plan.height for plan in plans)
+    tiles = [_on_page(plan, size) for plan in plans]
     return _with_legend(tile_grid([tiles], title=title, column_labels=labels))
 
 

@@ -25,8 +25,8 @@ def write_report(directory: Path, runs: Sequence[Run], comparison: Mapping[str, 
     for run in runs:
         by_scene.setdefault(run.scene, []).append(run)
     sections = []
-    for scene, own in by_scene.items():
-        pictures = _scene_pictures(directory, scene, own, alone=len(by_scene) == 1)
+    for (scene, own), ending in zip(by_scene.items(), _endings(list(by_scene))):
+        pictures = _scene_pictures(directory, scene, own, ending)
         written += pictures.values()
         sections.append(_scene_section(scene, own, pictures, directory))
     if len(by_scene) > 1:
@@ -39,8 +39,22 @@ def write_report(directory: Path, runs: Sequence[Run], comparison: Mapping[str, 
     return [*written, summary]
 
 
-def _scene_pictures(directory: Path, scene: str, runs: Sequence[Run], *, alone: bool) -> dict[str, Path]:
-    ending = "" if alone else f"-{slug(scene)}"
+def _endings(scenes: Sequence[str]) -> list[str]:
+    """What the file names of each scene's pictures end with; "a b" and "a?b" look the same in a file name."""
+    if len(scenes) == 1:
+        return [""]
+    endings: list[str] = []
+    for scene in scenes:
+        plain, number = f"-{slug(scene)}", 1
+        ending = plain
+        while ending.lower() in (taken.lower() for taken in endings):  # some file systems ignore case
+            number += 1
+            ending = f"{plain}-{number}"
+        endings.append(ending)
+    return endings
+
+
+def _scene_pictures(directory: Path, scene: str, runs: Sequence[Run], ending: str) -> dict[str, Path]:
     paths = {name: directory / f"{name}{ending}.png" for name in ("convergence", "views", "plans")}
     plot_convergence(runs, paths["convergence"], title=f"Convergence on {scene}")
     # One run per policy: the first seed that all of them finished, else each one's first.

@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.canvas import corner_label, framed, tile_grid
+from activestructure_gym.evaluation.report.canvas import corner_label, framed, text_width, tile_grid
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views, run_views, telling_views
 from activestructure_gym.evaluation.report.plan import draw_plan, plan_scale
 
@@ -67,6 +67,14 @@ def test_plans_of_different_size_stand_side_by_side(make_run):
     large.pictures["plan_extent"] = np.array([6.0, 5.0])
     page = compare_plans([small, large], title="title")
     assert page.width > 2 * 540 and page.height > 450
+
+
+def test_plans_of_a_closet_leave_room_for_their_labels(make_run):
+    runs = [make_run(policy=name) for name in ("a" * 80, "b" * 80)]
+    for run in runs:
+        run.pictures["plan_extent"] = np.array([1.2, 1.2])
+    page = compare_plans(runs, title="title")
+    assert page.width > sum(text_width(f"{run.job.policy}: 100 frames, 12.0 m", 14) for run in runs)
 
 
 def test_path_colours_rise_in_lightness():

@@ -25,6 +25,17 @@ def test_everything_is_written_and_linked(make_run, tmp_path):
         assert words in text
 
 
+def test_scenes_whose_names_look_alike_in_a_file_name_keep_their_own_pictures(make_run, tmp_path, recwarn):
+    runs = [make_run(scene, "a") for scene in ("家", "室", "a b", "A?b")]
+    for run in runs:
+        run.directory.mkdir(parents=True, exist_ok=True)
+    files = write_report(tmp_path, runs, COMPARISON)
+    names = [file.name.lower() for file in files]
+    assert len(set(names)) == len(names) and all(file.is_file() for file in files)
+    assert {"plans-unnamed.png", "plans-unnamed-2.png", "plans-a-b.png", "plans-a-b-2.png"} <= set(names)
+    assert not [warning for warning in recwarn if "Glyph" in str(warning.message)]
+
+
 def test_what_failed_is_named_and_not_counted(make_run, tmp_path):
     run = make_run()
     run.directory.mkdir(parents=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from numbers import Integral, Real
 from os import PathLike
 from typing import Any
 
@@ -105,9 +104,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode must be one of {self.metadata['render_modes']} or None, got {render_mode!r}")
-        if coverage_target is not None and not (isinstance(coverage_target, Real) and 0 < coverage_target <= 1):
+        if coverage_target is not None and not (
+            isinstance(coverage_target, int | float | np.number) and 0 < coverage_target <= 1
+        ):
             raise InputError(f"coverage_target is a share in (0, 1] or None, got {coverage_target!r}")
-        if not isinstance(max_planes, Integral) or max_planes < 1:
+        if not isinstance(max_planes, int | np.integer) or max_planes < 1:
             raise InputError(f"max_planes must be a whole number of at least 1, got {max_planes!r}")
         if not isinstance(config, ReconstructionConfig):
             config = configure(preset, config)

@@ -75,7 +75,10 @@ class Reconstruction:
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
         self.mapper = Mapper(config.mapper, np.random.default_rng(mapping))
-        self.volume = VoxelVolume(scene.bounds, config.volume)
+        # The volume's margins are made for Kinect noise; a noisier sensor widens them.
+        multiplier = max(1.0, config.sensor.noise_multiplier) if config.sensor.depth_noise != "none" else 1.0
+        widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * multiplier})
+        self.volume = VoxelVolume(scene.bounds, widened)
         # The plane detector is told at least the noise its own sensor makes.
         noise_scale = max(
             config.planes.detection.depth_noise_scale,

@@ -132,6 +132,12 @@ def test_the_plane_detector_knows_its_sensor_s_noise(box: Scene) -> None:
         assert run.planes.config.detection.depth_noise_scale == expected
 
 
+def test_a_noisier_sensor_widens_the_volume_s_margins(box: Scene) -> None:
+    growth = episode(box).volume.config.margin_growth
+    noisy = {**SMALL["sensor"], "depth_noise": "kinect", "noise_multiplier": 3.0}
+    assert episode(box, sensor=noisy).volume.config.margin_growth == pytest.approx(3 * growth)
+
+
 def test_the_start_is_the_one_asked_for_and_is_checked(box: Scene) -> None:
     run = Reconstruction(configure("fast", SMALL))
     pose = look_along(np.array([2.0, 1.5, 1.3]), np.array([0.0, 1.0, 0.0]))

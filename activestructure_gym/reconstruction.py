@@ -17,7 +17,7 @@ import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
-from activestructure_gym.mapping import Mapper, MappingReport
+from activestructure_gym.mapping import Mapper
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene, check_start_pose
@@ -99,7 +99,6 @@ class Reconstruction:
         self.frames = 0
         self.metres = 0.0
         self.decisions = 0
-        self.mapping_report: MappingReport | None = None
         self.seconds: defaultdict[str, float] = defaultdict(float)  # wall-clock by stage; never observed
 
         # The agent was put down there, so the place around it is known to be free, as far as it is.
@@ -146,11 +145,6 @@ class Reconstruction:
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
 
-    def refine(self, iterations: int) -> None:
-        """More map iterations over all keyframes, without moving (post-refinement)."""
-        with self._timed("mapping"):
-            self.mapper.refine(iterations)
-
     def _plan(self, goal: np.ndarray) -> np.ndarray | None:  # [T, 4, 4]
         motion = self.config.motion
         with self._timed("planning"):
@@ -190,7 +184,7 @@ class Reconstruction:
             sensor = self.config.sensor
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with self._timed("mapping"):
-            self.mapping_report = self.mapper.observe(frame)
+            self.mapper.observe(frame)
         with self._timed("planes"):
             self.planes.update(frame, space_state=self.volume.state_at)
         self.keyframe_indices.append(len(self.trajectory) - 1)

@@ -15,6 +15,27 @@ UNKNOWN, OPEN, COVERED = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
+def _lift(u, v, depth, lens, rotation, translation):
+    """World point of the centre of pixel (u, v); ``lens`` is fx, fy, cx, cy."""
+    z = np.float64(depth)
+    x, y = (u + 0.5 - lens[2]) / lens[0] * z, (v + 0.5 - lens[3]) / lens[1] * z
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0],
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1],
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2],
+    )
+
+
+@njit(cache=True, nogil=True)
+def _cell_of(px, py, pz, grid, cell):
+    """Row and column of a world point in a tangent grid."""
+    dx, dy, dz = px - grid[0], py - grid[1], pz - grid[2]
+    row = int(np.floor((dx * grid[3] + dy * grid[4] + dz * grid[5]) / cell))
+    column = int(np.floor((dx * grid[6] + dy * grid[7] + dz * grid[8]) / cell))
+    return row, column
+
+
+@njit(cache=True, nogil=True)
 def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
     """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
@@ -28,7 +49,6 @@ def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors
     extents[:, 2:] = -(1 << 40)
     moments = np.zeros((count, MOMENTS))
     for v in range(depth.shape[0]):
-        y1 = (v + 0.5 - lens[3]) / lens[1]
         for u in range(depth.shape[1]):
             label = labels[v, u]
             if label < 0:
@@ -36,15 +56,9 @@ def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors
             t = table[label]
             if t < 0:
                 continue
-            z = np.float64(depth[v, u])
-            x, y = (u + 0.5 - lens[2]) / lens[0] * z, y1 * z
-            px = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
-            py = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
-            pz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
+            px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
             add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
-            g = grids[t]
-            r = int(np.floor(((px - g[0]) * g[3] + (py - g[1]) * g[4] + (pz - g[2]) * g[5]) / cell))
-            c = int(np.floor(((px - g[0]) * g[6] + (py - g[1]) * g[7] + (pz - g[2]) * g[8]) / cell))
+            r, c = _cell_of(px, py, pz, grids[t], cell)
             extents[t, 0] = min(extents[t, 0], r)
             extents[t, 1] = min(extents[t, 1], c)
             extents[t, 2] = max(extents[t, 2], r)
@@ -56,7 +70,6 @@ def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors
 def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, hits):
     """Pixels per cell, written to the flat ``hits``; node t owns ``hits[starts[t]:starts[t + 1]]``, row-major."""
     for v in range(depth.shape[0]):
-        y1 = (v + 0.5 - lens[3]) / lens[1]
         for u in range(depth.shape[1]):
             label = labels[v, u]
             if label < 0:
@@ -64,14 +77,8 @@ def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, e
             t = table[label]
             if t < 0:
                 continue
-            z = np.float64(depth[v, u])
-            x, y = (u + 0.5 - lens[2]) / lens[0] * z, y1 * z
-            px = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
-            py = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
-            pz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
-            g = grids[t]
-            r = int(np.floor(((px - g[0]) * g[3] + (py - g[1]) * g[4] + (pz - g[2]) * g[5]) / cell))
-            c = int(np.floor(((px - g[0]) * g[6] + (py - g[1]) * g[7] + (pz - g[2]) * g[8]) / cell))
+            px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
+            r, c = _cell_of(px, py, pz, grids[t], cell)
             r -= extents[t, 0]
             c -= extents[t, 1]
             if 0 <= r <= extents[t, 2] - extents[t, 0] and 0 <= c <= extents[t, 3] - extents[t, 1]:

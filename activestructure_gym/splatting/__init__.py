@@ -7,9 +7,12 @@ imported from its own module so that the mapper does not load torch.
 from activestructure_gym.splatting.backends import backend_status
 from activestructure_gym.splatting.cpu import (
     LossWeights,
+    PoseGradient,
     Rendering,
     StepLosses,
+    TrackingWeights,
     mapping_step,
+    pose_gradient,
     render,
     render_depth_alpha,
 )
@@ -17,10 +20,13 @@ from activestructure_gym.splatting.ssim import ssim_and_gradient
 
 __all__ = [
     "LossWeights",
+    "PoseGradient",
     "Rendering",
     "StepLosses",
+    "TrackingWeights",
     "backend_status",
     "mapping_step",
+    "pose_gradient",
     "render",
     "render_depth_alpha",
     "ssim_and_gradient",

@@ -57,6 +57,38 @@ class StepLosses:
     ssim: float  # mean SSIM (1 = equal); nan where the weights leave it out
 
 
+@dataclass(frozen=True)
+class TrackingWeights:
+    """The loss a camera pose is found by: color * |C - I| + depth * |D / A - D_measured|.
+
+    Both are summed over the pixels that have a measured depth and an accumulated alpha above ``min_alpha`` (SplaTAM,
+    Keetha et al. 2024, eq. 8; depth divided by alpha as in the mapping loss, where SplaTAM takes it as accumulated).
+    ``mean`` takes both as means over these pixels, colour over its three channels too.
+    """
+
+    color: float = 0.5
+    depth: float = 1.0  # per metre
+    min_alpha: float = 0.99
+    mean: bool = False
+
+    def __post_init__(self) -> None:
+        if self.color < 0 or self.depth < 0:
+            raise ValueError(f"tracking weights must not be negative, got {self}")
+        if not 0.0 <= self.min_alpha < 1.0:
+            raise ValueError(f"min_alpha must lie in [0, 1), got {self.min_alpha}")
+
+
+@dataclass(frozen=True)
+class PoseGradient:
+    """Tracking loss at a pose and how it changes when camera_from_world becomes exp(xi) camera_from_world."""
+
+    loss: float
+    gradient: np.ndarray  # [6] float64 by xi = (rho, phi): metres and radians in the camera's frame
+    color: float  # unweighted sum or mean of |C - I|
+    depth: float  # metres, unweighted sum or mean of |D / A - D_measured|
+    pixels: int  # compared
+
+
 def render(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
@@ -112,15 +144,26 @@ def mapping_step(
     beta1: float = 0.9,
     beta2: float = 0.999,
     epsilon: float = 1e-15,
+    isotropic: bool = False,
     threads: int | None = None,
 ) -> StepLosses:
-    """Render, compare, differentiate, and move the Gaussians that have a weight in some pixel (Adam)."""
+    """Render, compare, differentiate, and move the Gaussians that have a weight in some pixel (Adam).
+
+    ``isotropic`` takes the three log-scales of a Gaussian as one: each row gets the derivative by all of them, so that
+    equal scales stay equal.
+
+    Raises:
+        ValueError: arrays of another shape or type, or isotropic with different learning rates for the log-scales.
+    """
     _check(parameters, count)
     for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
         if array.shape != parameters.shape or array.dtype != np.float32:
             raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")
-    rates = np.empty(kernels.ROWS + 4, np.float32)
-    rates[: kernels.ROWS], rates[kernels.ROWS :] = learning_rates, (beta1, beta2, epsilon, 1.0)
+    rates = np.empty(kernels.RATES, np.float32)
+    rates[: kernels.ROWS] = learning_rates
+    rates[kernels.ROWS :] = beta1, beta2, epsilon, kernels.TO_ADAM, isotropic
+    if isotropic and not rates[7] == rates[8] == rates[9]:
+        raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")
     state = (parameters, first_moment, second_moment)
     used = tuple(fitted(array) for array in state)
     lease = Lease()
@@ -136,6 +179,43 @@ def mapping_step(
         if copy is not array:
             array[:] = copy[:, : array.shape[1]]
     return StepLosses(color, depth, ssim)
+
+
+def pose_gradient(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [4, 4]
+    target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
+    target_depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
+    weights: TrackingWeights = TrackingWeights(),
+    *,
+    threads: int | None = None,
+) -> PoseGradient:
+    """Tracking loss of a picture and its derivative by the pose it is rendered from; the map stays as it is.
+
+    The step of a gradient descent is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
+    """
+    _check(parameters, count)
+    pose = invert_rigid(np.asarray(world_from_camera, dtype=np.float64))
+    lease = Lease()
+    workspace, used = lease.workspace, fitted(parameters)
+    workspace.render(used, count, camera, pose, threads=threads)
+    of_color = weights.color / 3.0 if weights.mean else weights.color
+    color, depth, pixels = workspace.tracking_loss(
+        target_rgb, target_depth, of_color, weights.depth, weights.min_alpha
+    )
+    rates = np.zeros(kernels.RATES, np.float32)
+    rates[kernels.MODE] = kernels.POSE_ONLY
+    by_pose = workspace.backward(rates, used, used, used).astype(np.float64)
+    turned = by_pose @ pose[:3].T  # d exp(xi) T = hat(xi) T: the derivative by the entries of hat(phi)
+    gradient = np.empty(6)
+    gradient[:3] = by_pose[:, 3]
+    gradient[3:] = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
+    if weights.mean:
+        of_pixel = 1.0 / max(1, pixels)  # known only after the gradient images, whose derivative is linear in them
+        gradient, color, depth = gradient * of_pixel, color * of_pixel / 3.0, depth * of_pixel
+    return PoseGradient(weights.color * color + weights.depth * depth, gradient, color, depth, pixels)
 
 
 def _check(parameters: np.ndarray, count: int) -> None:

@@ -47,6 +47,10 @@ CHUNK = 1024  # Gaussians per unit of work
 TILE = 32  # pixels
 RECORD = 16  # floats per Gaussian, 64 bytes
 ROWS = 14  # of the parameter array
+# rates: a learning rate per row, then these. MODE says what the backward pass is for; ISOTROPIC (0 or 1) ties the three
+# log-scales of a Gaussian together: each gets the derivative by all of them.
+BETA1, BETA2, EPSILON, MODE, ISOTROPIC, RATES = range(14, 20)
+POSE_ONLY, TO_GRADIENT, TO_ADAM = -1.0, 0.0, 1.0
 
 # ---------------------------------------------------------------------------------------------------------------------
 # 16-lane values: numba types whose operators become LLVM vector instructions (AVX-512, AVX2, SSE or NEON by LLVM).
@@ -1307,16 +1311,15 @@ def _step_chunk(
     chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts,
     scratch,
 ):
-    """Gather the slots of 1024 Gaussians and either step them (Adam) or write their dense gradient.
+    """Gather the slots of 1024 Gaussians and step them (Adam), write their dense gradient, or only the pose's.
 
-    ``rates [18]``: 14 learning rates, beta1, beta2, epsilon, and 1 for Adam or 0 for the gradient.
     ``scratch [42 * 16]``: gathered sums, gradient, pose.
     """
     capacity, zero = grid[CAPACITY], spread(F(0.0))
     sums_of, own, pose = scratch[: 16 * LANES], scratch[16 * LANES : 30 * LANES], scratch[30 * LANES :]
     for k in range(12):
         store(pose, LANES * k, zero)
-    beta1, beta2, epsilon, stepping = rates[14], rates[15], rates[16], rates[17] > F(0.0)
+    beta1, beta2, epsilon, stepping = rates[BETA1], rates[BETA2], rates[EPSILON], rates[MODE] > F(0.0)
     end = min((chunk + 1) * CHUNK, grid[COUNT])
     for i in range(chunk * CHUNK, end, LANES):
         seen = np.int64(peek(visible, i // LANES))
@@ -1338,8 +1341,13 @@ def _step_chunk(
                     total = total + load(slots, LANES * at)
             store(sums_of, LANES * lane, total)
         seen = _splat_gradient(parameters, i, view, grid, records, sums_of, own, pose)
-        if seen == 0:
+        if seen == 0 or rates[MODE] < F(0.0):
             continue
+        if rates[ISOTROPIC] > F(0.0):
+            together = load(own, LANES * 7) + load(own, LANES * 8) + load(own, LANES * 9)
+            store(own, LANES * 7, together)
+            store(own, LANES * 8, together)
+            store(own, LANES * 9, together)
         mask = load_sums(sums_of, 0)[W_ALL] > F(0.0)
         for row in range(ROWS):
             g = sel(mask, load(own, LANES * row), F(0.0))
@@ -1496,6 +1504,38 @@ def _differentiate_row(
         poke(by_alpha, pixel, of_alpha)
 
 
+@njit
+def _track_row(row, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms):
+    """Tracking loss of one row, as sums over its opaque pixels with a depth, and its gradient image.
+
+    ``weights``: of |colour difference|, of |depth error|, least alpha. ``terms`` of the row: the two sums, 0, pixels.
+    """
+    of_color, of_depth, least = weights[0], weights[1], weights[2]
+    color_sum, depth_sum, used = F(0.0), F(0.0), 0
+    for column in range(grid[WIDTH]):
+        pixel, place = row * grid[WIDTH] + column, row * grid[STRIDE] + grid[MARGIN] + 3 * column
+        opaque, measured = peek(alpha, pixel), peek(target_depth, pixel)
+        counts = (measured > F(0.0)) & (opaque > least)
+        for channel in range(3):
+            difference = peek(image, place + channel) - peek(target, place + channel)
+            sign = of_color if difference > F(0.0) else -of_color if difference < F(0.0) else F(0.0)
+            color_sum += abs(difference) if counts else F(0.0)
+            poke(by_color, place + channel, sign if counts else F(0.0))
+        of_pixel, of_alpha = F(0.0), F(0.0)
+        if counts:
+            expected = peek(depth, pixel) / opaque
+            error = expected - measured
+            depth_sum += abs(error)
+            used += 1
+            of_pixel = (of_depth if error > F(0.0) else -of_depth if error < F(0.0) else F(0.0)) / opaque
+            of_alpha = -of_pixel * expected
+        poke(by_depth, pixel, of_pixel)
+        poke(by_alpha, pixel, of_alpha)
+    at = TERMS * row
+    terms[at + TERM_COLOR], terms[at + TERM_SSIM] = color_sum, F(0.0)
+    terms[at + TERM_DEPTH], terms[at + TERM_MEASURED] = depth_sum, F(used)
+
+
 # ---------------------------------------------------------------------------------------------------------------------
 # Entry points: every thread calls the same one; tickets hand out the units of work.
 
@@ -1556,6 +1596,18 @@ def differentiate(
                 own, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha,
                 buffers,
             )  # fmt: skip
+
+
+@_entry
+def track(tickets, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms):
+    while True:
+        row = 8 * take_ticket(tickets, 3)
+        if row >= grid[HEIGHT]:
+            return
+        for own in range(row, min(row + 8, grid[HEIGHT])):
+            _track_row(
+                own, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms
+            )
 
 
 @_entry

@@ -186,6 +186,30 @@ class Workspace:
         ssim = sums[k.TERM_SSIM] / values if of_ssim else float("nan")
         return sums[k.TERM_COLOR] / values, sums[k.TERM_DEPTH] / measured, ssim
 
+    def tracking_loss(
+        self,
+        target_rgb: np.ndarray,  # [H, W, 3] float32
+        target_depth: np.ndarray,  # [H, W] float32
+        of_color: float,
+        of_depth: float,
+        least_alpha: float,
+    ) -> tuple[float, float, int]:
+        """Sums of |colour difference| and |depth error| over the opaque pixels with a depth, and how many these are.
+
+        Fills the gradient images with those of the weighted sum.
+        """
+        height, pixels = self.camera.height, self.camera.width * self.camera.height
+        target = self._padded("target", target_rgb)
+        self.by_color = self._image("by color")
+        self.by_depth, self.by_alpha = self._buffer("by depth", pixels), self._buffer("by alpha", pixels)
+        terms = self._buffer("terms", height * k.TERMS)
+        self._run(
+            k.track, self.grid, self.color, self.depth, self.alpha, target, flat(target_depth),
+            np.array([of_color, of_depth, least_alpha], np.float32), self.by_color, self.by_depth, self.by_alpha, terms,
+        )  # fmt: skip
+        sums = terms[: height * k.TERMS].reshape(height, k.TERMS).sum(axis=0, dtype=np.float64)
+        return float(sums[k.TERM_COLOR]), float(sums[k.TERM_DEPTH]), int(sums[k.TERM_MEASURED])
+
     def _maps(self) -> np.ndarray:
         shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
         name = f"maps {shape}"
@@ -201,12 +225,14 @@ class Workspace:
 
     def backward(
         self,
-        rates: np.ndarray,  # [18] float32: 14 learning rates, beta1, beta2, epsilon, 1 = Adam / 0 = gradient
+        rates: np.ndarray,  # [20] float32: 14 learning rates, then `kernels.BETA1 ...`
         first_moment: np.ndarray,  # [14, capacity] float32
         second_moment: np.ndarray,  # [14, capacity] float32
         gradient: np.ndarray,  # [14, capacity] float32, zeros
     ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
-        """From the gradient images to an Adam step in place, or to ``gradient``."""
+        """From the gradient images to an Adam step in place, to ``gradient``, or to the pose alone."""
+        if len(rates) < k.RATES:  # what is left out is 0
+            rates = np.concatenate([rates, np.zeros(k.RATES - len(rates), np.float32)])
         chunks = int(self.grid[k.CHUNKS])
         slots = self._buffer("slots", self.total * k.LANES)
         self.tickets[:] = 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from activestructure_gym.errors import InputError, unknown_name
-from activestructure_gym.mapping import MapperConfig
+from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
 from activestructure_gym.sensors import SensorConfig
@@ -68,17 +68,27 @@ PRESETS: dict[str, dict[str, Any]] = {
 def configure(preset: str = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
     """The preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
 
-    Raises `InputError` naming the nearest valid preset or field, and for values a config refuses.
+    ``{"mapper.name": "splatam"}`` starts from that recipe of `MAPPERS`; the preset's and the given fields then replace
+    the recipe's. Raises `InputError` naming the nearest valid preset or field, and for values a config refuses.
     """
     if preset not in PRESETS:
         raise unknown_name("preset", preset, PRESETS)
     try:
-        config = replaced(ReconstructionConfig(), PRESETS[preset])
-        return replaced(config, _nested(overrides or {}))
+        changes = _nested(overrides or {})
+        config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), PRESETS[preset])
+        return replaced(config, changes)
     except InputError:
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"this configuration cannot be used: {error}") from error
+
+
+def _recipe(changes: Any) -> MapperConfig:
+    """The mapper that the fields of a configuration's group ``mapper`` start from."""
+    name = changes.get("name", "default") if isinstance(changes, Mapping) else "default"
+    if not isinstance(name, str) or name not in MAPPERS:
+        raise unknown_name("mapper", str(name), MAPPERS)
+    return MAPPERS[name]
 
 
 def replaced(config: T, overrides: Mapping[str, Any]) -> T:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import pytest
 
 from activestructure_gym.config import PRESETS, ReconstructionConfig, configure
 from activestructure_gym.errors import InputError
+from activestructure_gym.mapping import MAPPERS
 
 
 def test_presets_differ_from_the_default_only_where_they_say_so() -> None:
@@ -31,6 +33,22 @@ def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
     assert configure("default", {"gains": ["pixel", "hole_area"]}).gains == ("pixel", "hole_area")
 
 
+def test_a_mapper_is_chosen_by_name_and_its_fields_replaced() -> None:
+    nested = configure("fast", {"mapper": {"name": "splatam", "window": 5}})
+    dotted = configure("fast", {"mapper.window": 5, "mapper.name": "splatam"})
+    expected = dataclasses.replace(MAPPERS["splatam"], window=5, iterations=2)  # 2 is the preset's
+    assert nested.mapper == dotted.mapper == expected
+    assert configure("default", {"mapper.name": "splatam"}).mapper == MAPPERS["splatam"]
+    assert configure("default", {"mapper.name": "default"}) == configure()
+
+
+@pytest.mark.parametrize("name", list(MAPPERS))
+def test_a_recorded_configuration_makes_the_same_one_again(name: str) -> None:
+    config = configure("fast", {"mapper.name": name, "mapper.tracking.iterations": 3})
+    recorded = json.loads(json.dumps(dataclasses.asdict(config), allow_nan=False))
+    assert configure("default", recorded) == config
+
+
 @pytest.mark.parametrize(
     ("preset", "overrides", "message"),
     [
@@ -45,6 +63,9 @@ def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
         ("fast", {"frame_budget": "many"}, "frame_budget must be a whole number, got 'many'"),
         ("fast", {"mapper.iterations": 2.5}, "MapperConfig.iterations must be a whole number, got 2.5"),
         ("fast", {"sensor.max_range": True}, "SensorConfig.max_range must be a number, got True"),
+        ("fast", {"mapper.name": "splatm"}, "unknown mapper 'splatm'; did you mean 'splatam'"),
+        ("fast", {"mapper.name": 3}, "unknown mapper '3'"),
+        ("fast", {"mapper.trackin": 3}, "unknown field of MapperConfig 'trackin'; did you mean 'tracking'"),
         ("fast", {"sensor": 3}, "sensor must be a group of fields, got 3"),
         ("fast", {"motion": None}, "motion must be a group of fields, got None"),
         ("fast", {"gains": "pixel"}, "gains must be a list, got 'pixel'"),

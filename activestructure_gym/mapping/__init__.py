@@ -1,8 +1,8 @@
 """The Gaussian map, the mapper that grows it from posed RGB-D frames, and its files."""
 
-from activestructure_gym.mapping.config import MapperConfig
+from activestructure_gym.mapping.config import MAPPERS, MapperConfig
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.mapper import Mapper, MappingReport
 from activestructure_gym.mapping.ply import read_ply, write_ply
 
-__all__ = ["GaussianMap", "Mapper", "MapperConfig", "MappingReport", "read_ply", "write_ply"]
+__all__ = ["MAPPERS", "GaussianMap", "Mapper", "MapperConfig", "MappingReport", "read_ply", "write_ply"]

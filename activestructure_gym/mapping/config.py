@@ -1,12 +1,16 @@
-"""The constants of the default mapper."""
+"""The constants of the mapper, and the recipes that are combinations of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
+from activestructure_gym.errors import unknown_name
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
+from activestructure_gym.mapping.tracking import TrackingConfig
 
 _COUNTS = ("seed_stride", "window", "overlap_pixels", "max_gaussians", "max_seed_stride")
 _POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon")
@@ -15,10 +19,37 @@ _NOT_NEGATIVE = ("iterations", "psnr_refresh", "global_psnr", "in_front_factor",
 _SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
            "prune_opacity", "room_share")  # fmt: skip
 
+# What each recipe changes of the defaults below.
+_RECIPES: Mapping[str, Mapping[str, Any]] = {
+    # Ours: backbones dossier 5.3 and what was measured since.
+    "default": {},
+    # SplaTAM-S on given poses with ActiveGAMER's schedule (dossier 1.1, 1.6): the backbone that active reconstruction
+    # methods share. Values without a comment are those of SplaTAM's Replica-S configuration.
+    "splatam": {
+        "isotropic": True,
+        "seed_footprint": 1.0,  # one pixel of the image the seeds are taken from
+        "seed_opacity": 0.5,
+        "normalised_depth": False,
+        "in_front_floor": 0.0,
+        "coarse_ratio": None,
+        "iterations": 15,
+        "alpha_weight": 0.0,
+        "adam_reset": True,
+        "mean_rate": 1e-4,
+        "mean_rate_radius": None,
+        "quaternion_rate": 1e-3,
+        "log_scale_rate": 1e-3,
+        "opacity_rate": 5e-2,
+        "window": 32,
+        "psnr_refresh": 0,  # a keyframe is judged once, right after its own event (ActiveGAMER)
+        "prune_steps": (0, 20),
+    },
+}
+
 
 @dataclass(frozen=True)
 class MapperConfig:
-    """Default mapper: posed RGB-D on a CPU budget.
+    """The mapper: posed RGB-D on a CPU budget. The defaults are the recipe ``default``, others stand in `MAPPERS`.
 
     "Ablation" in a comment is the own ablation of the backbones dossier, section 5.2; its recipe is 5.3. "Measured" is
     where we leave that recipe: 30 keyframes of a random walk at 160 x 90, 5 iterations each, in hotel_room, bookstore,
@@ -26,6 +57,11 @@ class MapperConfig:
     23.3 dB, 1.0 cm with 1.8 times the Gaussians; ours with one of the recipe's values back in place: circles -.5 dB;
     no replacing -.8 dB, +.5 cm, half the Gaussians; colour rate -.4 dB; log-scale rate -.5 dB, -.1 cm.
     """
+
+    name: str = "default"  # of the recipe these values started from, a key of `MAPPERS`
+
+    # Shape
+    isotropic: bool = False  # balls, and one scale per Gaussian, instead of disks on the surface (True: SplaTAM)
 
     # Seeding
     seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode, 3 the fast one (ablation B8, C16)
@@ -38,15 +74,17 @@ class MapperConfig:
     in_front_factor: float = 50.0  # times the median depth error: the map lies behind what is measured (SplaTAM)
     in_front_floor: float = 0.03  # metres, least of that tolerance (dossier 5.3; keeps sensor noise from being seeded)
 
-    coarse_ratio: float = 3.0  # Gaussians that appear larger than this many seeds are replaced; inf = never (measured)
+    coarse_ratio: float | None = 3.0  # Gaussians larger than so many seeds are replaced; None = never (measured)
 
     # Optimisation
     iterations: int = 5  # per observed frame (ablation C15; 15 for quality)
     image_weight: float = 0.5  # of the image term (SplaTAM)
     l1_share: float = 0.8  # of L1 in the image term; the rest is 1 - SSIM (3DGS)
+    normalised_depth: bool = True  # depth divided by alpha, where alpha > .5; False = as accumulated (False: SplaTAM)
     depth_weight: float = 1.0  # of the depth term; .3 favours appearance (ablation C8, C9)
     alpha_weight: float = 0.1  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
-    mean_rate: float = 2e-4  # metres per step in a room of scene radius 2 m (2 x SplaTAM: ablation C6)
+    mean_rate: float = 2e-4  # metres per step (2 x SplaTAM: ablation C6)
+    mean_rate_radius: float | None = 2.0  # metres, the scene radius that rate is for; None = for all (None: SplaTAM)
     quaternion_rate: float = 2e-3  # per step (as above)
     log_scale_rate: float = 6e-3  # per step (measured; 2 x SplaTAM is 2e-3)
     opacity_rate: float = 0.1  # logit per step (as above)
@@ -54,6 +92,7 @@ class MapperConfig:
     adam_beta1: float = 0.9  # (Adam)
     adam_beta2: float = 0.999  # (Adam)
     adam_epsilon: float = 1e-15  # (3DGS)
+    adam_reset: bool = False  # a new, bias-corrected Adam for every event (True: SplaTAM; ablation C12: -.7 dB)
 
     # View selection
     window: int = 24  # local keyframes an event draws from, the current and the last one included (SplaTAM, Replica)
@@ -66,12 +105,17 @@ class MapperConfig:
     # Pruning and the cap
     prune_opacity: float = 0.005  # Gaussians below go (SplaTAM)
     prune_scale: float = 0.1  # of the scene radius; larger ones go (SplaTAM)
+    prune_steps: tuple[int, ...] = (-1,)  # iterations of an event to prune before; -1 = after the last one
     scene_radius: float | None = None  # metres; None = a third of the largest depth measured so far (SplaTAM)
     max_gaussians: int = 150_000  # (dossier 5.3)
     max_seed_stride: int = 8  # pixels; the coarsest seeding before Gaussians are dropped (own choice)
     room_share: float = 0.25  # of the room below the cap that one frame may take (own choice)
 
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)  # of the pose of every keyframe; off by default
+
     def __post_init__(self) -> None:
+        if self.name not in _RECIPES:
+            raise unknown_name("mapper", self.name, _RECIPES)
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         for name in _COUNTS:
             if values[name] < 1:
@@ -89,21 +133,27 @@ class MapperConfig:
             if not 0 < values[name] < 1:
                 raise ValueError(f"{name} must lie in (0, 1), got {values[name]}")
         for name in ("seed_elongation", "coarse_ratio"):
-            if not values[name] >= 1:
+            if values[name] is not None and not values[name] >= 1:
                 raise ValueError(f"{name} must be at least 1, got {values[name]}")
-        if self.scene_radius is not None and not self.scene_radius > 0:
-            raise ValueError(f"scene_radius must be above 0 or None, got {self.scene_radius}")
+        for name in ("scene_radius", "mean_rate_radius"):
+            if values[name] is not None and not values[name] > 0:
+                raise ValueError(f"{name} must be above 0 or None, got {values[name]}")
+        if any(isinstance(step, bool) or not isinstance(step, int) or step < -1 for step in self.prune_steps):
+            raise ValueError(f"prune_steps must be iterations from 0 on, or -1 for the end, got {self.prune_steps}")
         if self.max_seed_stride < self.seed_stride:
             raise ValueError(
                 f"max_seed_stride must be at least seed_stride ({self.seed_stride}), got {self.max_seed_stride}"
             )
 
     def learning_rates(self, scene_radius: float) -> np.ndarray:  # [14] float32
-        """Step size of every parameter row; the means' grows with the scene, of which 2 m is the reference radius."""
+        """Step size of every parameter row; the means' grows with the scene (``mean_rate_radius``)."""
         rates = np.empty(ROWS, dtype=np.float32)
-        rates[MEAN] = self.mean_rate * scene_radius / 2.0
+        rates[MEAN] = self.mean_rate * (scene_radius / self.mean_rate_radius if self.mean_rate_radius else 1.0)
         rates[QUATERNION] = self.quaternion_rate
         rates[LOG_SCALE] = self.log_scale_rate
         rates[OPACITY_LOGIT] = self.opacity_rate
         rates[COLOR] = self.color_rate
         return rates
+
+
+MAPPERS: dict[str, MapperConfig] = {name: MapperConfig(name=name, **changes) for name, changes in _RECIPES.items()}

@@ -1,7 +1,8 @@
-"""The default mapper: seed where the map is empty, take a few sparse Adam steps, prune.
+"""The mapper: seed where the map is empty, take a few sparse Adam steps, prune.
 
-Posed RGB-D frames in, Gaussians out. The recipe and the numbers behind it: backbones dossier 5.2, 5.3. Rendering and
-the fused optimisation step are `activestructure_gym.splatting.cpu`.
+Posed RGB-D frames in, Gaussians out. Which recipe it follows (ours, SplaTAM's) is a matter of `MapperConfig`; the
+numbers behind them: backbones dossier 1.1, 5.2, 5.3. Rendering and the fused optimisation step are
+`activestructure_gym.splatting.cpu`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
-from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks, too_coarse
+from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
 
@@ -60,6 +61,7 @@ class Mapper:
             l1_share=config.l1_share,
             depth=config.depth_weight,
             alpha=config.alpha_weight,
+            normalised_depth=config.normalised_depth,
         )
 
     @property
@@ -88,8 +90,7 @@ class Mapper:
         stride, added, dropped, new_share = self._seed(frame)
         index = self._store.append(frame, new_share=new_share)
         views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
-        losses = self._optimize(views)
-        pruned = self._prune()
+        losses, pruned = self._optimize(views)
         self._measure_psnr(index)
         for _ in range(min(self.config.psnr_refresh, index)):
             self._refresh_next = (self._refresh_next + 1) % index
@@ -108,7 +109,7 @@ class Mapper:
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; prune at the end."""
+        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; prune as ever."""
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
@@ -116,8 +117,7 @@ class Mapper:
         while len(indices) and len(views) < iterations:
             views += self._rng.permutation(indices).tolist()
         del views[iterations:]
-        losses = self._optimize(views)
-        pruned = self._prune()
+        losses, pruned = self._optimize(views)
         return _report(self.map.count, views, losses, pruned)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> cpu.Rendering:
@@ -150,6 +150,7 @@ class Mapper:
                 covered_alpha=config.covered_alpha,
                 error_factor=config.in_front_factor,
                 error_floor=config.in_front_floor,
+                normalised=config.normalised_depth,
             )
         else:
             missing = frame.depth > 0
@@ -162,7 +163,19 @@ class Mapper:
             if len(rows) > config.max_gaussians:  # one frame alone exceeds the cap: an even choice of its seeds
                 chosen = np.linspace(0, len(rows), config.max_gaussians, endpoint=False, dtype=int)
                 rows, columns = rows[chosen], columns[chosen]
-        block = seed_disks(
+        block = self._new_gaussians(frame, rows, columns, stride)
+        if len(rows):
+            self._largest_seed = max(self._largest_seed, float(np.exp(block[LOG_SCALE].max())))
+            self.map.append(block)
+        return stride, len(rows), dropped, new_share
+
+    def _new_gaussians(self, frame: Frame, rows: np.ndarray, columns: np.ndarray, stride: int) -> np.ndarray:
+        config = self.config
+        if config.isotropic:
+            return seed_balls(
+                frame, rows, columns, stride=stride, footprint=config.seed_footprint, opacity=config.seed_opacity
+            )
+        return seed_disks(
             frame,
             rows,
             columns,
@@ -173,16 +186,12 @@ class Mapper:
             opacity=config.seed_opacity,
             min_cosine=config.min_incidence_cosine,
         )
-        if len(rows):
-            self._largest_seed = max(self._largest_seed, float(np.exp(block[LOG_SCALE].max())))
-            self.map.append(block)
-        return stride, len(rows), dropped, new_share
 
     def _remove_coarse(self, frame: Frame) -> int:
         """Make way for finer Gaussians; the holes this leaves are seeded like any other."""
         config = self.config
         whole_frame = frame.depth.size / config.seed_stride**2
-        if np.isinf(config.coarse_ratio) or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
+        if config.coarse_ratio is None or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
             return 0  # Near the cap the new ones might be coarser still.
         limit = config.coarse_ratio * config.seed_footprint * config.seed_stride
         return self.map.keep(~too_coarse(self.map.parameters[:, : self.map.count], frame, limit=limit))
@@ -217,13 +226,27 @@ class Mapper:
         poor = self._store.poor(psnr_threshold=config.global_psnr, new_share_threshold=config.global_new_share)
         return [k for k in poor if k != index]
 
-    def _optimize(self, views: Sequence[int]) -> np.ndarray:  # [iterations, 3] colour, depth, ssim
-        losses = np.full((len(views), 3), np.nan)
-        if not self.map.count:
-            return losses
+    def _optimize(self, views: Sequence[int]) -> tuple[np.ndarray, int]:
+        """One event: a step for every entry of ``views`` and the pruning that goes with it.
+
+        Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and how many Gaussians were pruned.
+        """
         config = self.config
-        rates = config.learning_rates(self.scene_radius)
+        losses = np.full((len(views), 3), np.nan)
+        if config.adam_reset:
+            self.map.reset_moments()
+        rates, epsilon = config.learning_rates(self.scene_radius), config.adam_epsilon
+        pruned = 0
         for step, view in enumerate(views):
+            if step in config.prune_steps:
+                pruned += self._prune()
+            if not self.map.count:
+                break
+            if config.adam_reset:
+                # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
+                root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
+                rates = config.learning_rates(self.scene_radius) * (root / (1.0 - config.adam_beta1 ** (step + 1)))
+                epsilon = config.adam_epsilon * root
             frame = self._store.frames[view]
             result = cpu.mapping_step(
                 self.map.parameters,
@@ -238,10 +261,13 @@ class Mapper:
                 rates,
                 beta1=config.adam_beta1,
                 beta2=config.adam_beta2,
-                epsilon=config.adam_epsilon,
+                epsilon=epsilon,
+                isotropic=config.isotropic,
             )
             losses[step] = result.color, result.depth, result.ssim
-        return losses
+        if -1 in config.prune_steps:
+            pruned += self._prune()
+        return losses, pruned
 
     def _prune(self) -> int:
         """Remove Gaussians that are transparent, too large, or were driven to values that are not finite."""

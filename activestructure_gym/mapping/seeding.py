@@ -4,7 +4,7 @@ A seed is a flat disk in the surface's tangent plane, one per cell of a pixel gr
 this needs a quarter of the Gaussians for the same image error (recipe: own ablation, backbones dossier 5.2 and 5.3).
 Two things are added to that recipe, which was measured with all views at one distance: disks on slanted surfaces are
 stretched, so that their rows leave no gaps, and Gaussians that turn out too coarse when the camera comes closer make
-way for finer ones (numbers: `MapperConfig`).
+way for finer ones (numbers: `MapperConfig`). SplaTAM's balls are here for the recipe that follows it.
 """
 
 from __future__ import annotations
@@ -25,20 +25,23 @@ def missing_pixels(
     covered_alpha: float = 0.5,  # below: nothing of the map stands here
     error_factor: float = 50.0,  # times the median depth error of the image
     error_floor: float = 0.03,  # metres
+    normalised: bool = True,
 ) -> np.ndarray:  # [H, W] bool
     """Where the map needs new Gaussians: it is transparent there, or all it shows lies behind a measured surface.
 
     The test against the median error is SplaTAM's; the floor keeps a converged map, whose median error falls below
-    a millimetre, from seeding sensor noise.
+    a millimetre, from seeding sensor noise. ``normalised=False`` is SplaTAM to the letter: depth as accumulated, and
+    the median over all pixels, with an error of 0 where nothing was measured.
     """
     measured = depth > 0
     covered = alpha >= covered_alpha
-    behind = rendered_depth / np.maximum(alpha, 1e-10) - depth  # metres by which the map is too deep
-    both = measured & covered
-    if both.any():
-        tolerance = max(error_factor * float(np.median(np.abs(behind[both]))), error_floor)
+    if normalised:
+        behind = rendered_depth / np.maximum(alpha, 1e-10) - depth  # metres by which the map is too deep
+        errors = np.abs(behind[measured & covered])
     else:
-        tolerance = error_floor
+        behind = np.where(measured, rendered_depth - depth, 0.0)
+        errors = np.abs(behind)
+    tolerance = max(error_factor * float(np.median(errors)), error_floor) if errors.size else error_floor
     return measured & (~covered | (behind > tolerance))
 
 
@@ -73,7 +76,10 @@ def grid_pixels(
     mask: np.ndarray,  # [H, W] bool
     stride: int,
 ) -> tuple[np.ndarray, np.ndarray]:  # rows [n], columns [n]
-    """The pixels of the seed grid (one per ``stride`` x ``stride`` cell, nearest to its middle) inside the mask."""
+    """The pixels of the seed grid (one per ``stride`` x ``stride`` cell, nearest to its middle) inside the mask.
+
+    Row by row: neighbours in the image stay neighbours in the map, which the rasteriser's caches like.
+    """
     phase = stride // 2
     rows, columns = np.nonzero(mask[phase::stride, phase::stride])
     return rows * stride + phase, columns * stride + phase
@@ -140,15 +146,43 @@ def seed_disks(
     center = points[rows, columns]
     sigma = footprint * stride * center[:, 2] / (0.5 * (camera.fx + camera.fy))
 
-    block = np.empty((ROWS, len(rows)), dtype=np.float32)
-    block[MEAN] = transform_points(frame.world_from_camera, center.astype(np.float64)).T
-    block[QUATERNION] = [[1.0], [0.0], [0.0], [0.0]]
+    block = _balls(frame, rows, columns, center, sigma, opacity)
     if defined.any():
         world_axes = frame.world_from_camera[:3, :3] @ axes
         block[QUATERNION, defined] = Rotation.from_matrix(world_axes).as_quat(scalar_first=True).T
-    block[LOG_SCALE] = np.log(sigma)
     block[7, defined] += np.log(np.minimum(stretch, elongation))
     block[9, defined] += np.log(thickness)
+    return block
+
+
+def seed_balls(
+    frame: Frame,
+    rows: np.ndarray,  # [n]
+    columns: np.ndarray,  # [n]
+    *,
+    stride: int,  # pixels between neighbouring seeds
+    footprint: float = 1.0,  # sigma in units of the seeds' spacing on a wall facing the camera
+    opacity: float = 0.5,
+) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
+    """One ball per pixel, as SplaTAM seeds them: at stride 1 and footprint 1 its sigma is one pixel, z / f."""
+    camera = frame.camera
+    center = camera.backproject(frame.depth)[rows, columns]
+    sigma = footprint * stride * center[:, 2] / (0.5 * (camera.fx + camera.fy))
+    return _balls(frame, rows, columns, center, sigma, opacity)
+
+
+def _balls(
+    frame: Frame,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    center: np.ndarray,  # [n, 3] metres, camera
+    sigma: np.ndarray,  # [n] metres
+    opacity: float,
+) -> np.ndarray:  # [14, n] float32
+    block = np.empty((ROWS, len(rows)), dtype=np.float32)
+    block[MEAN] = transform_points(frame.world_from_camera, center.astype(np.float64)).T
+    block[QUATERNION] = [[1.0], [0.0], [0.0], [0.0]]
+    block[LOG_SCALE] = np.log(sigma)
     block[OPACITY_LOGIT] = np.log(opacity / (1.0 - opacity))
     block[COLOR] = frame.rgb[rows, columns].T / 255.0
     return block

@@ -32,14 +32,16 @@ class LossWeights:
     """Weights of the mapping loss.
 
     image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean over all pixels of
-    (1 - A)^2 where there is a depth, else 0. Without the last term black surfaces become transparent: against the black
-    background that is as good as being black.
+    (1 - A)^2 where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is above 0.5;
+    with ``normalised_depth=False`` it is the accumulated depth itself, compared wherever one was measured. Without the
+    last term black surfaces become transparent: against the black background that is as good as being black.
     """
 
     image: float = 0.5  # of the colour terms
     l1_share: float = 0.8  # of L1 in the colour terms, the rest is SSIM
     depth: float = 1.0  # per metre
     alpha: float = 0.0  # of the missing opacity where there is a depth
+    normalised_depth: bool = True
 
     def __post_init__(self) -> None:
         if self.image < 0 or self.depth < 0 or self.alpha < 0:
@@ -53,7 +55,7 @@ class StepLosses:
     """The unweighted terms of the loss before the step."""
 
     color: float  # mean |colour difference| over pixels and channels
-    depth: float  # metres, mean |ED - D| over the pixels that have a depth and alpha > 0.5
+    depth: float  # metres, mean |ED - D| over the pixels compared (see `LossWeights`)
     ssim: float  # mean SSIM (1 = equal); nan where the weights leave it out
 
 
@@ -172,7 +174,7 @@ def mapping_step(
     color, depth, ssim = workspace.losses(
         target_rgb, target_depth,
         weights.image * weights.l1_share, weights.image * (1 - weights.l1_share), weights.depth,
-        weights.alpha,
+        weights.alpha, weights.normalised_depth,
     )  # fmt: skip
     workspace.backward(rates, used[1], used[2], used[0])
     for array, copy in zip(state, used):

@@ -162,8 +162,13 @@ class Workspace:
         of_ssim: float,  # weight of 1 - SSIM
         of_depth: float,  # weight of the mean |depth error|
         of_alpha: float = 0.0,  # weight of the mean squared missing opacity where there is a depth
+        normalised_depth: bool = True,
     ) -> tuple[float, float, float]:
-        """Mean colour difference, depth error and SSIM (nan if its weight is 0); fills the gradient images."""
+        """Mean colour difference, depth error and SSIM (nan if its weight is 0); fills the gradient images.
+
+        The depth error is that of depth / alpha where alpha is above 0.5, or with ``normalised_depth=False`` that of
+        the accumulated depth wherever one was measured.
+        """
         height, width = self.camera.height, self.camera.width
         target = self._padded("target", target_rgb)
         target_depth = flat(target_depth)
@@ -179,12 +184,20 @@ class Workspace:
         self.by_depth = self._buffer("by depth", height * width)
         self.by_alpha = self._buffer("by alpha", height * width)
         self._run(k.differentiate, self.grid, *images, factors, self.by_color, self.by_depth, self.by_alpha)
+        pixels = height * width
+        depth_error = sums[k.TERM_DEPTH] / measured
+        if not normalised_depth:
+            returned = target_depth[:pixels] > 0
+            error = np.where(returned, self.depth[:pixels] - target_depth[:pixels], np.float32(0.0))
+            measured = max(1, int(np.count_nonzero(returned)))
+            self.by_depth[:pixels] = np.float32(of_depth / measured) * np.sign(error)
+            self.by_alpha[:pixels] = 0.0
+            depth_error = float(np.abs(error).sum(dtype=np.float64)) / measured
         if of_alpha:
-            pixels = height * width
             missing = (1.0 - self.alpha[:pixels]) * (target_depth[:pixels] > 0)
             self.by_alpha[:pixels] -= np.float32(2.0 * of_alpha / pixels) * missing
         ssim = sums[k.TERM_SSIM] / values if of_ssim else float("nan")
-        return sums[k.TERM_COLOR] / values, sums[k.TERM_DEPTH] / measured, ssim
+        return sums[k.TERM_COLOR] / values, depth_error, ssim
 
     def tracking_loss(
         self,

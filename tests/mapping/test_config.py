@@ -2,7 +2,8 @@
 
 import pytest
 
-from activestructure_gym.mapping import MapperConfig
+from activestructure_gym.errors import InputError
+from activestructure_gym.mapping import MAPPERS, MapperConfig
 
 
 @pytest.mark.parametrize(
@@ -19,6 +20,9 @@ from activestructure_gym.mapping import MapperConfig
         {"max_seed_stride": 1},
         {"seed_elongation": 0.5},
         {"coarse_ratio": float("nan")},
+        {"mean_rate_radius": 0.0},
+        {"prune_steps": (0, -2)},
+        {"prune_steps": (1.5,)},
     ],
 )
 def test_wrong_values_are_refused_by_name(change):
@@ -31,3 +35,15 @@ def test_only_the_means_rate_grows_with_the_scene():
     assert small[:3] == pytest.approx([2e-4] * 3) and large[:3] == pytest.approx([6e-4] * 3)
     assert (small[3:] == large[3:]).all()
     assert small[3:] == pytest.approx([2e-3] * 4 + [6e-3] * 3 + [0.1] + [2.5e-3] * 3)
+
+
+def test_recipes_carry_their_name_and_the_default_is_the_defaults():
+    assert MAPPERS["default"] == MapperConfig()
+    assert all(config.name == name for name, config in MAPPERS.items())
+    with pytest.raises(InputError, match="unknown mapper 'splatem'; did you mean 'splatam'"):
+        MapperConfig(name="splatem")
+
+
+def test_splatam_rates_are_the_original_ones_in_every_scene():
+    rates = MAPPERS["splatam"].learning_rates(7.0)
+    assert rates == pytest.approx([1e-4] * 3 + [1e-3] * 4 + [1e-3] * 3 + [5e-2] + [2.5e-3] * 3)

@@ -141,3 +141,22 @@ def test_files_that_are_no_maps_are_refused(tmp_path, damage):
     damage(tmp_path / "map.npz")
     with pytest.raises(InputError, match=r"map\.npz"):
         GaussianMap.load_npz(tmp_path / "map.npz")
+
+
+def test_rows_begin_on_cache_lines_however_often_the_map_grows():
+    grown = GaussianMap(capacity=5)
+    for count in (3, 40, 1000):
+        grown.append(np.ones((14, count), np.float32))
+        for array in (grown.parameters, grown.first_moment, grown.second_moment):
+            assert array.ctypes.data % 64 == 0 and array.strides == (4 * grown.capacity, 4)
+            assert grown.capacity % 16 == 0
+
+
+def test_reset_moments_forgets_the_moments_and_nothing_else():
+    held = GaussianMap()
+    held.append(np.full((14, 5), 2.0, np.float32))
+    held.first_moment[:, :5] = 3.0
+    held.second_moment[:, :5] = 4.0
+    held.reset_moments()
+    assert not held.first_moment[:, :5].any() and not held.second_moment[:, :5].any()
+    assert (held.parameters[:, :5] == 2.0).all()

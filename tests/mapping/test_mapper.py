@@ -141,7 +141,7 @@ def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
     assert seen.sum() > 400 and np.median(scales[seen].max(axis=1)) < 0.016
     assert mapper.observe(far).replaced == 0  # going back replaces nothing
 
-    kept = _mapper(coarse_ratio=np.inf)
+    kept = _mapper(coarse_ratio=None)
     kept.observe(far)
     assert kept.observe(near).replaced == 0
     assert np.median(kept.map.scales[:, 0]) > 0.05

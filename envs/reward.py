@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
@@ -56,7 +56,7 @@ class SurfaceCoverage:
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mark_seen(
     seen: np.ndarray,  # [S] bool, changed in place
     points: np.ndarray,  # [S, 3] world

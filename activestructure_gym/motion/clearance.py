@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import sample
 
@@ -35,7 +35,7 @@ def first_blocked_edge(
     return None if edge < 0 else int(edge)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _first_blocked_edge(
     field: np.ndarray,
     points: np.ndarray,  # [P, 3] voxels

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import bounding_box, segment_above
@@ -32,7 +32,7 @@ def _moves(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     return jump, cost, corners, np.array(count, dtype=np.int64)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spread(
     open_: np.ndarray,  # [X * Y * Z] bool, False all along the border of the box
     lengths: np.ndarray,  # [X * Y * Z] float32 voxels: inf, except at the seeds
@@ -94,7 +94,7 @@ def _spread(
         bucket += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_corner(
     field: np.ndarray,  # clearance, metres
     lengths: np.ndarray,  # [X, Y, Z] voxels, of the box that starts at ``corner``
@@ -122,7 +122,7 @@ def _best_corner(
     return best, best_index
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lengths_at(
     field: np.ndarray,
     lengths: np.ndarray,

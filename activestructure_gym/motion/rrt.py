@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.motion.clearance import first_blocked_edge
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.volume import VoxelVolume
@@ -15,7 +15,7 @@ _GOAL_BIAS = 0.1  # share of samples that are the goal itself [same]
 _SHORTCUTS = 100  # random pairs tried when smoothing
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grow(
     field: np.ndarray,  # clearance, metres
     start: np.ndarray,  # [3] voxels

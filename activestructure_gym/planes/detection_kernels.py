@@ -8,13 +8,14 @@ All points are in the camera frame.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from activestructure_gym.compiling import kernel
 
 MOMENTS = 10
 MAX_LINK_ANGLE = np.radians(40.0)  # whatever the noise: beyond it two blocks are an edge of a room
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_point(moments, x, y, z):
     moments[0] += 1.0
     moments[1] += x
@@ -28,7 +29,7 @@ def add_point(moments, x, y, z):
     moments[9] += z * z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def refit(moments, plane):
     """Move ``plane = [nx, ny, nz, d, ...]`` to the least-squares plane of the moments, from where it is.
 
@@ -57,7 +58,7 @@ def refit(moments, plane):
     plane[3] = -(nx * mx + ny * my + nz * mz)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def block_moments(depth, fx, fy, cx, cy, size, max_depth):
     """Moments [By, Bx, 10] of the valid pixels of every full block."""
     rows, columns = depth.shape[0] // size, depth.shape[1] // size
@@ -74,13 +75,13 @@ def block_moments(depth, fx, fy, cx, cy, size, max_depth):
     return moments
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def noise(z, scale):
     """Axial standard deviation of a Kinect-type sensor in metres (Nguyen et al. 2012), times ``scale``."""
     return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def grow_regions(
     moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base, labels, regions
 ):
@@ -154,7 +155,7 @@ def grow_regions(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def refine_pixels(
     depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixel_noise, pixel_base, max_depth, min_cosine
 ):
@@ -190,7 +191,7 @@ def refine_pixels(
     return labels
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, limit_base):
     """For every label the share of its pixels that some larger label's plane explains as well."""
     count = len(planes)
@@ -218,7 +219,7 @@ def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, 
     return explained / np.maximum(sizes, 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def segment_moments(depth, fx, fy, cx, cy, labels, count):
     """Moments [S, 10] of the pixels of every label."""
     moments = np.zeros((count, MOMENTS))
@@ -232,7 +233,7 @@ def segment_moments(depth, fx, fy, cx, cy, labels, count):
     return moments
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
     """Square metres of every label: the sum of its pixels' footprints z^2 / (fx fy cos)."""
     areas = np.zeros(len(planes))

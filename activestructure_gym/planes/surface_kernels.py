@@ -7,14 +7,14 @@ grid covers ``[r, r + 1) x [c, c + 1)`` cells along the axes, seen from the orig
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.detection_kernels import MOMENTS, add_point
 
 UNKNOWN, OPEN, COVERED = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lift(u, v, depth, lens, rotation, translation):
     """World point of the centre of pixel (u, v); ``lens`` is fx, fy, cx, cy."""
     z = np.float64(depth)
@@ -26,7 +26,7 @@ def _lift(u, v, depth, lens, rotation, translation):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cell_of(px, py, pz, grid, cell):
     """Row and column of a world point in a tangent grid."""
     dx, dy, dz = px - grid[0], py - grid[1], pz - grid[2]
@@ -35,7 +35,7 @@ def _cell_of(px, py, pz, grid, cell):
     return row, column
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
     """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
@@ -66,7 +66,7 @@ def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors
     return extents, moments
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, hits):
     """Pixels per cell, written to the flat ``hits``; node t owns ``hits[starts[t]:starts[t + 1]]``, row-major."""
     for v in range(depth.shape[0]):
@@ -85,7 +85,7 @@ def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, e
                 hits[starts[t] + r * (extents[t, 3] - extents[t, 1] + 1) + c] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def look_up_cells(
     depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, seen, beside, reach, planes, facing
 ):
@@ -152,7 +152,7 @@ def look_up_cells(
                 index += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def open_sides(index, seen, near, beside, starts, shapes, lows, grids, cell, reach, probes):
     """Sides of node ``index``'s boundary cells, counted, and those that nothing known closes.
 

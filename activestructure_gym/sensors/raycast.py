@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.shading import shade_pixels, shading_tables_of
@@ -18,7 +18,7 @@ from activestructure_gym.sensors.shading import shade_pixels, shading_tables_of
 _RAYS_PER_BAND = 16_000
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pixel_rays(rotation, fx, fy, cx, cy, width, first_row, last_row, supersample, directions):
     """World directions of the rays of some rows, pixel by pixel; camera z = 1, so the ray parameter is the depth.
 

@@ -6,8 +6,8 @@ import weakref
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.scenes.scene import Scene, SceneMesh
 
 
@@ -71,7 +71,7 @@ def shading_tables_of(scene: Scene) -> ShadingTables:
     return _tables_of_scene[key]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _wrapped_texel(coordinate, size):
     """Lower texel, upper texel and the upper one's share along one axis that repeats; texel i is centred at i + 0.5."""
     coordinate -= np.floor(coordinate)
@@ -90,7 +90,7 @@ def _wrapped_texel(coordinate, size):
     return lower, upper, share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shade_pixels(
     face,  # [P * stride] int32, -1 = nothing hit
     bary_u,  # [P * stride] float32

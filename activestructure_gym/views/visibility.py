@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.volume import VoxelVolume
@@ -49,7 +49,7 @@ def visible_planes(
     return seen.mean(axis=2) >= LEAST_SHARE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _in_view(
     points: np.ndarray,  # [P, S, 3] world
     normals: np.ndarray,  # [P, 3]

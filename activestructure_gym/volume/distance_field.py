@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from activestructure_gym.compiling import kernel
 
 # Squared voxels; larger than any distance in a grid, small enough that float32 sums keep their order.
 _FAR = np.float32(1e12)
@@ -20,7 +21,7 @@ def bounding_box(
     return lower, upper
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pass(
     values: np.ndarray,  # [A, B, N], in place along the last axis (any strides)
     costs: np.ndarray,  # [N + 1] float32: (n - 1/2)^2, the last one infinite
@@ -64,7 +65,7 @@ def distance_to_cubes(
     return distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample(
     field: np.ndarray,  # [X, Y, Z] float32, values at voxel centres
     x: float,  # in voxels; the centre of voxel (0, 0, 0) is (0, 0, 0)
@@ -92,7 +93,7 @@ def sample(
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_points(
     field: np.ndarray,
     points: np.ndarray,  # [N, 3] in voxels
@@ -104,7 +105,7 @@ def sample_points(
     return values
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def segment_above(
     field: np.ndarray,
     start: np.ndarray,  # [3] in voxels
@@ -122,7 +123,7 @@ def segment_above(
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def segments_above(
     field: np.ndarray,
     starts: np.ndarray,  # [N, 3] in voxels
@@ -137,7 +138,7 @@ def segments_above(
     return above
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sight_lines(
     blocking: np.ndarray,  # [X, Y, Z] bool
     starts: np.ndarray,  # [N, 3] in voxels; the lower corner of voxel (0, 0, 0) is (0, 0, 0)

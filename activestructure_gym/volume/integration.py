@@ -14,8 +14,8 @@ What makes the free space safe to move in:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.volume.depth_image import READS_PER_SIDE
 
@@ -32,7 +32,7 @@ _ONE = np.uint64(1)
 _SURE = 1e-3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_hits(
     depth: np.ndarray,  # [H, W] float32
     intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
@@ -74,7 +74,7 @@ def mark_hits(
                 state[i, j, k] = OCCUPIED
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest_in_footprint(
     pyramid: np.ndarray, levels: np.ndarray, u0: int, u1: int, v0: int, v1: int, enough: float
 ) -> np.floating:
@@ -124,7 +124,7 @@ def part_centers() -> np.ndarray:  # [64, 3] in voxels
     return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def carve(
     depth: np.ndarray,  # [H, W] float32: what was returned, for the TSDF
     pyramid: np.ndarray,  # from minimum_pyramid: how far each ray is free

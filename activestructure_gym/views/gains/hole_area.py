@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.views.gains.base import GAINS, GainContext
 from activestructure_gym.volume import OCCUPIED
@@ -41,7 +41,7 @@ def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian
     return 1.0 / (camera.fx * camera.fy) / np.linalg.norm(camera.rays(), axis=-1) ** 3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def exit_distances(
     state: np.ndarray,  # [X, Y, Z] uint8
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)

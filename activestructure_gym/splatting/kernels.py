@@ -36,10 +36,14 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 def _entry(function):
     """Compile for use from Python: cached on disk, without the GIL."""
     try:
-        return njit(cache=True, nogil=True)(function)
+        return njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     except RuntimeError:  # numba found no writable place for its cache
-        return njit(nogil=True)(function)
+        return njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
 
+
+# Only called from other kernels: Python's way in, which would be compiled along, is left out.
+_inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_inline = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 F = np.float32
 LANES = 16
@@ -263,6 +267,18 @@ def poke(typingctx, array, index, value):
 
 
 @intrinsic
+def poke_add(typingctx, array, index, value):
+    """Add to one element."""
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        builder.store(builder.add(builder.load(pointer), args[2]), pointer)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), codegen
+
+
+@intrinsic
 def peek_bits(typingctx, array, index):
     """The bits of one float32 as int64 (zero extended)."""
 
@@ -321,7 +337,7 @@ def _to_line(typingctx, array):
     return types.int64(array), codegen
 
 
-@njit
+@_inner
 def _scratch(size):
     """Floats that start on a cache line: vectors across two lines cost double."""
     room = np.empty(size + LANES, np.float32)
@@ -544,7 +560,8 @@ SLACK = F(0.01)  # px around every ellipse, far above the rounding of its border
 # view: floats of a camera
 POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, CONSTANTS, VIEW_SIZE = 0, *range(12, 22), 32
 # grid: integers of a rendering
-COUNT, CAPACITY, WIDTH, HEIGHT, TILES_X, TILES_Y, CHUNKS, BLOCKS_X, BLOCKS_Y, STRIDE, MARGIN, GRID_SIZE = range(12)
+COUNT, CAPACITY, WIDTH, HEIGHT, TILES_X, TILES_Y, CHUNKS, BLOCKS_X, BLOCKS_Y, STRIDE, MARGIN = range(11)
+TILE_BLOCKS, GRID_SIZE = 11, 12  # 64, as a number that the compiler does not know: it would unroll the loops
 # record: t = L00 dx + L01 dy, s = L11 dy; BOX_X and BOX_Y hold first + last << 16 in blocks; SLOT.. are set by fill
 U, V, L00, L01, L11, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, BOX_X, BOX_Y, BITMAP, SLOT, SLOTS = (*range(13), 14, 15)
 # rows of the array of entries
@@ -554,7 +571,6 @@ V_, VT, VS, VTT, VTS, VSS, W_RED, W_GREEN, W_BLUE, W_DEPTH, W_ALL = range(11)
 
 _BLOCK_X = np.array([4 * (block % 8) for block in range(64)], np.float32)
 _BLOCK_Y = np.array([4 * (block // 8) for block in range(64)], np.float32)
-_inline = njit(forceinline=True)
 
 
 @_inline
@@ -786,7 +802,7 @@ _U64 = np.uint64
 _COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in range(8)], np.uint64)
 
 
-@njit(error_model="numpy")
+@_inner
 def _reach_of_large(records, base, tile_x, tile_y, last_x):
     """Blocks of a tile that an ellipse larger than 8 x 8 blocks touches; scalar, the same intervals as the bitmap."""
     u, v = peek(records, base + U), peek(records, base + V)
@@ -842,7 +858,7 @@ def _one_tile(x0, y0, x1, y1):
     return ((x0 ^ x1) | (y0 ^ y1)) < 8
 
 
-@njit
+@_inner
 def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries):
     """Project 1024 Gaussians and count their entries per tile."""
     tiles_x = grid[TILES_X]
@@ -865,6 +881,22 @@ def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, c
                         poke(histogram, at, peek(histogram, at) + np.int32(1))
                         entries += 1
     chunk_entries[chunk] = entries
+
+
+@_inner
+def _order_tiles(tiles, tile_start, tile_order):
+    """The tiles by falling number of entries, to a 256th of the largest, ties by index: a counting sort."""
+    places, most = np.zeros(258, np.int64), 1
+    for tile in range(tiles):
+        most = max(most, tile_start[tile + 1] - tile_start[tile])
+    for tile in range(tiles):
+        poke_add(places, 257 - 256 * (tile_start[tile + 1] - tile_start[tile]) // most, 1)
+    for rank in range(1, 258):
+        poke_add(places, rank, peek(places, rank - 1))
+    for tile in range(tiles):
+        rank = 256 - 256 * (tile_start[tile + 1] - tile_start[tile]) // most
+        tile_order[peek(places, rank)] = tile
+        poke_add(places, rank, 1)
 
 
 @_entry
@@ -897,11 +929,11 @@ def plan(grid, histogram, chunk_entries, tile_start, tile_order):
         entries = chunk_entries[chunk]
         chunk_entries[chunk] = slots
         slots += entries
-    tile_order[:tiles] = np.argsort(tile_start[:tiles] - tile_start[1 : tiles + 1])
+    _order_tiles(tiles, tile_start, tile_order)
     return total
 
 
-@njit
+@_inner
 def _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries):
     """Write the entries of a chunk; the slots of one Gaussian lie side by side."""
     tiles_x = grid[TILES_X]
@@ -931,7 +963,7 @@ def _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries
             poke_bits(records, base + SLOTS, slot - first)
 
 
-@njit
+@_inner
 def _sort_tile(start, stop, entries, digits):
     """Order the entries of a tile by depth, ties by index: radix on the float's bits (positive floats sort as such)."""
     room = entries.shape[1]
@@ -985,10 +1017,12 @@ def _sort_tile(start, stop, entries, digits):
 
 @_inline
 def _open_tile(tile, grid, state, width):
-    """Transmittance 1 in the image's pixels, -1 outside; returns the blocks with pixels as bits."""
-    tiles_x = grid[TILES_X]
+    """Transmittance 1 in the image's pixels, -1 outside, zeros behind; returns the blocks with pixels as bits."""
+    tiles_x, zero = grid[TILES_X], spread(F(0.0))
     alive = 0
-    for block in range(64):
+    for offset in range(0, width * grid[TILE_BLOCKS], LANES):
+        store(state, offset, zero)
+    for block in range(grid[TILE_BLOCKS]):
         x = TILE * (tile % tiles_x) + 4 * (block & 7)
         y = TILE * (tile // tiles_x) + 4 * (block >> 3)
         if x < grid[WIDTH] and y < grid[HEIGHT]:
@@ -1028,15 +1062,11 @@ def _make_blend(with_color):
     """The forward kernel of a tile; scoring candidates leaves colour out."""
     width = 80 if with_color else 32  # floats of state per block: transmittance, (r, g, b,) depth
 
-    @njit
+    @_inner
     def blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha):
         room, tiles_x = entries.shape[1], grid[TILES_X]
         x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
         alive = _open_tile(tile, grid, state, width)
-        zero = spread(F(0.0))
-        for block in range(64):
-            for offset in range(width * block + LANES, width * (block + 1), LANES):
-                store(state, offset, zero)
         for entry in range(start, stop):
             if alive == 0:
                 break
@@ -1074,7 +1104,7 @@ def _make_blend(with_color):
                     store(state, at + 32, fma(weight, r, load(state, at + 32)))
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
                     store(state, at + 64, fma(weight, b, load(state, at + 64)))
-        for block in range(64):
+        for block in range(grid[TILE_BLOCKS]):
             left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
             pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
             if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
@@ -1102,7 +1132,7 @@ _blend_tile = _make_blend(True)
 _blend_tile_without_color = _make_blend(False)
 
 
-@njit
+@_inner
 def _unblend_tile(
     tile, start, stop, entries, records, view, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, slots
 ):
@@ -1114,10 +1144,7 @@ def _unblend_tile(
     x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
     alive = _open_tile(tile, grid, state, width)
     zero = spread(F(0.0))
-    for block in range(64):
-        for offset in range(width * block + LANES, width * (block + 1), LANES):
-            store(state, offset, zero)
-    for block in range(64):
+    for block in range(grid[TILE_BLOCKS]):
         left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
         pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
         if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
@@ -1231,7 +1258,7 @@ def _axis_gradient(axis, scale, row, covariance, lens, view, seen, gradient, pos
     return d0 * scale, d1 * scale, d2 * scale, by_b0 * t0, by_b0 * t2, by_b1 * t1, by_b1 * t2
 
 
-@njit
+@_inner
 def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose):
     """Derivatives of Gaussians i .. i + 15: into ``gradient [14 * 16]`` and, summed up, into ``pose [12 * 16]``.
 
@@ -1306,7 +1333,7 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     return bits(seen)
 
 
-@njit
+@_inner
 def _step_chunk(
     chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts,
     scratch,
@@ -1383,7 +1410,7 @@ _C1, _C2 = F(0.01**2), F(0.03**2)
 TERM_COLOR, TERM_SSIM, TERM_DEPTH, TERM_MEASURED, TERMS = range(5)
 
 
-@njit
+@_inner
 def _blur_along(buffer, at):
     """Horizontal blur of one row buffer at 16 floats."""
     total = load(buffer, at) * _TAPS[5]
@@ -1392,7 +1419,7 @@ def _blur_along(buffer, at):
     return total
 
 
-@njit
+@_inner
 def _ssim_row(row, grid, image, target, maps, buffers):
     """Sum of SSIM over a row; its derivatives by mean, variance and covariance go to ``maps [3, H, STRIDE]``."""
     height, stride, margin = grid[HEIGHT], grid[STRIDE], grid[MARGIN]
@@ -1432,7 +1459,7 @@ def _ssim_row(row, grid, image, target, maps, buffers):
     return _lane_sum(total)
 
 
-@njit
+@_inner
 def _lane_sum(vector):
     parts = np.empty(LANES, np.float32)
     store(parts, 0, vector)
@@ -1442,7 +1469,7 @@ def _lane_sum(vector):
     return total
 
 
-@njit
+@_inner
 def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, with_ssim):
     """The loss terms of one row."""
     at = TERMS * row
@@ -1462,7 +1489,7 @@ def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, ter
     terms[at + TERM_MEASURED] = F(measured)
 
 
-@njit
+@_inner
 def _differentiate_row(
     row, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha, buffers
 ):
@@ -1504,7 +1531,7 @@ def _differentiate_row(
         poke(by_alpha, pixel, of_alpha)
 
 
-@njit
+@_inner
 def _track_row(row, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms):
     """Tracking loss of one row, as sums over its opaque pixels with a depth, and its gradient image.
 

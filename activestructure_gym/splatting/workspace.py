@@ -35,7 +35,7 @@ def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
     grid[k.TILES_X], grid[k.TILES_Y] = -(-camera.width // k.TILE), -(-camera.height // k.TILE)
     grid[k.BLOCKS_X], grid[k.BLOCKS_Y] = -(-camera.width // 4), -(-camera.height // 4)
     grid[k.CHUNKS] = -(-count // k.CHUNK)
-    grid[k.MARGIN] = k.LANES
+    grid[k.MARGIN], grid[k.TILE_BLOCKS] = k.LANES, 64
     grid[k.STRIDE] = 2 * k.LANES + k.LANES * -(-3 * camera.width // k.LANES)
     return grid
 

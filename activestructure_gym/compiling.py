@@ -22,7 +22,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TextIO
 
 from numba import njit
 from numba.core import event
@@ -43,12 +43,12 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Where no cache can be written, the kernel is compiled by every process, and one warning names the remedy.
     """
-    options = {"nogil": True, "error_model": "numpy"}
+    dispatcher: Any
     try:
-        dispatcher = njit(cache=True, **options)(function)
+        dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # numba found no writable place for its cache
         _warn_of_no_cache("no directory for them can be written")
-        dispatcher = njit(**options)(function)
+        dispatcher = njit(nogil=True, error_model="numpy")(function)
     if not hasattr(dispatcher, "compile"):  # NUMBA_DISABLE_JIT
         return dispatcher
     name = f"{function.__module__}.{function.__qualname__}"
@@ -147,7 +147,12 @@ def _lock_path() -> str:
 
     def probe() -> None: ...
 
-    return os.path.join(njit(cache=True)(probe).stats.cache_path, "activestructure_gym-kernels.lock")
+    dispatcher: Any = njit(cache=True)(probe)
+    return os.path.join(dispatcher.stats.cache_path, "activestructure_gym-kernels.lock")
+
+
+def _standard_error() -> TextIO | None:
+    return sys.stderr  # None in a program without a console
 
 
 class _Voice(event.Listener):
@@ -198,7 +203,7 @@ class _Voice(event.Listener):
         return self._spent + time.monotonic() - self._began
 
     def _write(self, line: str) -> None:
-        stream = sys.stderr
+        stream = _standard_error()
         if self.listener is not None or self._silent or stream is None:
             return
         if not self._teller:
@@ -207,7 +212,8 @@ class _Voice(event.Listener):
         if self._silent:
             return
         # A live line only where nothing else writes: a spinner puts itself in the place of sys.stderr.
-        if stream is sys.__stderr__ and stream.isatty():
+        alone = stream is sys.__stderr__
+        if alone and stream.isatty():
             line = line[: shutil.get_terminal_size().columns - 1]
             stream.write("\r" + line.ljust(self._width))
             self._width = len(line)
@@ -217,9 +223,10 @@ class _Voice(event.Listener):
         stream.flush()
 
     def _end(self) -> None:
-        if self._width and sys.stderr is not None:
-            sys.stderr.write("\r" + " " * self._width + "\r")
-            sys.stderr.flush()
+        stream = _standard_error()
+        if self._width and stream is not None:
+            stream.write("\r" + " " * self._width + "\r")
+            stream.flush()
         self._width = 0
         if self._teller:
             self._teller = False

@@ -52,11 +52,11 @@ class Comparison:
         """
         self._check_policies()
         hashes = {}
-        with warming_up(self.policies, self.overrides):
+        with warming_up(self.policies, self.overrides, notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
                 hashes[spec] = self._check_scene(spec).content_hash
-            notify("compiling (the first time only)")
+            notify("making sure that all kernels are compiled")
         return [
             Job(
                 scene=scene,

@@ -16,7 +16,7 @@ def no_warm_up(monkeypatch):
     """Nothing is compiled in another process, and a scene's truth is left alone."""
     from contextlib import nullcontext
 
-    monkeypatch.setattr(module, "warming_up", lambda policies, overrides: nullcontext())
+    monkeypatch.setattr(module, "warming_up", lambda *_: nullcontext())
     monkeypatch.setattr(StandardProtocol, "truth", lambda self, scene: None)
 
 

@@ -1,8 +1,10 @@
 """Differentiable rendering of 3D Gaussians on plain CPUs, on CUDA through gsplat, and in plain torch as the oracle.
 
-``cpu`` (numpy in, numpy out) is what the mapper uses; ``api.rasterize`` (torch, autograd) is for any other loss and is
-imported from its own module so that the mapper does not load torch.
+``cpu`` (numpy in, numpy out) is what the mapper uses; ``rasterize`` (torch, autograd) is for any other loss. Its names
+load when they are first asked for, so that the mapper does not load torch.
 """
+
+from typing import TYPE_CHECKING
 
 from activestructure_gym.splatting.backends import backend_status
 from activestructure_gym.splatting.cpu import (
@@ -18,16 +20,33 @@ from activestructure_gym.splatting.cpu import (
 )
 from activestructure_gym.splatting.ssim import ssim_and_gradient
 
+if TYPE_CHECKING:
+    from activestructure_gym.splatting.api import Rasterization, camera_twist_gradient, parameter_rows, rasterize
+
+_OF_TORCH = ("Rasterization", "camera_twist_gradient", "parameter_rows", "rasterize")
+
 __all__ = [
     "LossWeights",
     "PoseGradient",
+    "Rasterization",
     "Rendering",
     "StepLosses",
     "TrackingWeights",
     "backend_status",
+    "camera_twist_gradient",
     "mapping_step",
+    "parameter_rows",
     "pose_gradient",
+    "rasterize",
     "render",
     "render_depth_alpha",
     "ssim_and_gradient",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name in _OF_TORCH:
+        from activestructure_gym.splatting import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

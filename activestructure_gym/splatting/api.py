@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting.autograd import CpuOptions, CpuRasterization
 from activestructure_gym.splatting.backends import BACKENDS, backend_status
-from activestructure_gym.splatting.reference import rasterize_reference
-from activestructure_gym.splatting.workspace import Lease, fitted
+from activestructure_gym.splatting.packing import parameter_rows
+from activestructure_gym.splatting.reference import blend_reference, camera_centre
+from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
 
-_Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+__all__ = ["Rasterization", "camera_twist_gradient", "parameter_rows", "rasterize"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Rasterization:
     color: torch.Tensor  # [..., H, W, 3]
     depth: torch.Tensor  # [..., H, W] accumulated: sum of weight times depth
     alpha: torch.Tensor  # [..., H, W]
+    channels: torch.Tensor | None = None  # [..., H, W, D] sum of weight times channel, if any were given
+    median_depth: torch.Tensor | None = None  # [..., H, W] metres, if asked for; see `rasterize`
 
     @property
     def expected_depth(self) -> torch.Tensor:  # [..., H, W]
@@ -30,88 +33,195 @@ class Rasterization:
         return self.depth / self.alpha.clamp_min(1e-10)
 
 
+@dataclass(frozen=True)
+class _Request:
+    """What every implementation is given; exactly one of ``colors`` and ``sh`` is there."""
+
+    means: torch.Tensor
+    quaternions: torch.Tensor
+    log_scales: torch.Tensor
+    opacity_logits: torch.Tensor
+    colors: torch.Tensor | None
+    sh: torch.Tensor | None
+    channels: torch.Tensor | None
+    camera_from_world: torch.Tensor
+    camera: PinholeCamera
+    max_alpha: float
+    median_depth: bool
+    threads: int | None
+
+
 def rasterize(
     means: torch.Tensor,  # [N, 3] metres, world
     quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
-    log_scales: torch.Tensor,  # [N, 3]
+    log_scales: torch.Tensor,  # [N, 3] log of metres
     opacity_logits: torch.Tensor,  # [N]
-    colors: torch.Tensor,  # [N, 3]
+    colors: torch.Tensor | None = None,  # [N, 3] used as they are
     *,
     camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
     camera: PinholeCamera,
+    sh: torch.Tensor | None = None,  # [N, K, 3] harmonics of degree 0 to 3 in place of colours, K = 1, 4, 9 or 16
+    channels: torch.Tensor | None = None,  # [N, D] anything else to blend
+    median_depth: bool = False,
     backend: str = "auto",
     max_alpha: float = 0.999,
+    threads: int | None = None,
 ) -> Rasterization:
-    """Render Gaussians, with gradients to every tensor given.
+    """Render Gaussians, with gradients to every tensor given (of ``camera_from_world`` rows 0 to 2, as if its twelve
+    numbers were free; see `camera_twist_gradient`).
 
     ``backend`` is ``cpu``, ``gsplat``, ``reference`` or ``auto`` (gsplat for CUDA tensors, the compiled kernel for
-    float32 on the CPU, the reference for anything else).
+    float32 on the CPU, the reference for anything else). ``sh`` follows 3D Gaussian splatting: colour =
+    max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre. The median depth is the depth of the
+    Gaussian with which the transmittance, front to back, first falls to 0.5 or below; it is 0 where alpha stays under
+    0.5 and has no gradient. Several cameras give the same as one call each. ``threads`` is for ``cpu`` alone (default:
+    the cores of this process, or ``OMP_NUM_THREADS``) and does not change a bit of the result.
+
+    Numerics are gsplat's (``../shared/research/backbones.md`` 2.4).
 
     Raises:
-        InputError: an unknown backend, or one that cannot run here.
+        InputError: tensors that do not fit together, an unknown backend, or one that cannot do what is asked here.
     """
+    if backend != "auto" and backend not in BACKENDS:
+        raise unknown_name("splatting backend", backend, BACKENDS)
+    request = _Request(
+        means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world, camera, max_alpha,
+        median_depth, threads,
+    )  # fmt: skip
+    _check(request)
     if backend == "auto":
         backend = "gsplat" if means.is_cuda else "cpu" if means.dtype == torch.float32 else "reference"
-    if backend not in BACKENDS:
-        raise unknown_name("splatting backend", backend, BACKENDS)
-    if not 0.0 < max_alpha < 1.0:
-        raise ValueError(f"max_alpha must lie in (0, 1), got {max_alpha}")
-    tensors = (means, quaternions, log_scales, opacity_logits, colors)
-    render = _RENDERERS[backend]
-    if camera_from_world.dim() == 2:
-        return Rasterization(*render(tensors, camera_from_world, camera, max_alpha))
-    pictures = [render(tensors, pose, camera, max_alpha) for pose in camera_from_world]
-    return Rasterization(*(torch.stack(channel) for channel in zip(*pictures)))
+    return _RENDERERS[backend](request)
 
 
-def _render_reference(tensors: _Tensors, camera_from_world: torch.Tensor, camera: PinholeCamera, max_alpha: float):
-    return rasterize_reference(*tensors, camera_from_world, camera, max_alpha=max_alpha)
+def camera_twist_gradient(
+    camera_from_world: torch.Tensor,  # [..., 4, 4]
+    gradient: torch.Tensor,  # [..., 4, 4] derivative by its entries, as `rasterize` gives it
+) -> torch.Tensor:  # [..., 6]
+    """Derivative by a twist (rho metres, phi radians) at 0, where camera_from_world becomes Exp(rho, phi)
+    camera_from_world (`activestructure_gym.geometry.se3_exp`). Source: ``../shared/research/backbones.md`` 4.6.
+    """
+    pose, gradient = camera_from_world.detach()[..., :3, :], gradient[..., :3, :]
+    turn = torch.linalg.cross(pose, gradient, dim=-2).sum(dim=-1)  # column by column
+    return torch.cat([gradient[..., 3], turn], dim=-1)
 
 
-def _render_gsplat(tensors: _Tensors, camera_from_world: torch.Tensor, camera: PinholeCamera, max_alpha: float):
+def _check(request: _Request) -> None:
+    """One sentence for whatever does not fit."""
+    count = len(request.means) if isinstance(request.means, torch.Tensor) and request.means.dim() else 0
+    shapes = {
+        "means": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "opacity_logits": (count,),
+    }  # fmt: skip
+    if (request.colors is None) == (request.sh is None):
+        came = "neither" if request.sh is None else "both"
+        raise InputError(f"rasterize takes either colors [N, 3] or sh [N, K, 3], got {came}; give exactly one of them.")
+    if request.colors is not None:
+        shapes["colors"] = (count, 3)
+    for name in (*shapes, "sh", "channels", "camera_from_world"):
+        value = getattr(request, name)
+        if value is None and name in ("sh", "channels"):
+            continue
+        if not isinstance(value, torch.Tensor):
+            raise InputError(
+                f"{name} must be a torch tensor, got {type(value).__name__}; use torch.from_numpy for arrays."
+            )
+        if name in shapes and tuple(value.shape) != shapes[name]:
+            of = "" if name == "means" else f" for means of {tuple(request.means.shape)}"
+            wanted = "[N, 3]" if name == "means" else str(shapes[name])
+            raise InputError(f"{name} must have the shape {wanted}{of}, got {tuple(value.shape)}.")
+        if value.dtype != request.means.dtype or value.device != request.means.device:
+            raise InputError(
+                f"all tensors must be of one type on one device: means are {request.means.dtype} on "
+                f"{request.means.device}, {name} {value.dtype} on {value.device}; convert {name} with .to(means)."
+            )
+    if not request.means.is_floating_point():
+        raise InputError(f"means must be of a floating point type, got {request.means.dtype}; use means.float().")
+    sh, channels, pose = request.sh, request.channels, request.camera_from_world
+    if sh is not None and (sh.dim() != 3 or len(sh) != count or sh.shape[1] not in TERMS or sh.shape[2] != 3):
+        raise InputError(
+            f"sh must have the shape [{count}, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got {tuple(sh.shape)}."
+        )
+    if channels is not None and (channels.dim() != 2 or len(channels) != count or channels.shape[1] < 1):
+        raise InputError(
+            f"channels must have the shape [{count}, D] with D at least 1, got {tuple(channels.shape)}; "
+            "leave them out if there are none."
+        )
+    if pose.dim() not in (2, 3) or tuple(pose.shape[-2:]) != (4, 4) or not len(pose):
+        raise InputError(
+            f"camera_from_world must have the shape [4, 4], or [C, 4, 4] with C at least 1, got {tuple(pose.shape)}."
+        )
+    if not isinstance(request.camera, PinholeCamera):
+        raise InputError(f"camera must be a PinholeCamera, got {type(request.camera).__name__}.")
+    if not 0.0 < request.max_alpha < 1.0:
+        raise InputError(f"max_alpha must lie in (0, 1), got {request.max_alpha}.")
+    if request.threads is not None and request.threads < 1:
+        raise InputError(f"threads must be at least 1, got {request.threads}; leave it out for a good default.")
+
+
+def _render_reference(request: _Request) -> Rasterization:
+    pose = request.camera_from_world
+    pictures = [_reference_of_one(request, one) for one in pose.reshape(-1, 4, 4)]
+    stacked = [None if of[0] is None else torch.stack(of) for of in zip(*pictures)]
+    if pose.dim() == 2:
+        stacked = [None if picture is None else picture[0] for picture in stacked]
+    return Rasterization(*stacked)
+
+
+def _reference_of_one(request: _Request, pose: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    """The fields of `Rasterization` for one camera."""
+    colors, sh, channels = request.colors, request.sh, request.channels
+    if sh is not None:
+        colors = evaluate_sh(sh, request.means - camera_centre(pose))
+    features = colors if channels is None else torch.cat([colors, channels], dim=1)
+    picture, depth, alpha, median = blend_reference(
+        request.means, request.quaternions, request.log_scales, request.opacity_logits, features, pose, request.camera,
+        max_alpha=request.max_alpha,
+    )  # fmt: skip
+    extra = None if channels is None else picture[..., 3:]
+    return picture[..., :3], depth, alpha, extra, median if request.median_depth else None
+
+
+def _render_gsplat(request: _Request) -> Rasterization:
     status = backend_status()["gsplat"]
     if status != "works":
         raise InputError(f"splatting backend 'gsplat' cannot run here ({status}); use backend='cpu'.")
-    if max_alpha != 0.999:
-        raise InputError(f"gsplat has its alpha limit compiled in as 0.999, got {max_alpha}; use backend='cpu'.")
-    from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
+    from activestructure_gym.splatting.gsplat_backend import gsplat_max_alpha, rasterize_gsplat
 
-    return rasterize_gsplat(*tensors, camera_from_world, camera)
+    if request.means.dtype != torch.float32 or not request.means.is_cuda:
+        raise InputError(
+            f"splatting backend 'gsplat' takes float32 tensors on a CUDA device, got {request.means.dtype} on "
+            f"{request.means.device}; convert them or use backend='cpu'."
+        )
+    if request.max_alpha != gsplat_max_alpha():
+        raise InputError(
+            f"this gsplat has its alpha limit compiled in as {gsplat_max_alpha()}, got {request.max_alpha}; pass "
+            f"max_alpha={gsplat_max_alpha()} or use backend='cpu'."
+        )
+    if request.median_depth:
+        raise InputError("gsplat has no median depth of 3D Gaussians; use backend='cpu' or leave median_depth out.")
+    pose = request.camera_from_world
+    pictures = rasterize_gsplat(
+        request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
+        pose.reshape(-1, 4, 4), request.camera, sh=request.sh, channels=request.channels,
+    )  # fmt: skip
+    if pose.dim() == 2:
+        return Rasterization(*(None if picture is None else picture[0] for picture in pictures))
+    return Rasterization(*pictures)
 
 
-def _render_cpu(tensors: _Tensors, camera_from_world: torch.Tensor, camera: PinholeCamera, max_alpha: float):
-    for tensor in (*tensors, camera_from_world):
-        if tensor.dtype != torch.float32 or tensor.is_cuda:
-            raise InputError(
-                f"splatting backend 'cpu' takes float32 tensors on the CPU, got {tensor.dtype} on {tensor.device}; "
-                "use backend='reference' or convert them."
-            )
-    means, quaternions, log_scales, opacity_logits, colors = tensors
-    parameters = torch.cat([means.T, quaternions.T, log_scales.T, opacity_logits[None], colors.T])
-    return _CpuRasterization.apply(parameters, camera_from_world, camera, max_alpha)
+def _render_cpu(request: _Request) -> Rasterization:
+    if request.means.dtype != torch.float32 or request.means.device.type != "cpu":
+        raise InputError(
+            f"splatting backend 'cpu' takes float32 tensors on the CPU, got {request.means.dtype} on "
+            f"{request.means.device}; use backend='reference' or convert them."
+        )
+    options = CpuOptions(request.camera, request.max_alpha, request.median_depth, request.threads)
+    return Rasterization(
+        *CpuRasterization.apply(
+            request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors, request.sh,
+            request.channels, request.camera_from_world, options,
+        )
+    )  # fmt: skip
 
 
 _RENDERERS = {"cpu": _render_cpu, "gsplat": _render_gsplat, "reference": _render_reference}
-
-
-class _CpuRasterization(torch.autograd.Function):
-    """The compiled kernel as a node of torch's graph: parameters ``[14, N]`` and camera_from_world in, images out."""
-
-    @staticmethod
-    def forward(ctx, parameters, camera_from_world, camera, max_alpha):
-        ctx.count = parameters.shape[1]
-        ctx.lease = Lease()
-        ctx.lease.workspace.render(
-            fitted(parameters.detach().contiguous().numpy()), ctx.count, camera, camera_from_world.detach().numpy(),
-            max_alpha=max_alpha,
-        )  # fmt: skip
-        return tuple(torch.from_numpy(picture) for picture in ctx.lease.workspace.pictures())
-
-    @staticmethod
-    def backward(ctx, by_color, by_depth, by_alpha):
-        workspace = ctx.lease.workspace
-        workspace.set_gradient_images(by_color.numpy(), by_depth.numpy(), by_alpha.numpy())
-        gradient, by_camera = torch.zeros(workspace.parameters.shape), torch.zeros(4, 4)
-        array = gradient.numpy()
-        by_camera[:3] = torch.from_numpy(workspace.backward(np.zeros(18, np.float32), array, array, array))
-        return gradient[:, : ctx.count], by_camera, None, None

@@ -27,15 +27,15 @@ def _gsplat_status() -> str:
 
     try:
         device = torch.device("cuda")
-        color, _, _ = rasterize_gsplat(
+        color, _, _, _ = rasterize_gsplat(
             torch.tensor([[0.0, 0.0, 1.0]], device=device),
             torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device),
             torch.full((1, 3), -2.0, device=device),
             torch.full((1,), 3.0, device=device),
             torch.ones((1, 3), device=device),
-            torch.eye(4, device=device),
+            torch.eye(4, device=device)[None],
             PinholeCamera.from_size(16, 16),
         )
     except Exception as error:  # a missing compiler, driver or wheel shows in many types
         return f"gsplat cannot render: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
-    return "works" if bool(color[8, 8, 0] > 0.5) else "gsplat renders a black picture"
+    return "works" if bool(color[0, 8, 8, 0] > 0.5) else "gsplat renders a black picture"

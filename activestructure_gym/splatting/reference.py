@@ -31,12 +31,34 @@ def rasterize_reference(
     max_alpha: float = 0.999,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # colour [H, W, 3], accumulated depth [H, W], alpha [H, W]
     """Render one camera; gradients of everything by autograd."""
+    color, depth, alpha, _ = blend_reference(
+        means, quaternions, log_scales, opacity_logits, colors, camera_from_world, camera, max_alpha=max_alpha
+    )
+    return color, depth, alpha
+
+
+def blend_reference(
+    means: torch.Tensor,  # [N, 3] metres, world
+    quaternions: torch.Tensor,  # [N, 4] wxyz, any length > 0
+    log_scales: torch.Tensor,  # [N, 3] log of metres
+    opacity_logits: torch.Tensor,  # [N]
+    features: torch.Tensor,  # [N, F] colours and any other channels
+    camera_from_world: torch.Tensor,  # [4, 4]
+    camera: PinholeCamera,
+    *,
+    max_alpha: float = 0.999,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Pictures of one camera: features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``).
+
+    The median depth is that of the Gaussian with which the transmittance first falls to 0.5 or below, 0 where none
+    does; it has no gradient.
+    """
     position, inverse_covariance, depth = project_gaussians(means, quaternions, log_scales, camera_from_world, camera)
     opacity = torch.sigmoid(opacity_logits)
     kept = torch.nonzero((depth.detach() >= NEAR_PLANE) & (opacity.detach() >= MIN_ALPHA))[:, 0]
     order = kept[torch.argsort(depth.detach()[kept], stable=True)]
     position, inverse_covariance, depth = position[order], inverse_covariance[order], depth[order]
-    opacity, features = opacity[order], torch.cat([colors[order], depth[:, None]], dim=1)  # [M, 4]
+    opacity, features = opacity[order], torch.cat([features[order], depth[:, None]], dim=1)  # [M, F + 1]
 
     rows, columns = torch.meshgrid(
         torch.arange(camera.height, dtype=means.dtype, device=means.device) + 0.5,
@@ -45,7 +67,7 @@ def rasterize_reference(
     )
     pixels = torch.stack([columns.reshape(-1), rows.reshape(-1)], dim=1)  # [P, 2]
     at_once = max(1, _PAIRS_AT_ONCE // max(1, len(order)))
-    outputs, alphas = [], []
+    outputs, alphas, medians = [], [], []
     for start in range(0, len(pixels), at_once):
         offset = pixels[start : start + at_once, None, :] - position[None]  # [p, M, 2]
         power = (
@@ -58,11 +80,21 @@ def rasterize_reference(
         after = torch.cumprod(1.0 - alpha, dim=1)
         before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
         # The product only falls, so "stop before the one that takes it to 1e-4" is a test on every factor.
-        weight = alpha * before * (after.detach() > MIN_TRANSMITTANCE)
+        counts = after.detach() > MIN_TRANSMITTANCE
+        weight = alpha * before * counts
         outputs.append(weight @ features)
         alphas.append(weight.sum(dim=1))
-    output = torch.cat(outputs).reshape(camera.height, camera.width, 4)
-    return output[..., :3], output[..., 3], torch.cat(alphas).reshape(camera.height, camera.width)
+        halves = (counts & (after.detach() <= 0.5) & (before.detach() > 0.5)).to(depth.dtype)  # at most one per pixel
+        medians.append(halves @ depth.detach())
+    shape = (camera.height, camera.width)
+    output = torch.cat(outputs).reshape(*shape, features.shape[1])
+    alpha, median = torch.cat(alphas).reshape(shape), torch.cat(medians).reshape(shape)
+    return output[..., :-1], output[..., -1], alpha, median
+
+
+def camera_centre(camera_from_world: torch.Tensor) -> torch.Tensor:  # [4, 4] -> [3]
+    """Where the camera stands in the world, by a general inverse as in gsplat."""
+    return -torch.linalg.solve(camera_from_world[:3, :3], camera_from_world[:3, 3])
 
 
 def project_gaussians(

@@ -1,0 +1,120 @@
+"""The CPU kernels as one node of torch's graph.
+
+Parameters go through `packing` both ways: without a copy if they lie in memory as the kernels want them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting import kernels, passes
+from activestructure_gym.splatting.crew import default_threads
+from activestructure_gym.splatting.packing import packed, unpacked
+from activestructure_gym.splatting.spherical_harmonics import shade, unshade
+from activestructure_gym.splatting.workspace import Lease, make_grid, make_view
+
+_NO_STEP = np.zeros(kernels.RATES, np.float32)  # makes the backward pass write gradients
+
+
+@dataclass(frozen=True)
+class CpuOptions:
+    """What is not a tensor."""
+
+    camera: PinholeCamera
+    max_alpha: float
+    median_depth: bool
+    threads: int | None
+
+
+class CpuRasterization(torch.autograd.Function):
+    """Colour, depth, alpha, channels and median depth (None where not asked for) of one or several cameras."""
+
+    @staticmethod
+    def forward(ctx, means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world, options):
+        tensors = (means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world)
+        ctx.save_for_backward(*tensors)
+        ctx.set_materialize_grads(False)
+        camera, count = options.camera, len(means)
+        ctx.threads = options.threads or default_threads()
+        poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
+        ctx.parameters = packed(_detached(tensors), ctx.threads)
+        coefficients = None if sh is None else sh.detach().contiguous().numpy()
+        features = None if channels is None else channels.detach().contiguous().numpy()
+        pictures, ctx.rendered = [], []
+        for pose in poses:
+            lease = Lease()
+            workspace = lease.workspace
+            if coefficients is not None:
+                view, grid = make_view(camera, pose), make_grid(count, ctx.parameters.shape[1], camera)
+                shade(ctx.parameters, coefficients, pose, view, grid, ctx.threads)
+            workspace.render(ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, threads=ctx.threads)
+            own, kept = list(workspace.pictures()), []
+            if features is not None:
+                picture, kept = passes.blend_channels(workspace, features)
+                own.append(picture)
+            if options.median_depth:
+                own.append(passes.median_depth(workspace))
+            pictures.append(own)
+            if any(ctx.needs_input_grad):
+                ctx.rendered.append((lease, kept))
+        if camera_from_world.dim() == 2:
+            outputs = [torch.from_numpy(picture) for picture in pictures[0]]
+        else:
+            outputs = [torch.from_numpy(np.stack(of_cameras)) for of_cameras in zip(*pictures)]
+        color, depth, alpha = outputs[:3]
+        extra = None if features is None else outputs[3]
+        median = outputs[-1] if options.median_depth else None
+        if median is not None:
+            ctx.mark_non_differentiable(median)
+        return color, depth, alpha, extra, median
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, by_color, by_depth, by_alpha, by_extra, _):
+        tensors = ctx.saved_tensors  # refused by torch if one has been changed in place since
+        sh, channels, camera_from_world = tensors[5:]
+        cameras, batched = len(ctx.rendered), camera_from_world.dim() == 3
+        poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
+        coefficients = None if sh is None else sh.detach().contiguous().numpy()
+        features = None if channels is None else channels.detach().contiguous().numpy()
+        total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory that numpy would fetch anew
+        by_sh = None if sh is None else torch.zeros(sh.shape)
+        by_channels = None if channels is None else torch.zeros(channels.shape)
+        by_pose = np.zeros((cameras, 4, 4), np.float32)
+        part = total
+        for index, (lease, kept) in enumerate(ctx.rendered):
+            workspace, own_pose = lease.workspace, by_pose[index, :3]
+            if index:
+                part = np.zeros_like(part)
+            own = [
+                None if gradient is None else gradient.numpy()[index] if batched else gradient.numpy()
+                for gradient in (by_color, by_depth, by_alpha, by_extra)
+            ]
+            if any(gradient is not None for gradient in own[:3]):
+                workspace.set_gradient_images(*_filled(own[:3], workspace.camera))
+                own_pose += workspace.backward(_NO_STEP, part, part, part)
+                if coefficients is not None:
+                    own_pose += unshade(
+                        ctx.parameters, coefficients, poses[index], workspace.grid, part, by_sh.numpy(), ctx.threads
+                    )
+            if own[3] is not None:
+                own_pose += passes.unblend_channels(workspace, features, kept, own[3], part, by_channels.numpy())
+            if index:
+                total += part
+        by_parameters = unpacked(total, _detached(tensors), ctx.threads)
+        return *by_parameters, by_sh, by_channels, torch.from_numpy(by_pose).reshape(camera_from_world.shape), None
+
+
+def _detached(tensors: tuple[torch.Tensor | None, ...]) -> tuple[torch.Tensor | None, ...]:
+    """Means, quaternions, log-scales, opacity logits and colours without their graph."""
+    return tuple(None if tensor is None else tensor.detach() for tensor in tensors[:5])
+
+
+def _filled(images: list[np.ndarray | None], camera: PinholeCamera) -> list[np.ndarray]:
+    """The gradient pictures of colour, depth and alpha, zeros for those the loss does not use."""
+    shapes = ((camera.height, camera.width, 3), (camera.height, camera.width), (camera.height, camera.width))
+    return [np.zeros(shape, np.float32) if image is None else image for image, shape in zip(images, shapes)]

@@ -1,0 +1,131 @@
+"""Between torch's tensors, one row per Gaussian, and the kernels' array, one row per parameter (rows as in `cpu`)."""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types)
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting.caching import stamp_of
+from activestructure_gym.splatting.crew import CREW
+
+_ROWS = ((0, 3), (3, 7), (7, 10), (10, 11), (11, 14))  # mean, quaternion, log-scale, opacity, colour
+
+
+def parameter_rows(
+    parameters: torch.Tensor,  # [14, N] float32, N a multiple of 16
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Means ``[3, N]``, quaternions ``[4, N]``, log-scales ``[3, N]``, opacity logits ``[N]`` and colours ``[3, N]``
+    that share memory with the array the kernels read.
+
+    As leaves (``requires_grad_()``), passed on as ``means.T`` and so on, they are rendered, differentiated and stepped
+    without a copy. Leaves that are transposed or have gaps themselves are slow in torch's fused Adam, or wrong: with
+    gaps between the rows it does not move them as the plain one does (torch 2.13). So give it whole rows.
+    """
+    means, quaternions, log_scales, logits, colors = (parameters[first:last] for first, last in _ROWS)
+    return means, quaternions, log_scales, logits[0], colors
+
+
+def packed(
+    tensors: tuple[torch.Tensor | None, ...],  # means [N, 3] ... colors [N, 3], detached; colours may be missing
+    threads: int,
+) -> np.ndarray:  # [14, capacity]
+    """One array for the kernels: the tensors' own memory where they lie in it like that, else a copy."""
+    shared = _shared(tensors)
+    if shared is not None:
+        return shared
+    count = len(tensors[0])
+    block = np.empty((k.ROWS, -(-count // k.LANES) * k.LANES), np.float32)
+    block[:, count:] = 0.0
+    columns = [_columns(tensor) for tensor in tensors if tensor is not None]
+    CREW.run(_pack, (np.zeros(1, np.int64), block, *columns, *[columns[0]] * (5 - len(columns))), threads)
+    return block
+
+
+def unpacked(
+    gradient: np.ndarray,  # [14, capacity] float32
+    tensors: tuple[torch.Tensor | None, ...],  # as in `packed`
+    threads: int,
+) -> list[torch.Tensor | None]:
+    """Gradients in the layout of the tensors, so that torch takes them as they are: rows are views, others copies."""
+    count = len(tensors[0])
+    rows = torch.from_numpy(gradient)[:, :count]
+    results = [rows[first:last].T if last - first > 1 else rows[first] for first, last in _ROWS]
+    if all(tensor is None or tensor.is_contiguous() for tensor in tensors):
+        results = [torch.empty(result.shape) for result in results]
+        CREW.run(_unpack, (np.zeros(1, np.int64), gradient, *[_columns(result) for result in results]), threads)
+    return [None if tensor is None else result for result, tensor in zip(results, tensors)]
+
+
+def _columns(tensor: torch.Tensor) -> np.ndarray:  # [N, D], contiguous, writeable: one type for numba
+    tensor = tensor.contiguous()
+    return tensor.numpy().reshape(len(tensor), tensor.shape[1] if tensor.dim() > 1 else 1)
+
+
+def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
+    """The array that the five tensors are columns of, if they are."""
+    means = tensors[0]
+    if not len(means) or any(tensor is None for tensor in tensors):
+        return None
+    capacity, start, storage = means.stride(1), means.storage_offset(), means.untyped_storage()
+    if capacity % k.LANES or capacity < len(means) or storage.nbytes() < 4 * (start + k.ROWS * capacity):
+        return None
+    for (first, _), tensor in zip(_ROWS, tensors):
+        if (
+            tensor.untyped_storage().data_ptr() != storage.data_ptr()
+            or tensor.storage_offset() != start + first * capacity
+            or tensor.stride() != (1, capacity)[: tensor.dim()]
+        ):
+            return None
+    return torch.as_strided(means, (k.ROWS, capacity), (capacity, 1), start).numpy()
+
+
+def _make_copies(stamp):
+    @kernel
+    def pack(tickets, block, means, quaternions, log_scales, logits, colors):
+        _ = stamp
+        count = means.shape[0]
+        while True:
+            first = k.CHUNK * k.take_ticket(tickets, 0)
+            if first >= count:
+                return
+            for i in range(first, min(first + k.CHUNK, count)):
+                block[0, i], block[1, i], block[2, i] = means[i, 0], means[i, 1], means[i, 2]
+            for i in range(first, min(first + k.CHUNK, count)):
+                block[3, i], block[4, i] = quaternions[i, 0], quaternions[i, 1]
+                block[5, i], block[6, i] = quaternions[i, 2], quaternions[i, 3]
+            for i in range(first, min(first + k.CHUNK, count)):
+                block[7, i], block[8, i], block[9, i] = log_scales[i, 0], log_scales[i, 1], log_scales[i, 2]
+            for i in range(first, min(first + k.CHUNK, count)):
+                block[10, i] = logits[i, 0]
+            for i in range(first, min(first + k.CHUNK, count)):
+                block[11, i], block[12, i], block[13, i] = colors[i, 0], colors[i, 1], colors[i, 2]
+
+    @kernel
+    def unpack(tickets, block, means, quaternions, log_scales, logits, colors):
+        _ = stamp
+        count = means.shape[0]
+        while True:
+            first = k.CHUNK * k.take_ticket(tickets, 0)
+            if first >= count:
+                return
+            for i in range(first, min(first + k.CHUNK, count)):
+                means[i, 0], means[i, 1], means[i, 2] = block[0, i], block[1, i], block[2, i]
+            for i in range(first, min(first + k.CHUNK, count)):
+                quaternions[i, 0], quaternions[i, 1] = block[3, i], block[4, i]
+                quaternions[i, 2], quaternions[i, 3] = block[5, i], block[6, i]
+            for i in range(first, min(first + k.CHUNK, count)):
+                log_scales[i, 0], log_scales[i, 1], log_scales[i, 2] = block[7, i], block[8, i], block[9, i]
+            for i in range(first, min(first + k.CHUNK, count)):
+                logits[i, 0] = block[10, i]
+            for i in range(first, min(first + k.CHUNK, count)):
+                colors[i, 0], colors[i, 1], colors[i, 2] = block[11, i], block[12, i], block[13, i]
+
+    return pack, unpack
+
+
+_pack, _unpack = _make_copies(stamp_of(k))

@@ -1,0 +1,155 @@
+"""Further passes over the tile lists of a finished rendering.
+
+After `Workspace.render` the sorted lists, the records and the pictures stand. A pass walks the lists once more and asks
+something that most callers do not need: a median depth, more channels. Each has a kernel of its own or drives the
+kernels of `kernels` again, and a function that takes the workspace.
+"""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types)
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting.caching import stamp_of
+from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
+
+_NO_STEP = np.zeros(k.RATES, np.float32)  # makes `Workspace.backward` write gradients
+_AT_ONCE = 3  # channels a rendering carries
+
+
+def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
+    """Depth of the Gaussian with which the transmittance first falls to 0.5 or below; 0 where none does."""
+    camera = workspace.camera
+    picture = np.empty((camera.height, camera.width), np.float32)
+    workspace.tickets[:] = 0
+    workspace._run(
+        _median, workspace.view, workspace.grid, workspace.records, workspace.tile_start, workspace.tile_order,
+        workspace.entries, picture.reshape(-1),
+    )  # fmt: skip
+    return picture
+
+
+def _make_median(stamp):
+    @kernel
+    def median(tickets, view, grid, records, tile_start, tile_order, entries, picture):
+        _ = stamp
+        width = 2 * k.LANES  # floats of state per block: transmittance, median depth
+        state = k._scratch(64 * width)
+        half, zero = np.float32(0.5), k.spread(np.float32(0.0))
+        room, tiles_x = entries.shape[1], grid[k.TILES_X]
+        while True:
+            ticket = k.take_ticket(tickets, 0)
+            if ticket >= tiles_x * grid[k.TILES_Y]:
+                return
+            tile = tile_order[ticket]
+            x, y = k.TILE * (tile % tiles_x), k.TILE * (tile // tiles_x)
+            alive = k._open_tile(tile, grid, state, width)
+            for block in range(64):
+                k.store(state, width * block + k.LANES, zero)
+            for entry in range(tile_start[tile], tile_start[tile + 1]):
+                if alive == 0:
+                    break
+                reach = np.int64(k.peek(entries, k.SORTED_REACH * room + entry)) & alive
+                if reach == 0:
+                    continue
+                base = k.RECORD * np.int64(k.peek(entries, k.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
+                dx = k.lane_x() - (k.peek(records, base + k.U) - np.float32(x))
+                dy = k.lane_y() - (k.peek(records, base + k.V) - np.float32(y))
+                along = k.fma(dx, k.peek(records, base + k.L00), dy * k.peek(records, base + k.L01))
+                across = dy * k.peek(records, base + k.L11)
+                while reach != 0:
+                    block = k.lowest_bit(reach)
+                    reach &= reach - 1
+                    at = width * block
+                    _, _, opaque, _ = k._alpha(records, base, block, along, across, view)
+                    before = k.load(state, at)
+                    after = k.fma(k.neg(opaque), before, before)
+                    goes_on = after > k.peek(view, k.LEAST_LEFT)  # else this Gaussian is not part of the pixel
+                    crosses = goes_on & (after <= half)
+                    found = k.sel(crosses, k.spread(k.peek(records, base + k.DEPTH)), k.load(state, at + k.LANES))
+                    k.store(state, at + k.LANES, found)
+                    searching = goes_on & (after > half)
+                    k.store(state, at, k.sel(searching, after, k._stopped(before)))
+                    if k.bits(searching) == 0:
+                        alive &= ~(1 << block)
+            for block in range(64):
+                left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
+                for row in range(min(4, grid[k.HEIGHT] - top)):
+                    for column in range(min(4, grid[k.WIDTH] - left)):
+                        value = state[width * block + k.LANES + 4 * row + column]
+                        picture[(top + row) * grid[k.WIDTH] + left + column] = value
+
+    return median
+
+
+_median = _make_median(stamp_of(k))
+
+
+def blend_channels(
+    workspace: Workspace,
+    channels: np.ndarray,  # [N, D] float32
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The picture ``[H, W, D]`` of any per-Gaussian numbers, and what `unblend_channels` needs.
+
+    Three channels at a time take the place of the colour in the records, and the lists are blended again.
+    """
+    picture = np.empty((workspace.camera.height, workspace.camera.width, channels.shape[1]), np.float32)
+    kept, colors, own = [], _colors(workspace, len(channels)), workspace.color
+    before = colors.copy()
+    for first in range(0, channels.shape[1], _AT_ONCE):
+        share = channels[:, first : first + _AT_ONCE]
+        _paint(colors, share)
+        workspace.color = aligned_zeros(workspace.camera.height * int(workspace.grid[k.STRIDE]))
+        workspace.tickets[:] = 0
+        workspace._run(
+            k.blend, workspace.view, workspace.grid, workspace.records, workspace.tile_start, workspace.tile_order,
+            workspace.entries, workspace.color, workspace.depth, workspace.alpha,
+        )  # fmt: skip
+        picture[..., first : first + _AT_ONCE] = workspace.pixels_of(workspace.color)[..., : share.shape[1]]
+        kept.append(workspace.color)
+    colors[:], workspace.color = before, own
+    return picture, kept
+
+
+def unblend_channels(
+    workspace: Workspace,
+    channels: np.ndarray,  # [N, D] float32
+    kept: list[np.ndarray],  # from `blend_channels`
+    by_picture: np.ndarray,  # [H, W, D] float32
+    gradient: np.ndarray,  # [14, capacity] float32: rows 0 to 10 (geometry) are added to
+    by_channels: np.ndarray,  # [N, D] float32, added to
+) -> np.ndarray:  # [3, 4] derivative by camera_from_world
+    """The derivative of `blend_channels`; linear in the gradient picture, so every group of three adds its own."""
+    height, width = by_picture.shape[:2]
+    count, own = len(channels), workspace.color
+    colors, nothing = _colors(workspace, count), np.zeros((height, width), np.float32)
+    before, by_pose = colors.copy(), np.zeros((3, 4), np.float32)
+    part, of_group = np.zeros_like(gradient), np.zeros((height, width, _AT_ONCE), np.float32)
+    for number, image in enumerate(kept):
+        first = number * _AT_ONCE
+        share = channels[:, first : first + _AT_ONCE]
+        _paint(colors, share)
+        workspace.color = image
+        of_group[..., share.shape[1] :] = 0.0
+        of_group[..., : share.shape[1]] = by_picture[..., first : first + _AT_ONCE]
+        workspace.set_gradient_images(of_group, nothing, nothing)
+        by_pose += workspace.backward(_NO_STEP, part, part, part)
+        gradient[: k.ROWS - 3] += part[: k.ROWS - 3]
+        by_channels[:, first : first + _AT_ONCE] += part[k.ROWS - 3 : k.ROWS - 3 + share.shape[1], :count].T
+    colors[:], workspace.color = before, own
+    return by_pose
+
+
+def _colors(workspace: Workspace, count: int) -> np.ndarray:  # [N, 3], a view
+    """The colour fields of the records."""
+    assert (k.GREEN, k.BLUE) == (k.RED + 1, k.RED + 2)
+    return workspace.records[: count * k.RECORD].reshape(count, k.RECORD)[:, k.RED : k.RED + 3]
+
+
+def _paint(colors: np.ndarray, share: np.ndarray) -> None:
+    colors[:, : share.shape[1]] = share
+    colors[:, share.shape[1] :] = 0.0

@@ -43,12 +43,13 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Where no cache can be written, the kernel is compiled by every process, and one warning names the remedy.
     """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher: Any
     try:
-        dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
+        dispatcher = njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no writable place for its cache
         _warn_of_no_cache("no directory for them can be written")
-        dispatcher = njit(nogil=True, error_model="numpy")(function)
+        dispatcher = njit(**options)(function)
     if not hasattr(dispatcher, "compile"):  # NUMBA_DISABLE_JIT
         return dispatcher
     name = f"{function.__module__}.{function.__qualname__}"
@@ -134,7 +135,7 @@ class _Locks:
                 self.usable = False
                 break
             if waited > _UNREMARKED:
-                _VOICE.tell_of_waiting()
+                _VOICE.tell()
             time.sleep(0.02)
         try:
             yield
@@ -161,7 +162,7 @@ class _Voice(event.Listener):
     def __init__(self) -> None:
         self.listener: Callable[[str], None] | None = None
         self._current: str | None = None  # the kernel in work; functions it calls have events, too
-        self._told: dict[str, None] = {}  # kernels compiled here
+        self._told: set[str] = set()  # kernels that had to be compiled
         self._spent, self._began = 0.0, 0.0
         self._teller = False  # holds the lock that goes with the line
         self._silent = False  # for good: another process tells
@@ -186,21 +187,18 @@ class _Voice(event.Listener):
         """numba begins to compile a kernel, or a function it calls."""
         if self._current is None:  # not ours
             return
-        if self._current not in self._told:
-            self._told[self._current] = None
-            if self.listener is not None:
-                self.listener(self._current)
-        self._write(describe(len(self._told), self._seconds()))
+        if self.listener is not None and self._current not in self._told:
+            self.listener(self._current)
+        self.tell()
+
+    def tell(self) -> None:
+        """The kernel in work is compiled, here or by the process this one waits for."""
+        assert self._current is not None
+        self._told.add(self._current)
+        self._write(describe(len(self._told), self._spent + time.monotonic() - self._began))
 
     def on_end(self, ended: event.Event) -> None:
         """Of no use: what follows at once is told by the next beginning, or by the end of ``around``."""
-
-    def tell_of_waiting(self) -> None:
-        """Another process holds what this one needs."""
-        self._write(f"waiting for kernels that another process compiles: {self._seconds():.0f} s")
-
-    def _seconds(self) -> float:
-        return self._spent + time.monotonic() - self._began
 
     def _write(self, line: str) -> None:
         stream = _standard_error()

@@ -139,7 +139,7 @@ def test_a_killed_process_keeps_no_lock(package, tmp_path) -> None:
     holder = start(package, HOLD, cache=tmp_path / "cache")
     assert holder.stdout.readline() == "held\n"
     waiting = start(package, "import numpy, tiny; print(tiny.total(numpy.ones(3)))", cache=tmp_path / "cache")
-    assert waiting.stderr.readline() == "waiting for kernels that another process compiles (half a minute)\n"
+    assert waiting.stderr.readline() == "compiling kernels, once per installation (half a minute)\n"
     assert waiting.poll() is None
     holder.send_signal(signal.SIGKILL)
     out, err = waiting.communicate(timeout=120)

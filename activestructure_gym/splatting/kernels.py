@@ -32,14 +32,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-
-def _entry(function):
-    """Compile for use from Python: cached on disk, without the GIL."""
-    try:
-        return njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-    except RuntimeError:  # numba found no writable place for its cache
-        return njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-
+from activestructure_gym.compiling import kernel as _entry
 
 # Only called from other kernels: Python's way in, which would be compiled along, is left out.
 _inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -11,13 +11,13 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
-from activestructure_gym.mapping import Mapper
+from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene, check_start_pose
@@ -180,8 +180,11 @@ class Reconstruction:
     def _keyframe(self) -> Frame:
         with self._timed("sensor"):
             frame = self.sensor.capture(self.pose)
+        sensor = self.config.sensor
+        if self._tracking:
+            with self._timed("tracking"):
+                frame = replace(frame, world_from_camera=self._tracked(frame))
         with self._timed("volume"):
-            sensor = self.config.sensor
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with self._timed("mapping"):
             self.mapper.observe(frame)
@@ -189,6 +192,28 @@ class Reconstruction:
             self.planes.update(frame, space_state=self.volume.state_at)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         return frame
+
+    @property
+    def _tracking(self) -> bool:
+        sensor = self.config.sensor
+        return self.config.mapper.tracking.iterations > 0 and (sensor.pose_noise_m > 0 or sensor.pose_noise_deg > 0)
+
+    def _tracked(self, frame: Frame) -> np.ndarray:  # [4, 4] world_from_camera
+        """The pose everything is built from: the start as it was given, then the reported pose corrected.
+
+        The start defines the world the agent plans in, as in any simultaneous localisation and mapping; its reported
+        pose would tilt that world by its own error.
+        """
+        if not self.mapper.keyframes:
+            return self.pose
+        sensor = self.config.sensor
+        return track_pose(
+            frame,
+            self.mapper.keyframes,
+            self.config.mapper.tracking,
+            sigma_m=sensor.pose_noise_m,
+            sigma_deg=sensor.pose_noise_deg,
+        ).world_from_camera
 
     def _refresh(self) -> None:
         """Offer the candidates of the next decision and evaluate their gains."""

@@ -33,8 +33,9 @@ class LossWeights:
 
     image * (l1_share * L1 + (1 - l1_share) * (1 - SSIM)) + depth * |ED - D| + alpha * mean over all pixels of
     (1 - A)^2 where there is a depth, else 0. ED is the accumulated depth over alpha, compared where alpha is above 0.5;
-    with ``normalised_depth=False`` it is the accumulated depth itself, compared wherever one was measured. Without the
-    last term black surfaces become transparent: against the black background that is as good as being black.
+    with ``normalised_depth=False`` it is the accumulated depth itself, compared wherever one was measured; either sum
+    is divided by the number of pixels with a measured depth. Without the last term black surfaces become transparent:
+    against the black background that is as good as being black.
     """
 
     image: float = 0.5  # of the colour terms
@@ -55,7 +56,7 @@ class StepLosses:
     """The unweighted terms of the loss before the step."""
 
     color: float  # mean |colour difference| over pixels and channels
-    depth: float  # metres, mean |ED - D| over the pixels compared (see `LossWeights`)
+    depth: float  # metres, sum of |ED - D| over the pixels that have a depth (see `LossWeights`)
     ssim: float  # mean SSIM (1 = equal); nan where the weights leave it out
 
 
@@ -104,8 +105,9 @@ def render(
     _check(parameters, count)
     lease = Lease()
     lease.workspace.render(
-        fitted(parameters), count, camera, invert_rigid(world_from_camera), max_alpha=max_alpha, threads=threads
-    )
+        fitted(parameters), count, camera, invert_rigid(world_from_camera), max_alpha=max_alpha, threads=threads,
+        keep=False,
+    )  # fmt: skip
     return Rendering(*lease.workspace.pictures())
 
 
@@ -170,13 +172,21 @@ def mapping_step(
     used = tuple(fitted(array) for array in state)
     lease = Lease()
     workspace = lease.workspace
-    workspace.render(used[0], count, camera, invert_rigid(world_from_camera), threads=threads)
-    color, depth, ssim = workspace.losses(
-        target_rgb, target_depth,
-        weights.image * weights.l1_share, weights.image * (1 - weights.l1_share), weights.depth,
-        weights.alpha, weights.normalised_depth,
-    )  # fmt: skip
-    workspace.backward(rates, used[1], used[2], used[0])
+    pose, of_color = invert_rigid(world_from_camera), weights.image * weights.l1_share
+    if weights.image * (1.0 - weights.l1_share) == 0.0:
+        workspace.prepare(used[0], count, camera, pose, threads=threads)
+        color, depth = workspace.fused_losses(
+            target_rgb, target_depth, of_color, weights.depth, weights.alpha, weights.normalised_depth
+        )
+        ssim = float("nan")
+        workspace.step(rates, used[1], used[2], used[0])
+    else:
+        workspace.render(used[0], count, camera, pose, threads=threads)
+        color, depth, ssim = workspace.losses(
+            target_rgb, target_depth, of_color, weights.image * (1.0 - weights.l1_share), weights.depth, weights.alpha,
+            weights.normalised_depth,
+        )  # fmt: skip
+        workspace.backward(rates, used[1], used[2], used[0])
     for array, copy in zip(state, used):
         if copy is not array:
             array[:] = copy[:, : array.shape[1]]
@@ -202,14 +212,14 @@ def pose_gradient(
     pose = invert_rigid(np.asarray(world_from_camera, dtype=np.float64))
     lease = Lease()
     workspace, used = lease.workspace, fitted(parameters)
-    workspace.render(used, count, camera, pose, threads=threads)
+    workspace.prepare(used, count, camera, pose, threads=threads)
     of_color = weights.color / 3.0 if weights.mean else weights.color
-    color, depth, pixels = workspace.tracking_loss(
+    color, depth, pixels = workspace.tracking_losses(
         target_rgb, target_depth, of_color, weights.depth, weights.min_alpha
     )
     rates = np.zeros(kernels.RATES, np.float32)
     rates[kernels.MODE] = kernels.POSE_ONLY
-    by_pose = workspace.backward(rates, used, used, used).astype(np.float64)
+    by_pose = workspace.step(rates, used, used, used).astype(np.float64)
     turned = by_pose @ pose[:3].T  # d exp(xi) T = hat(xi) T: the derivative by the entries of hat(phi)
     gradient = np.empty(6)
     gradient[:3] = by_pose[:, 3]

@@ -7,9 +7,11 @@ a tile that a Gaussian reaches are the bits of one uint64. One rendering goes th
     plan     serial: where the entries of every tile and chunk go
     fill     per chunk: the entries
     blend    per tile: sort by depth (exact float order, ties by index), blend front to back
-    compare  per rows: losses, SSIM and the gradient image
+    compare  per rows: losses, SSIM and (differentiate) the gradient images
     unblend  per tile: front to back again; one 16-float slot of sums per entry
     step     per chunk: sum the slots, back through the projection, Adam or dense gradients
+
+and where the loss is pixelwise, ``fuse`` does the three in the middle for one tile after the other.
 
 Every partial result has its own fixed place, so results do not depend on the number of threads. Chunks, tiles and rows
 are handed out by atomic counters.
@@ -44,6 +46,8 @@ CHUNK = 1024  # Gaussians per unit of work
 TILE = 32  # pixels
 RECORD = 16  # floats per Gaussian, 64 bytes
 ROWS = 14  # of the parameter array
+SCRATCH = 400_000  # floats per thread: the blocks of a tile and 24,500 alphas of 16 pixels, well within a second cache
+THREAD_TICKET, KEPT_TICKET, TICKETS = 7, 8, 9  # counters of threads and of alphas kept; those before are of work
 # rates: a learning rate per row, then these. MODE says what the backward pass is for; ISOTROPIC (0 or 1) ties the three
 # log-scales of a Gaussian together: each gets the derivative by all of them.
 BETA1, BETA2, EPSILON, MODE, ISOTROPIC, RATES = range(14, 20)
@@ -319,6 +323,17 @@ def take_ticket(typingctx, counters, index):
 
 
 @intrinsic
+def take_tickets(typingctx, counters, index, count):
+    """Atomic fetch-and-add of ``count``."""
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
+        return builder.atomic_rmw("add", pointer, args[2], "monotonic")
+
+    return types.int64(counters, types.intp, types.int64), codegen
+
+
+@intrinsic
 def _to_line(typingctx, array):
     """How many floats into the array the next 64-byte boundary lies."""
 
@@ -346,6 +361,14 @@ def lowest_bit(typingctx, value):
         return builder.cttz(args[0], ir.Constant(_BIT, 1))
 
     return types.int64(types.int64), codegen
+
+
+@intrinsic
+def count_bits(typingctx, value):
+    def codegen(context, builder, sig, args):
+        return builder.ctpop(args[0])
+
+    return types.int64(types.uint64), codegen
 
 
 def _transposed(builder, rows):
@@ -958,7 +981,10 @@ def _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries
 
 @_inner
 def _sort_tile(start, stop, entries, digits):
-    """Order the entries of a tile by depth, ties by index: radix on the float's bits (positive floats sort as such)."""
+    """Order the entries of a tile by depth, ties by index: radix on the float's bits (positive floats sort as such).
+
+    Returns how many blocks they reach together.
+    """
     room = entries.shape[1]
     source, target = KEY * room, KEY_2 * room
     count = stop - start
@@ -998,10 +1024,14 @@ def _sort_tile(start, stop, entries, digits):
                 poke(entries, target + place, key)
             source, target = target, source
             spare, shift = spare >> _U64(9), shift + 9
+    blocks = 0
     for i in range(start, stop):
         at = np.int64(peek(entries, source + i) & _U64(0xFFFFFFFF))
-        poke(entries, SORTED_REACH * room + i, peek(entries, REACH * room + at))
+        reach = peek(entries, REACH * room + at)
+        blocks += count_bits(reach)
+        poke(entries, SORTED_REACH * room + i, reach)
         poke(entries, SORTED_SPLAT * room + i, peek(entries, SPLAT_KEY * room + at))
+    return blocks
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -1039,38 +1069,58 @@ def _stopped(transmittance):
 
 
 @_inline
-def _alpha(records, base, block, along, across, view):
-    """t, s, alpha (0 below 1/255) and which lanes are below the limit, for the 16 pixels of a block."""
+def _place(records, base, block, along, across):
+    """t and s at the 16 pixels of a block."""
     bx, by = peek(_BLOCK_X, block), peek(_BLOCK_Y, block)
     t = fma(spread(peek(records, base + L00)), bx, fma(spread(peek(records, base + L01)), by, along))
-    s = fma(spread(peek(records, base + L11)), by, across)
+    return t, fma(spread(peek(records, base + L11)), by, across)
+
+
+@_inline
+def _alpha(records, base, block, along, across, view):
+    """Alpha (0 below 1/255) at the 16 pixels of a block."""
+    t, s = _place(records, base, block, along, across)
     power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
-    alpha = _exp2_hot(power, view)
-    max_alpha = spread(peek(view, MAX_ALPHA))
-    free = alpha <= max_alpha
-    return t, s, sel(power >= peek(view, LEAST_POWER), _least(alpha, max_alpha), F(0.0)), free
+    alpha = _least(_exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
+    return sel(power >= peek(view, LEAST_POWER), alpha, F(0.0))
 
 
-def _make_blend(with_color):
-    """The forward kernel of a tile; scoring candidates leaves colour out."""
-    width = 80 if with_color else 32  # floats of state per block: transmittance, (r, g, b,) depth
+# State of a block while blending, in floats: transmittance, depth (, red, green, blue), and room for the backward pass:
+# transmittance, rest, gradient by red, green, blue, depth, alpha.
+_SCORING, _COLORED = 32, 112
+
+
+@_inline
+def _splat(records, base, x, y):
+    """t and s of a Gaussian at the pixels of the block at (x, y); further blocks are steps from there."""
+    dx, dy = lane_x() - (peek(records, base + U) - x), lane_y() - (peek(records, base + V) - y)
+    along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
+    return along, dy * peek(records, base + L11)
+
+
+def _make_forward(with_color):
+    """The forward loop over the entries of a tile; scoring candidates leaves colour out, and what backward needs."""
+    width = _COLORED if with_color else _SCORING
 
     @_inner
-    def blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha):
-        room, tiles_x = entries.shape[1], grid[TILES_X]
-        x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
-        alive = _open_tile(tile, grid, state, width)
+    def forward(x, y, start, stop, alive, entries, records, view, state, kept, keeps):
+        """Blend into ``state``. Returns the first entry that found all pixels stopped.
+
+        With colour, the alphas that count (0 where a pixel has stopped) go to ``kept`` every ``keeps`` floats, and the
+        blocks that were still open replace the entries' reach: the backward loop takes the same way.
+        """
+        room, at_kept = entries.shape[1], 0
         for entry in range(start, stop):
             if alive == 0:
-                break
+                return entry
             _fetch_ahead(entries, entry, stop, records)
             reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
+            if with_color:
+                poke(entries, SORTED_REACH * room + entry, _U64(reach))
             if reach == 0:
                 continue
             base = RECORD * np.int64(peek(entries, SORTED_SPLAT * room + entry) & _U64(0xFFFFFFFF))
-            dx, dy = lane_x() - (peek(records, base + U) - F(x)), lane_y() - (peek(records, base + V) - F(y))
-            along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
-            across = dy * peek(records, base + L11)
+            along, across = _splat(records, base, x, y)
             z = spread(peek(records, base + DEPTH))
             r, g, b = (
                 spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
@@ -1080,11 +1130,12 @@ def _make_blend(with_color):
                 block = lowest_bit(reach)
                 reach &= reach - 1
                 at = width * block
-                _, _, opaque, _ = _alpha(records, base, block, along, across, view)
+                opaque = _alpha(records, base, block, along, across, view)
                 before = load(state, at)
                 after = fma(neg(opaque), before, before)
                 goes_on = after > peek(view, LEAST_LEFT)
-                weight = sel(goes_on, opaque * before, F(0.0))
+                opaque = sel(goes_on, opaque, F(0.0))
+                weight = opaque * before
                 # With colour a branch hides the latency of this test from the next Gaussian on the block; without
                 # colour (small, saturated pictures) its mispredictions cost more. Both measured.
                 if not with_color or bits(goes_on) != 0xFFFF:
@@ -1097,48 +1148,123 @@ def _make_blend(with_color):
                     store(state, at + 32, fma(weight, r, load(state, at + 32)))
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
                     store(state, at + 64, fma(weight, b, load(state, at + 64)))
-        for block in range(grid[TILE_BLOCKS]):
-            left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
-            pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
-            if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
-                rest = load(state, at)
-                store_block(alpha, pixel, grid[WIDTH], F(1.0) - _most(rest, neg(rest)))
-                store_block(depth, pixel, grid[WIDTH], load(state, at + 16))
-                if with_color:
-                    r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
-                    store_color_block(color, place, grid[STRIDE], r, g, b)
-                continue
-            for row in range(min(4, grid[HEIGHT] - top)):
-                for column in range(min(4, grid[WIDTH] - left)):
-                    lane = at + 4 * row + column
-                    poke(alpha, pixel + row * grid[WIDTH] + column, F(1.0) - abs(peek(state, lane)))
-                    poke(depth, pixel + row * grid[WIDTH] + column, peek(state, lane + 16))
-                    if with_color:
-                        for channel in range(3):
-                            value = peek(state, lane + 32 + 16 * channel)
-                            poke(color, place + row * grid[STRIDE] + 3 * column + channel, value)
+                    store(kept, at_kept, opaque)
+                    at_kept += keeps
+        return stop
 
-    return blend_tile
+    return forward
 
 
-_blend_tile = _make_blend(True)
-_blend_tile_without_color = _make_blend(False)
+_forward = _make_forward(True)
+_forward_without_color = _make_forward(False)
 
 
 @_inner
-def _unblend_tile(
-    tile, start, stop, entries, records, view, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, slots
-):
+def _find_again(reach, records, base, along, across, view, state, kept):
+    """The alphas of one entry that `_forward` had no room to keep."""
+    at_kept = 0
+    while reach != 0:
+        block = lowest_bit(reach)
+        reach &= reach - 1
+        opaque = _alpha(records, base, block, along, across, view)
+        before = load(state, _COLORED * block)
+        goes_on = fma(neg(opaque), before, before) > peek(view, LEAST_LEFT)
+        store(kept, at_kept, sel(goes_on, opaque, F(0.0)))
+        at_kept += LANES
+        before = before + F(0.0)
+        store(state, _COLORED * block, sel(goes_on, before, _stopped(before)))
+
+
+@_inner
+def _backward(x, y, start, done, stop, entries, records, view, state, kept, keeps, slots):
     """Front to back: the rest R = C.gC + D gD + A gA loses each Gaussian's share as it passes (no division, no order
     reversal), and v = alpha dL/dalpha = w s - alpha / (1 - alpha) R with s = c.gC + z gD + gA.
     """
-    width = 112  # transmittance, rest, gradient by r, g, b, depth, alpha
-    room, tiles_x = entries.shape[1], grid[TILES_X]
-    x, y = TILE * (tile % tiles_x), TILE * (tile // tiles_x)
-    alive = _open_tile(tile, grid, state, width)
-    zero = spread(F(0.0))
+    room, zero, at_kept = entries.shape[1], spread(F(0.0)), 0
+    for entry in range(start, done):
+        _fetch_ahead(entries, entry, done, records)
+        packed = peek(entries, SORTED_SPLAT * room + entry)
+        slot = LANES * np.int64(packed >> _U64(32))
+        reach = np.int64(peek(entries, SORTED_REACH * room + entry))
+        if reach == 0:
+            store(slots, slot, zero)
+            continue
+        base = RECORD * np.int64(packed & _U64(0xFFFFFFFF))
+        along, across = _splat(records, base, x, y)
+        if keeps == 0:
+            at_kept = 0
+            _find_again(reach, records, base, along, across, view, state, kept)
+        r, g, b, z = (
+            spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
+            spread(peek(records, base + BLUE)), spread(peek(records, base + DEPTH)),
+        )  # fmt: skip
+        m0, m1, m2, m3, m4, m5 = zero, zero, zero, zero, zero, zero
+        w_r, w_g, w_b, w_z, w_all = zero, zero, zero, zero, zero
+        while reach != 0:
+            block = lowest_bit(reach)
+            reach &= reach - 1
+            at = _COLORED * block
+            t, s = _place(records, base, block, along, across)
+            opaque = load(kept, at_kept)
+            at_kept += LANES
+            before = load(state, at)
+            weight = opaque * before
+            store(state, at, before - weight)
+            g_r, g_g, g_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+            g_z = load(state, at + 80)
+            term = weight * fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, load(state, at + 96)))))
+            rest = load(state, at + 16) - term
+            store(state, at + 16, rest)
+            w_r, w_g, w_b = fma(weight, g_r, w_r), fma(weight, g_g, w_g), fma(weight, g_b, w_b)
+            w_z, w_all = fma(weight, g_z, w_z), w_all + weight
+            v = term - opaque / (peek(view, ONE) - opaque) * rest
+            v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # at its limit alpha does not move
+            vt, vs = v * t, v * s
+            m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
+            m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
+        store(slots, slot, sums((m0, m1, m2, m3, m4, m5, w_r, w_g, w_b, w_z, w_all)))
+    for entry in range(done, stop):
+        store(slots, LANES * np.int64(peek(entries, SORTED_SPLAT * room + entry) >> _U64(32)), zero)
+
+
+@_inline
+def _corner(tile, grid):
+    return TILE * (tile % grid[TILES_X]), TILE * (tile // grid[TILES_X])
+
+
+@_inner
+def _write_tile(tile, grid, state, width, color, depth, alpha):
+    """From the blocks to the pictures (no colour where ``width`` is that of scoring)."""
+    x, y = _corner(tile, grid)
     for block in range(grid[TILE_BLOCKS]):
         left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
+        pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
+        if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
+            rest = load(state, at)
+            store_block(alpha, pixel, grid[WIDTH], F(1.0) - _most(rest, neg(rest)))
+            store_block(depth, pixel, grid[WIDTH], load(state, at + 16))
+            if width != _SCORING:
+                r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+                store_color_block(color, place, grid[STRIDE], r, g, b)
+            continue
+        for row in range(min(4, grid[HEIGHT] - top)):
+            for column in range(min(4, grid[WIDTH] - left)):
+                lane = at + 4 * row + column
+                poke(alpha, pixel + row * grid[WIDTH] + column, F(1.0) - abs(peek(state, lane)))
+                poke(depth, pixel + row * grid[WIDTH] + column, peek(state, lane + 16))
+                if width != _SCORING:
+                    for channel in range(3):
+                        value = peek(state, lane + 32 + 16 * channel)
+                        poke(color, place + row * grid[STRIDE] + 3 * column + channel, value)
+
+
+@_inner
+def _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha):
+    """The state of the backward loop from the pictures and the gradients by them."""
+    x, y = _corner(tile, grid)
+    _open_tile(tile, grid, state, _COLORED)
+    for block in range(grid[TILE_BLOCKS]):
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), _COLORED * block
         pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
         if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
             g_z, g_a = load_block(by_depth, pixel, grid[WIDTH]), load_block(by_alpha, pixel, grid[WIDTH])
@@ -1163,50 +1289,86 @@ def _unblend_tile(
                     rest_here += peek(by_color, spot) * peek(color, spot)
                     poke(state, lane + 32 + 16 * channel, peek(by_color, spot))
                 poke(state, lane + 16, rest_here)
-    for entry in range(start, stop):
-        _fetch_ahead(entries, entry, stop, records)
-        packed = peek(entries, SORTED_SPLAT * room + entry)
-        slot = LANES * np.int64(packed >> _U64(32))
-        reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
-        if reach == 0:
-            store(slots, slot, zero)
+
+
+# Factors of the losses: of |colour difference|, of SSIM, of |depth error|, twice that of (1 - alpha)^2; the alpha from
+# which the depth of a pixel is compared, 1 for depth / alpha or 0 for depth itself, and 1 to compare colour everywhere
+# or 0 for only where depth is compared.
+OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, LEAST_ALPHA, NORMALISED, EVERYWHERE, FACTORS = range(8)
+# terms of a tile, 16 lanes each: sums of |colour difference| and of |depth error|, how many pixels were compared
+TILE_COLOR, TILE_DEPTH, TILE_COMPARED, TILE_TERMS = 0, LANES, 2 * LANES, 3 * LANES
+
+
+@_inline
+def _difference(value, target, weight):
+    """|value - target| and its derivative times ``weight``."""
+    difference = value - target
+    return _most(difference, neg(difference)), sel(
+        difference > F(0.0), weight, sel(difference < F(0.0), neg(weight), F(0.0))
+    )
+
+
+@_inner
+def _compare_tile(tile, grid, state, factors, target, target_depth, terms, edge):
+    """Turn the state the forward loop leaves into the one the backward loop starts from, by the pixelwise losses.
+
+    ``target [H * W * 3]`` and ``target_depth [H * W]`` without margins. ``edge [64]``: room for a block.
+    """
+    x, y = _corner(tile, grid)
+    width, one = grid[WIDTH], spread(F(1.0))
+    color_sum, depth_sum, compared = spread(F(0.0)), spread(F(0.0)), spread(F(0.0))
+    for block in range(grid[TILE_BLOCKS]):
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), _COLORED * block
+        if left >= width or top >= grid[HEIGHT]:
             continue
-        base = RECORD * np.int64(packed & _U64(0xFFFFFFFF))
-        dx, dy = lane_x() - (peek(records, base + U) - F(x)), lane_y() - (peek(records, base + V) - F(y))
-        along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
-        across = dy * peek(records, base + L11)
-        r, g, b, z = (
-            spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
-            spread(peek(records, base + BLUE)), spread(peek(records, base + DEPTH)),
-        )  # fmt: skip
-        m0, m1, m2, m3, m4, m5 = zero, zero, zero, zero, zero, zero
-        w_r, w_g, w_b, w_z, w_all = zero, zero, zero, zero, zero
-        while reach != 0:
-            block = lowest_bit(reach)
-            reach &= reach - 1
-            at = width * block
-            t, s, opaque, free = _alpha(records, base, block, along, across, view)
-            before = load(state, at)
-            after = fma(neg(opaque), before, before)
-            goes_on = after > peek(view, LEAST_LEFT)
-            weight = sel(goes_on, opaque * before, F(0.0))
-            after = sel(goes_on, after, _stopped(before))
-            if bits(goes_on) == 0:
-                alive &= ~(1 << block)
-            store(state, at, after)
-            g_r, g_g, g_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
-            g_z = load(state, at + 80)
-            term = weight * fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, load(state, at + 96)))))
-            rest = load(state, at + 16) - term
-            store(state, at + 16, rest)
-            w_r, w_g, w_b = fma(weight, g_r, w_r), fma(weight, g_g, w_g), fma(weight, g_b, w_b)
-            w_z, w_all = fma(weight, g_z, w_z), w_all + weight
-            v = term - opaque / (F(1.0) - opaque) * rest
-            v = sel(goes_on & free, v, F(0.0))
-            vt, vs = v * t, v * s
-            m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
-            m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
-        store(slots, slot, sums((m0, m1, m2, m3, m4, m5, w_r, w_g, w_b, w_z, w_all)))
+        pixel = top * width + left
+        if left + 4 <= width and top + 4 <= grid[HEIGHT]:
+            red, green, blue = load_color_block(target, 3 * pixel, 3 * width)
+            measured = load_block(target_depth, pixel, width)
+        else:
+            for k in range(0, 64, LANES):
+                store(edge, k, spread(F(0.0)))
+            for row in range(min(4, grid[HEIGHT] - top)):
+                for column in range(min(4, width - left)):
+                    here = pixel + row * width + column
+                    for channel in range(3):
+                        poke(edge, 12 * row + 3 * column + channel, peek(target, 3 * here + channel))
+                    poke(edge, 48 + 4 * row + column, peek(target_depth, here))
+            red, green, blue = load_color_block(edge, 0, 12)
+            measured = load(edge, 48)
+        rest, z = load(state, at), load(state, at + 16)
+        r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+        left_over = _most(rest, neg(rest))
+        opaque = one - left_over
+        has_depth = measured > F(0.0)
+        counts = has_depth & (opaque > factors[LEAST_ALPHA])
+        # Outside the image colours and targets are 0, and so is everything that follows from them.
+        colored = sel(counts, one, spread(factors[EVERYWHERE]))
+        of_color = colored * factors[OF_COLOR]
+        error_r, g_r = _difference(r, red, of_color)
+        error_g, g_g = _difference(g, green, of_color)
+        error_b, g_b = _difference(b, blue, of_color)
+        error = error_r + error_g + error_b
+        color_sum = fma(error, colored, color_sum)
+        share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
+        expected = z / share
+        error, g_z = _difference(expected, measured, spread(factors[OF_DEPTH]))
+        depth_sum = depth_sum + sel(counts, error, F(0.0))
+        compared = compared + sel(counts, one, F(0.0))
+        g_z = sel(counts, g_z / share, F(0.0))
+        g_a = neg(sel(has_depth, left_over * factors[OF_ALPHA], F(0.0)))
+        g_a = g_a - g_z * expected * factors[NORMALISED]
+        total = fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, opaque * g_a))))
+        store(state, at, sel(rest > F(-1.0), one, neg(one)))  # -1 stays what it was: no pixel to look at
+        store(state, at + 16, total)
+        store(state, at + 32, g_r)
+        store(state, at + 48, g_g)
+        store(state, at + 64, g_b)
+        store(state, at + 80, g_z)
+        store(state, at + 96, g_a)
+    store(terms, TILE_TERMS * tile + TILE_COLOR, color_sum)
+    store(terms, TILE_TERMS * tile + TILE_DEPTH, depth_sum)
+    store(terms, TILE_TERMS * tile + TILE_COMPARED, compared)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -1399,8 +1561,8 @@ def _step_chunk(
 _HALF_TAPS = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
 _TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
 _C1, _C2 = F(0.01**2), F(0.03**2)
-# terms of a row: sums of |colour difference|, SSIM, |depth error|, and how many pixels have a depth to compare
-TERM_COLOR, TERM_SSIM, TERM_DEPTH, TERM_MEASURED, TERMS = range(5)
+# terms of a row: sums of |colour difference|, SSIM and |depth error|
+TERM_COLOR, TERM_SSIM, TERM_DEPTH, TERMS = range(4)
 
 
 @_inner
@@ -1463,33 +1625,34 @@ def _lane_sum(vector):
 
 
 @_inner
-def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, with_ssim):
+def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, factors):
     """The loss terms of one row."""
     at = TERMS * row
-    terms[at + TERM_SSIM] = _ssim_row(row, grid, image, target, maps, buffers) if with_ssim else F(0.0)
+    terms[at + TERM_SSIM] = F(0.0)
+    if factors[OF_SSIM] != F(0.0):
+        terms[at + TERM_SSIM] = _ssim_row(row, grid, image, target, maps, buffers)
     start = row * grid[STRIDE] + grid[MARGIN]
     total = spread(F(0.0))
     for column in range(start, start + 3 * grid[WIDTH], LANES):
         difference = load(image, column) - load(target, column)  # both are 0 in the margin
         total = total + _most(difference, neg(difference))
     terms[at + TERM_COLOR] = _lane_sum(total)
-    error, measured = F(0.0), 0
+    error = F(0.0)
     for pixel in range(row * grid[WIDTH], (row + 1) * grid[WIDTH]):
-        if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > F(0.5):
-            error += abs(peek(depth, pixel) / peek(alpha, pixel) - peek(target_depth, pixel))
-            measured += 1
+        if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > factors[LEAST_ALPHA]:
+            share = peek(alpha, pixel) if factors[NORMALISED] > F(0.0) else F(1.0)
+            error += abs(peek(depth, pixel) / share - peek(target_depth, pixel))
     terms[at + TERM_DEPTH] = error
-    terms[at + TERM_MEASURED] = F(measured)
 
 
 @_inner
 def _differentiate_row(
     row, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha, buffers
 ):
-    """The gradient image of one row. ``factors``: of sign(difference), of the SSIM gradient, of sign(depth error)."""
+    """The gradient images of one row."""
     height, stride, margin = grid[HEIGHT], grid[STRIDE], grid[MARGIN]
     length, plane = 3 * grid[WIDTH], height * stride
-    of_sign, of_ssim, of_depth = factors[0], factors[1], factors[2]
+    of_sign, of_ssim, of_depth = factors[OF_COLOR], factors[OF_SSIM], factors[OF_DEPTH]
     first, last = max(row - 5, 0), min(row + 6, height)
     if of_ssim != F(0.0):
         for column in range(margin, margin + length, LANES):
@@ -1514,46 +1677,17 @@ def _differentiate_row(
         store(by_color, at, sel(lane_index() < F(margin + length - column), gradient, F(0.0)))
     for pixel in range(row * grid[WIDTH], (row + 1) * grid[WIDTH]):
         of_pixel, of_alpha = F(0.0), F(0.0)
-        if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > F(0.5):
-            expected = peek(depth, pixel) / peek(alpha, pixel)
-            error = expected - peek(target_depth, pixel)
-            sign = of_depth if error > F(0.0) else -of_depth if error < F(0.0) else F(0.0)
-            of_pixel = sign / peek(alpha, pixel)
-            of_alpha = -of_pixel * expected
+        if peek(target_depth, pixel) > F(0.0):
+            of_alpha = -factors[OF_ALPHA] * (F(1.0) - peek(alpha, pixel))
+            if peek(alpha, pixel) > factors[LEAST_ALPHA]:
+                share = peek(alpha, pixel) if factors[NORMALISED] > F(0.0) else F(1.0)
+                expected = peek(depth, pixel) / share
+                error = expected - peek(target_depth, pixel)
+                sign = of_depth if error > F(0.0) else -of_depth if error < F(0.0) else F(0.0)
+                of_pixel = sign / share
+                of_alpha -= of_pixel * expected * factors[NORMALISED]
         poke(by_depth, pixel, of_pixel)
         poke(by_alpha, pixel, of_alpha)
-
-
-@_inner
-def _track_row(row, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms):
-    """Tracking loss of one row, as sums over its opaque pixels with a depth, and its gradient image.
-
-    ``weights``: of |colour difference|, of |depth error|, least alpha. ``terms`` of the row: the two sums, 0, pixels.
-    """
-    of_color, of_depth, least = weights[0], weights[1], weights[2]
-    color_sum, depth_sum, used = F(0.0), F(0.0), 0
-    for column in range(grid[WIDTH]):
-        pixel, place = row * grid[WIDTH] + column, row * grid[STRIDE] + grid[MARGIN] + 3 * column
-        opaque, measured = peek(alpha, pixel), peek(target_depth, pixel)
-        counts = (measured > F(0.0)) & (opaque > least)
-        for channel in range(3):
-            difference = peek(image, place + channel) - peek(target, place + channel)
-            sign = of_color if difference > F(0.0) else -of_color if difference < F(0.0) else F(0.0)
-            color_sum += abs(difference) if counts else F(0.0)
-            poke(by_color, place + channel, sign if counts else F(0.0))
-        of_pixel, of_alpha = F(0.0), F(0.0)
-        if counts:
-            expected = peek(depth, pixel) / opaque
-            error = expected - measured
-            depth_sum += abs(error)
-            used += 1
-            of_pixel = (of_depth if error > F(0.0) else -of_depth if error < F(0.0) else F(0.0)) / opaque
-            of_alpha = -of_pixel * expected
-        poke(by_depth, pixel, of_pixel)
-        poke(by_alpha, pixel, of_alpha)
-    at = TERMS * row
-    terms[at + TERM_COLOR], terms[at + TERM_SSIM] = color_sum, F(0.0)
-    terms[at + TERM_DEPTH], terms[at + TERM_MEASURED] = depth_sum, F(used)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -1579,27 +1713,68 @@ def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
 
 
 @_entry
-def blend(tickets, view, grid, records, tile_start, tile_order, entries, color, depth, alpha):
-    state, digits = _scratch(64 * 80), np.empty(512, np.int64)
+def blend(
+    tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha
+):
+    """Sort, blend and write every tile.
+
+    The alphas that `unblend` needs go to ``kept`` as far as its room goes. ``kept_at [2 * tiles]``: where those of a
+    tile start (-1: not kept) and the first entry that found all of its pixels stopped.
+    """
+    own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
+    state, digits = scratch[own : own + SCRATCH], np.empty(512, np.int64)
+    tiles = grid[TILES_X] * grid[TILES_Y]
+    while True:
+        ticket = take_ticket(tickets, 2)
+        if ticket >= tiles:
+            return
+        tile = tile_order[ticket]
+        start, stop = tile_start[tile], tile_start[tile + 1]
+        blocks = _sort_tile(start, stop, entries, digits)
+        place = LANES * take_tickets(tickets, KEPT_TICKET, blocks)
+        keeps = LANES if place + LANES * blocks <= len(kept) else 0
+        if keeps == 0:
+            place = 0
+        kept_at[2 * tile] = place if keeps != 0 else -1
+        alive = _open_tile(tile, grid, state, _COLORED)
+        x, y = _corner(tile, grid)
+        keep = kept[place:] if keeps != 0 else state[SCRATCH - LANES :]
+        kept_at[2 * tile + 1] = _forward(F(x), F(y), start, stop, alive, entries, records, view, state, keep, keeps)
+        _write_tile(tile, grid, state, _COLORED, color, depth, alpha)
+
+
+@_entry
+def fuse(
+    tickets, view, grid, records, tile_start, tile_order, entries, scratch, factors, target, target_depth, terms, slots
+):
+    """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches."""
+    own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
+    state, kept = scratch[own : own + 64 * _COLORED], scratch[own + 64 * _COLORED : own + SCRATCH]
+    digits, edge = np.empty(512, np.int64), np.empty(64, np.float32)
     while True:
         ticket = take_ticket(tickets, 2)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
             return
         tile = tile_order[ticket]
         start, stop = tile_start[tile], tile_start[tile + 1]
-        _sort_tile(start, stop, entries, digits)
-        _blend_tile(tile, start, stop, entries, records, view, grid, state, color, depth, alpha)
+        blocks = _sort_tile(start, stop, entries, digits)
+        keeps = LANES if LANES * blocks <= len(kept) else 0
+        alive = _open_tile(tile, grid, state, _COLORED)
+        x, y = _corner(tile, grid)
+        done = _forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
+        _compare_tile(tile, grid, state, factors, target, target_depth, terms, edge)
+        _backward(F(x), F(y), start, done, stop, entries, records, view, state, kept, keeps, slots)
 
 
 @_entry
-def compare(tickets, grid, image, depth, alpha, target, target_depth, maps, terms, with_ssim):
+def compare(tickets, grid, image, depth, alpha, target, target_depth, maps, factors, terms):
     buffers = np.zeros(4 * grid[STRIDE], np.float32)
     while True:
         row = 8 * take_ticket(tickets, 3)
         if row >= grid[HEIGHT]:
             return
         for own in range(row, min(row + 8, grid[HEIGHT])):
-            _compare_row(own, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, with_ssim)
+            _compare_row(own, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, factors)
 
 
 @_entry
@@ -1619,32 +1794,27 @@ def differentiate(
 
 
 @_entry
-def track(tickets, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms):
-    while True:
-        row = 8 * take_ticket(tickets, 3)
-        if row >= grid[HEIGHT]:
-            return
-        for own in range(row, min(row + 8, grid[HEIGHT])):
-            _track_row(
-                own, grid, image, depth, alpha, target, target_depth, weights, by_color, by_depth, by_alpha, terms
-            )
-
-
-@_entry
 def unblend(
-    tickets, view, grid, records, tile_start, tile_order, entries, color, depth, alpha, by_color, by_depth, by_alpha,
-    slots,
+    tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha,
+    by_color, by_depth, by_alpha, slots,
 ):
-    state = _scratch(64 * 112)
+    """The backward pass of what `blend` has left, from the gradients by its pictures."""
+    own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
+    state, spare = scratch[own : own + 64 * _COLORED], scratch[own + 64 * _COLORED : own + SCRATCH]
     while True:
         ticket = take_ticket(tickets, 5)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
             return
         tile = tile_order[ticket]
-        _unblend_tile(
-            tile, tile_start[tile], tile_start[tile + 1], entries, records, view, grid, state, color, depth, alpha,
-            by_color, by_depth, by_alpha, slots,
-        )  # fmt: skip
+        _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha)
+        x, y = _corner(tile, grid)
+        place, done = kept_at[2 * tile], kept_at[2 * tile + 1]
+        keeps, keep = 0, spare
+        if place >= 0:
+            keeps, keep = LANES, kept[place:]
+        _backward(
+            F(x), F(y), tile_start[tile], done, tile_start[tile + 1], entries, records, view, state, keep, keeps, slots
+        )
 
 
 @_entry
@@ -1671,7 +1841,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
     tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles, np.int64)
     digits = np.empty(512, np.int64)
-    state, no_color = _scratch(64 * 32), np.empty(0, np.float32)
+    state, no_color = _scratch(64 * _SCORING), np.empty(0, np.float32)
     entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
     pixels = grid[WIDTH] * grid[HEIGHT]
     while True:
@@ -1691,9 +1861,10 @@ def score(tickets, parameters, views, grid, depth, alpha):
         for tile in range(tiles):
             start, stop = tile_start[tile], tile_start[tile + 1]
             _sort_tile(start, stop, entries, digits)
-            _blend_tile_without_color(
-                tile, start, stop, entries, records, view, grid, state, no_color, own_depth, own_alpha
-            )
+            alive = _open_tile(tile, grid, state, _SCORING)
+            x, y = _corner(tile, grid)
+            _forward_without_color(F(x), F(y), start, stop, alive, entries, records, view, state, state, 0)
+            _write_tile(tile, grid, state, _SCORING, no_color, own_depth, own_alpha)
 
 
 @_entry

@@ -10,6 +10,7 @@ from activestructure_gym.splatting.crew import CREW, default_threads
 
 MAX_ALPHA = 0.999
 _NO_FLOATS = np.empty(0, np.float32)
+_MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a Gaussian of usual size reaches about 5 blocks of a tile
 
 
 def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: float = MAX_ALPHA) -> np.ndarray:
@@ -67,7 +68,7 @@ class Workspace:
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
-        self.tickets = np.zeros(8, np.int64)
+        self.tickets = np.zeros(k.TICKETS, np.int64)
         self.entries = np.empty((k.ENTRY_ROWS, 0), np.uint64)
 
     def _buffer(self, name: str, size: int, dtype: type = np.float32) -> np.ndarray:
@@ -85,7 +86,7 @@ class Workspace:
             self._buffers[name] = aligned_zeros(shape[0] * shape[1])
         return self._buffers[name]
 
-    def render(
+    def prepare(
         self,
         parameters: np.ndarray,  # [14, capacity] float32, capacity a multiple of 16
         count: int,
@@ -95,21 +96,18 @@ class Workspace:
         max_alpha: float = MAX_ALPHA,
         threads: int | None = None,
     ) -> None:
-        """Forward: fills ``color`` (padded), ``depth`` and ``alpha`` and keeps what the backward pass needs."""
+        """Everything before the tiles: records of the visible Gaussians and which tiles they reach."""
         self.threads = threads or default_threads()
         self.parameters, self.camera = parameters, camera
         self.view = make_view(camera, camera_from_world, max_alpha)
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
         chunks, tiles = int(grid[k.CHUNKS]), int(grid[k.TILES_X] * grid[k.TILES_Y])
-        pixels = camera.width * camera.height
         self.records = self._buffer("records", chunks * k.CHUNK * k.RECORD)
         self.visible = self._buffer("visible", chunks * k.CHUNK // k.LANES, np.int32)
         histogram = self._buffer("histogram", chunks * tiles, np.int32)
         chunk_entries = self._buffer("chunk entries", chunks, np.int64)
         self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
         self.tile_order = self._buffer("tile order", tiles, np.int64)
-        self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
-        self.color = self._image("color")
         self.tickets[:] = 0
         found = (self.records, self.visible, histogram, chunk_entries)
         self._run(k.project, parameters, self.view, grid, *found)
@@ -117,10 +115,34 @@ class Workspace:
         if self.total > self.entries.shape[1]:
             self.entries = np.empty((k.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
         self._run(k.fill, grid, *found, self.entries)
+        self._lists = (self.view, grid, self.records, self.tile_start, self.tile_order, self.entries)
+        self._scratch = self._buffer("scratch", self.threads * k.SCRATCH)
+
+    def render(
+        self,
+        parameters: np.ndarray,  # [14, capacity] float32, capacity a multiple of 16
+        count: int,
+        camera: PinholeCamera,
+        camera_from_world: np.ndarray,  # [4, 4]
+        *,
+        max_alpha: float = MAX_ALPHA,
+        threads: int | None = None,
+        keep: bool = True,
+    ) -> None:
+        """Forward: fills ``color`` (padded), ``depth`` and ``alpha``.
+
+        ``keep`` also keeps what makes `backward` faster, up to 64 MiB of it.
+        """
+        self.prepare(parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads)
+        pixels, tiles = camera.width * camera.height, int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
+        self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
+        self.color = self._image("color")
+        self.kept_at = self._buffer("kept at", 2 * tiles, np.int64)
+        most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * k.LANES * self.total)
+        self.kept = self._buffer("kept", most)[:most] if keep else _NO_FLOATS
         self._run(
-            k.blend, self.view, grid, self.records, self.tile_start, self.tile_order, self.entries, self.color,
-            self.depth, self.alpha,
-        )  # fmt: skip
+            k.blend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha
+        )
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
@@ -160,68 +182,84 @@ class Workspace:
         target_depth: np.ndarray,  # [H, W] float32
         of_color: float,  # weight of the mean |colour difference|
         of_ssim: float,  # weight of 1 - SSIM
-        of_depth: float,  # weight of the mean |depth error|
+        of_depth: float,  # weight of the depth error
         of_alpha: float = 0.0,  # weight of the mean squared missing opacity where there is a depth
         normalised_depth: bool = True,
     ) -> tuple[float, float, float]:
         """Mean colour difference, depth error and SSIM (nan if its weight is 0); fills the gradient images.
 
         The depth error is that of depth / alpha where alpha is above 0.5, or with ``normalised_depth=False`` that of
-        the accumulated depth wherever one was measured.
+        the accumulated depth; its sum is divided by the number of pixels with a measured depth.
         """
         height, width = self.camera.height, self.camera.width
-        target = self._padded("target", target_rgb)
-        target_depth = flat(target_depth)
+        target, target_depth = self._padded("target", target_rgb), flat(target_depth)
+        measured = max(1, int(np.count_nonzero(target_depth > 0)))
         maps = self._maps() if of_ssim else _NO_FLOATS
         terms = self._buffer("terms", height * k.TERMS)
         images = (self.color, self.depth, self.alpha, target, target_depth, maps)
-        self._run(k.compare, self.grid, *images, terms, bool(of_ssim))
+        factors = self._factors(of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured)
+        self._run(k.compare, self.grid, *images, factors, terms)
         sums = terms[: height * k.TERMS].reshape(height, k.TERMS).sum(axis=0, dtype=np.float64)
-        measured = max(1.0, sums[k.TERM_MEASURED])
         values = 3 * height * width
-        factors = np.array([of_color / values, -of_ssim / values, of_depth / measured], np.float32)
         self.by_color = self._image("by color")
         self.by_depth = self._buffer("by depth", height * width)
         self.by_alpha = self._buffer("by alpha", height * width)
         self._run(k.differentiate, self.grid, *images, factors, self.by_color, self.by_depth, self.by_alpha)
-        pixels = height * width
-        depth_error = sums[k.TERM_DEPTH] / measured
-        if not normalised_depth:
-            returned = target_depth[:pixels] > 0
-            error = np.where(returned, self.depth[:pixels] - target_depth[:pixels], np.float32(0.0))
-            measured = max(1, int(np.count_nonzero(returned)))
-            self.by_depth[:pixels] = np.float32(of_depth / measured) * np.sign(error)
-            self.by_alpha[:pixels] = 0.0
-            depth_error = float(np.abs(error).sum(dtype=np.float64)) / measured
-        if of_alpha:
-            missing = (1.0 - self.alpha[:pixels]) * (target_depth[:pixels] > 0)
-            self.by_alpha[:pixels] -= np.float32(2.0 * of_alpha / pixels) * missing
         ssim = sums[k.TERM_SSIM] / values if of_ssim else float("nan")
-        return sums[k.TERM_COLOR] / values, depth_error, ssim
+        return float(sums[k.TERM_COLOR] / values), float(sums[k.TERM_DEPTH] / measured), float(ssim)
 
-    def tracking_loss(
+    def _factors(self, of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured) -> np.ndarray:
+        """The weights of `losses` as the kernels take them."""
+        pixels = self.camera.height * self.camera.width
+        factors = np.empty(k.FACTORS, np.float32)
+        factors[k.OF_COLOR], factors[k.EVERYWHERE] = of_color / (3 * pixels), 1.0
+        factors[k.OF_SSIM], factors[k.OF_DEPTH] = -of_ssim / (3 * pixels), of_depth / measured
+        factors[k.OF_ALPHA] = 2.0 * of_alpha / pixels
+        factors[k.LEAST_ALPHA], factors[k.NORMALISED] = (0.5, 1.0) if normalised_depth else (-1.0, 0.0)
+        return factors
+
+    def fused_losses(
+        self,
+        target_rgb: np.ndarray,  # [H, W, 3] float32
+        target_depth: np.ndarray,  # [H, W] float32
+        of_color: float,
+        of_depth: float,
+        of_alpha: float = 0.0,
+        normalised_depth: bool = True,
+    ) -> tuple[float, float]:
+        """After `prepare`: blends, compares as `losses` without SSIM, and goes back to the slots, without pictures."""
+        target_depth, pixels = flat(target_depth), self.camera.height * self.camera.width
+        measured = max(1, int(np.count_nonzero(target_depth > 0)))
+        factors = self._factors(of_color, 0.0, of_depth, of_alpha, normalised_depth, measured)
+        color, depth, _ = self._fuse(factors, target_rgb, target_depth)
+        return color / (3 * pixels), depth / measured
+
+    def tracking_losses(
         self,
         target_rgb: np.ndarray,  # [H, W, 3] float32
         target_depth: np.ndarray,  # [H, W] float32
         of_color: float,
         of_depth: float,
         least_alpha: float,
+        normalised_depth: bool = True,
     ) -> tuple[float, float, int]:
-        """Sums of |colour difference| and |depth error| over the opaque pixels with a depth, and how many these are.
+        """After `prepare`, as `fused_losses`, but for sums over the pixels with a depth and alpha above a limit.
 
-        Fills the gradient images with those of the weighted sum.
+        Returns the sums of |colour difference| and |depth error| and the number of these pixels.
         """
-        height, pixels = self.camera.height, self.camera.width * self.camera.height
-        target = self._padded("target", target_rgb)
-        self.by_color = self._image("by color")
-        self.by_depth, self.by_alpha = self._buffer("by depth", pixels), self._buffer("by alpha", pixels)
-        terms = self._buffer("terms", height * k.TERMS)
-        self._run(
-            k.track, self.grid, self.color, self.depth, self.alpha, target, flat(target_depth),
-            np.array([of_color, of_depth, least_alpha], np.float32), self.by_color, self.by_depth, self.by_alpha, terms,
-        )  # fmt: skip
-        sums = terms[: height * k.TERMS].reshape(height, k.TERMS).sum(axis=0, dtype=np.float64)
-        return float(sums[k.TERM_COLOR]), float(sums[k.TERM_DEPTH]), int(sums[k.TERM_MEASURED])
+        factors = np.zeros(k.FACTORS, np.float32)
+        factors[k.OF_COLOR], factors[k.OF_DEPTH] = of_color, of_depth
+        factors[k.LEAST_ALPHA], factors[k.NORMALISED] = least_alpha, normalised_depth
+        color, depth, compared = self._fuse(factors, target_rgb, flat(target_depth))
+        return color, depth, int(compared)
+
+    def _fuse(self, factors: np.ndarray, target_rgb: np.ndarray, target_depth: np.ndarray) -> list[float]:
+        tiles = int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
+        self._slots = self._buffer("slots", self.total * k.LANES)
+        terms = self._buffer("terms", tiles * k.TILE_TERMS)
+        self._run(k.fuse, *self._lists, self._scratch, factors, flat(target_rgb), target_depth, terms, self._slots)
+        terms = terms[: tiles * k.TILE_TERMS].reshape(tiles, 3, k.LANES)
+        return terms.sum(axis=(0, 2), dtype=np.float64).tolist()
 
     def _maps(self) -> np.ndarray:
         shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
@@ -244,25 +282,32 @@ class Workspace:
         gradient: np.ndarray,  # [14, capacity] float32, zeros
     ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
         """From the gradient images to an Adam step in place, to ``gradient``, or to the pose alone."""
+        self._slots = self._buffer("slots", self.total * k.LANES)
+        self.tickets[:] = 0
+        self._run(
+            k.unblend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha,
+            self.by_color, self.by_depth, self.by_alpha, self._slots,
+        )  # fmt: skip
+        return self.step(rates, first_moment, second_moment, gradient)
+
+    def step(
+        self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
+    ) -> np.ndarray:
+        """The second half of `backward`: from the slots to the parameters."""
         if len(rates) < k.RATES:  # what is left out is 0
             rates = np.concatenate([rates, np.zeros(k.RATES - len(rates), np.float32)])
         chunks = int(self.grid[k.CHUNKS])
-        slots = self._buffer("slots", self.total * k.LANES)
-        self.tickets[:] = 0
-        self._run(
-            k.unblend, self.view, self.grid, self.records, self.tile_start, self.tile_order, self.entries,
-            self.color, self.depth, self.alpha, self.by_color, self.by_depth, self.by_alpha, slots,
-        )  # fmt: skip
         pose_parts = self._buffer("pose parts", chunks * k.LANES)
         self._run(
             k.step, self.parameters, first_moment, second_moment, rates, self.view, self.grid, self.records,
-            self.visible, slots, gradient, pose_parts,
+            self.visible, self._slots, gradient, pose_parts,
         )  # fmt: skip
         total = pose_parts[: chunks * k.LANES].reshape(chunks, k.LANES).sum(axis=0, dtype=np.float64)
         ordered = total[[k.SUM_LANES.index(number) for number in range(12)]].astype(np.float32)
         return np.concatenate([ordered[:9].reshape(3, 3), ordered[9:, None]], axis=1)
 
     def _run(self, kernel, *arguments) -> None:
+        self.tickets[k.THREAD_TICKET] = 0
         CREW.run(kernel, (self.tickets, *arguments), self.threads)
 
 

@@ -89,7 +89,8 @@ class GaussianMap:
     def keep(self, mask: np.ndarray) -> int:
         """Remove the Gaussians whose entry in ``mask`` ([count] bool) is False; returns how many went.
 
-        The survivors keep their order and their moments.
+        The last survivors move into the gaps, with their moments; all others stay where they are. So the cost is that
+        of what goes and not of the map, and the newest Gaussians take the places of others that mostly lay near them.
         """
         mask = np.asarray(mask)
         if mask.dtype != bool or mask.shape != (self.count,):
@@ -97,11 +98,10 @@ class GaussianMap:
         kept = int(np.count_nonzero(mask))
         removed = self.count - kept
         if removed:
-            # What stands before the first removed column does not move.
-            first = int(np.argmin(mask))
-            source = np.flatnonzero(mask[first:]) + first
+            gaps = np.flatnonzero(~mask[:kept])
+            movers = np.flatnonzero(mask[kept:]) + kept
             for array in (self.parameters, self.first_moment, self.second_moment):
-                array[:, first:kept] = array[:, source]
+                array[:, gaps] = array[:, movers]
             self.count = kept
         return removed
 

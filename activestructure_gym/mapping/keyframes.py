@@ -14,8 +14,8 @@ _CHUNK = 16
 class KeyframeStore:
     """All keyframes with what view selection needs to know about each of them.
 
-    A frame costs 7 bytes a pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe,
-    ``new_share`` the share of its pixels the map did not cover when it came.
+    A frame costs 7 bytes a pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe
+    (`stalest` tells whose is the oldest), ``new_share`` the share of its pixels the map did not cover when it came.
     """
 
     def __init__(self, *, border_share: float) -> None:
@@ -24,6 +24,8 @@ class KeyframeStore:
         self.new_share: list[float] = []  # 0..1
         self._border_share = border_share
         self._sides: list[np.ndarray] = []  # per keyframe [4, 4], see `viewing_sides`
+        self._measured: list[int] = []  # per keyframe, how many measurements had been made before its last one
+        self._measurements = 0
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -38,6 +40,7 @@ class KeyframeStore:
         )
         self.frames.append(stored)
         self.psnr.append(0.0)
+        self._measured.append(-1)
         self.new_share.append(new_share)
         self._sides.append(viewing_sides(frame.camera, frame.world_from_camera, border_share=self._border_share))
         return len(self.frames) - 1
@@ -64,8 +67,9 @@ class KeyframeStore:
         points = np.ones((4, len(drawn)), dtype=np.float32)
         points[:3] = _world_points(frame, drawn).T
         found: list[int] = []
-        # In random order and only until enough are found: with many keyframes around, most are never tested.
-        order = order[order != index]
+        # In random order and only until enough are found: with many keyframes around, most are never tested; and not
+        # at all where the points' bounding sphere lies outside of one of the sides.
+        order = order[(order != index) & self._may_see(points)[order]]
         for start in range(0, len(order), _CHUNK):
             chunk = order[start : start + _CHUNK]
             sides = np.concatenate([self._sides[k] for k in chunk])
@@ -74,6 +78,24 @@ class KeyframeStore:
             if len(found) >= limit:
                 break
         return found[:limit]
+
+    def _may_see(self, points: np.ndarray) -> np.ndarray:  # [4, N] homogeneous -> [T] bool
+        """False for keyframes that see none of the points for sure."""
+        middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
+        radius = np.linalg.norm(points - middle[:, None], axis=0).max() * 1.001
+        sides = np.stack(self._sides)  # [T, 4, 4]
+        return (sides @ middle + radius * np.linalg.norm(sides[..., :3], axis=-1) > 0).all(axis=1)
+
+    def record_psnr(self, index: int, psnr: float) -> None:
+        """A new measurement of keyframe ``index``, in decibel."""
+        self.psnr[index] = psnr
+        self._measured[index] = self._measurements
+        self._measurements += 1
+
+    def stalest(self, count: int) -> list[int]:
+        """The ``count`` keyframes whose PSNR was measured longest ago, never measured ones first."""
+        order = np.argsort(np.array(self._measured, dtype=np.int64), kind="stable")
+        return [int(index) for index in order[: max(0, count)]]
 
     def poor(self, *, psnr_threshold: float, new_share_threshold: float) -> list[int]:
         """The global keyframes: those rendered worse than ``psnr_threshold`` decibel or that opened new space.

@@ -16,9 +16,14 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.scans import fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
+
+# Keyframes that a decision renders to know how well they are mapped: a quarter of what scoring 256 candidates at half
+# the size draws in pixels (own choice).
+PSNR_RENDERS = 16
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,6 @@ class Mapper:
         self._store = KeyframeStore(border_share=config.overlap_border)
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
-        self._refresh_next = 0
         self._weights = cpu.LossWeights(
             image=config.image_weight,
             l1_share=config.l1_share,
@@ -92,9 +96,8 @@ class Mapper:
         views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
         losses, pruned = self._optimize(views)
         self._measure_psnr(index)
-        for _ in range(min(self.config.psnr_refresh, index)):
-            self._refresh_next = (self._refresh_next + 1) % index
-            self._measure_psnr(self._refresh_next)
+        for stale in self._store.stalest(min(self.config.psnr_refresh, index)):
+            self._measure_psnr(stale)
         return _report(
             self.map.count,
             views,
@@ -132,9 +135,13 @@ class Mapper:
         """Depth and alpha from many poses at once, for scoring candidate views."""
         return cpu.render_depth_alpha(self.map.parameters, self.map.count, camera, world_from_camera)
 
-    def keyframe_psnr(self) -> np.ndarray:  # [T] float64 decibel
-        """PSNR of every keyframe, rendered from the map as it is now (one render each)."""
-        for index in range(len(self.keyframes)):
+    def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
+        """PSNR of every keyframe, as it was last measured; the ``renders`` oldest values are measured anew first.
+
+        So the cost does not grow with the keyframes, and no value is older than ``ceil(T / renders)`` calls: all are
+        of the map as it is now up to ``renders`` keyframes, or with ``renders=None``.
+        """
+        for index in self._store.stalest(len(self.keyframes) if renders is None else renders):
             self._measure_psnr(index)
         return np.array(self._store.psnr, dtype=np.float64)
 
@@ -194,7 +201,7 @@ class Mapper:
         if config.coarse_ratio is None or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
             return 0  # Near the cap the new ones might be coarser still.
         limit = config.coarse_ratio * config.seed_footprint * config.seed_stride
-        return self.map.keep(~too_coarse(self.map.parameters[:, : self.map.count], frame, limit=limit))
+        return self.map.keep(~too_coarse(self.map.parameters, frame, limit=limit, count=self.map.count))
 
     def _grid_within_room(self, missing: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """Stride and seed pixels (rows, columns) as the cap allows them (see the class)."""
@@ -207,7 +214,7 @@ class Mapper:
         return stride, rows, columns
 
     def _drop_weakest(self, number: int) -> int:
-        """Remove the ``number`` Gaussians with the smallest opacity (of equal ones the older go)."""
+        """Remove the ``number`` Gaussians with the smallest opacity (of equal ones those that stand first)."""
         logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
         mask = np.ones(self.map.count, dtype=bool)
         mask[np.argsort(logits, kind="stable")[:number]] = False
@@ -271,21 +278,19 @@ class Mapper:
 
     def _prune(self) -> int:
         """Remove Gaussians that are transparent, too large, or were driven to values that are not finite."""
-        live = self.map.parameters[:, : self.map.count]
         threshold = self.config.prune_opacity
         # At coarse resolution the seeds themselves can be larger than the scene's share; they must survive.
         limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            keep = live[OPACITY_LOGIT] >= np.log(threshold) - np.log1p(-threshold)
-            keep &= live[LOG_SCALE].max(axis=0) <= np.log(limit)
-            keep &= np.isfinite(live.sum(axis=0))
+        with np.errstate(divide="ignore"):  # thresholds of 0 and 1
+            least_logit = float(np.log(threshold) - np.log1p(-threshold))
+        keep = fit_to_stay(self.map.parameters, self.map.count, least_logit, float(np.log(limit)))
         return self.map.keep(keep)
 
     def _measure_psnr(self, index: int) -> None:
         frame = self._store.frames[index]
         shown = np.clip(self.render(frame.camera, frame.world_from_camera).color, 0.0, 1.0)
         error = float(np.mean(np.square(shown - _unit_rgb(frame)), dtype=np.float64))
-        self._store.psnr[index] = -10.0 * np.log10(max(error, 1e-10))
+        self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
 
 
 def _report(

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import invert_rigid, transform_points
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
+from activestructure_gym.mapping.scans import larger_in_view
 from activestructure_gym.sensors.frame import Frame
 
 
@@ -46,30 +47,26 @@ def missing_pixels(
 
 
 def too_coarse(
-    parameters: np.ndarray,  # [14, n] live Gaussians
+    parameters: np.ndarray,  # [14, capacity] Gaussians
     frame: Frame,
     *,
     limit: float,  # pixels, sigma
-) -> np.ndarray:  # [n] bool
+    count: int | None = None,  # of the columns, the live ones; None = all
+) -> np.ndarray:  # [count] bool
     """The Gaussians on the surface in view that appear larger than ``limit``: this frame could hold finer ones.
 
     On the surface means that the depth of the centre agrees with what is measured at its pixel within one sigma. What
     is hidden, outside the image, or without a return stays.
     """
     camera = frame.camera
-    camera_from_world = invert_rigid(frame.world_from_camera).astype(np.float32)
-    x, y, z = camera_from_world[:3, :3] @ parameters[MEAN] + camera_from_world[:3, 3:]
-    sigma = np.exp(parameters[LOG_SCALE].max(axis=0))
-    focal = 0.5 * (camera.fx + camera.fy)
-    index = np.flatnonzero((z > 0) & (sigma * focal > limit * z))
-    x, y, z, sigma = x[index], y[index], z[index], sigma[index]
-    column, row = np.floor(camera.fx * x / z + camera.cx), np.floor(camera.fy * y / z + camera.cy)
-    inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
-    index, z, sigma = index[inside], z[inside], sigma[inside]
-    measured = frame.depth[row[inside].astype(int), column[inside].astype(int)]
-    mask = np.zeros(parameters.shape[1], dtype=bool)
-    mask[index[(measured > 0) & (np.abs(z - measured) <= sigma)]] = True
-    return mask
+    return larger_in_view(
+        np.ascontiguousarray(parameters, dtype=np.float32),
+        parameters.shape[1] if count is None else count,
+        invert_rigid(frame.world_from_camera)[:3].astype(np.float32),
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
+        np.ascontiguousarray(frame.depth, dtype=np.float32),
+        float(limit),
+    )
 
 
 def grid_pixels(

@@ -39,10 +39,27 @@ def test_moments_survive_removals_and_new_ones_start_at_zero():
     before = _live(gaussians)
     mask = np.arange(30) % 3 != 1
     assert gaussians.keep(mask) == 10
-    assert all(np.array_equal(array, old[:, mask]) for array, old in zip(_live(gaussians), before))
+    # The last survivors fill the gaps: of 0 .. 19 the multiples of 3 plus 1 went, of 20 .. 29 these stay.
+    order = np.arange(20)
+    order[1::3] = [20, 21, 23, 24, 26, 27, 29]
+    assert all(np.array_equal(array, old[:, order]) for array, old in zip(_live(gaussians), before))
     # The columns behind hold what was removed; a new Gaussian must not inherit its moments.
     gaussians.append(np.ones((14, 5), np.float32))
     assert (gaussians.first_moment[:, 20:25] == 0).all() and (gaussians.second_moment[:, 20:25] == 0).all()
+
+
+def test_a_removal_moves_no_more_columns_than_it_removes():
+    rng = np.random.default_rng(3)
+    gaussians = _filled(1000)
+    before = _live(gaussians)[0]
+    mask = np.ones(1000, dtype=bool)
+    mask[rng.choice(1000, 40, replace=False)] = False
+    gaussians.keep(mask)
+    moved = (gaussians.parameters[:, :960] != before[:, :960]).any(axis=0)
+    assert 0 < moved.sum() <= 40 and not mask[:960][moved].any()
+    assert {column.tobytes() for column in gaussians.parameters[:, :960].T} == {
+        column.tobytes() for column in before[:, mask].T
+    }
 
 
 @pytest.mark.parametrize("kept", [0, 30])

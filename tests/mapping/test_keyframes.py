@@ -74,6 +74,22 @@ def test_poor_keyframes():
     assert store.poor(psnr_threshold=15.0, new_share_threshold=0.9) == [3]
 
 
+def test_the_stalest_are_those_measured_longest_ago():
+    store = _store([(1.0, 0.0)] * 5)
+    for index in (3, 0, 4):
+        store.record_psnr(index, 30.0 + index)
+    assert store.stalest(10) == [1, 2, 3, 0, 4]  # the never measured first, in their order
+    assert store.stalest(0) == []
+    # In turn: every keyframe comes once before any comes again.
+    turns = []
+    for _ in range(10):
+        (index,) = store.stalest(1)
+        store.record_psnr(index, 20.0)
+        turns.append(index)
+    assert turns == [1, 2, 3, 0, 4] * 2
+    assert store.psnr == [20.0] * 5
+
+
 @pytest.mark.parametrize("iterations", [0, 1, 2, 5, 15])
 def test_second_half_goes_to_the_poor(iterations):
     views = draw_views(iterations, [7, 6, 5], [1, 2], np.random.default_rng(0))
@@ -93,3 +109,22 @@ def test_frames_are_copied_and_compact():
     frame = store.frames[0]
     assert not frame.rgb.any() and (frame.depth == 1).all()
     assert frame.rgb.nbytes + frame.depth.nbytes == 7 * 60 * 40
+
+
+def test_the_bounding_sphere_leaves_out_no_keyframe_that_overlaps():
+    rng = np.random.default_rng(4)
+    store = KeyframeStore(border_share=0.0)
+    for _ in range(60):
+        direction = np.append(rng.normal(size=2), rng.uniform(-0.5, 0.5))
+        pose = look_along(rng.uniform(-6, 6, 3), direction)
+        depth = rng.uniform(1.0, 4.0, (40, 60)).astype(np.float32)
+        store.append(Frame(np.zeros((40, 60, 3), np.uint8), depth, pose, CAMERA), new_share=0.0)
+    left_out = 0
+    for index in range(60):
+        points = np.c_[store.frames[index].world_points(), np.ones(2400)].T.astype(np.float32)
+        may = store._may_see(points)
+        for k in range(60):
+            sides = viewing_sides(CAMERA, store.frames[k].world_from_camera)
+            assert may[k] or not ((sides @ points).min(axis=0) > 0).any()
+        left_out += np.count_nonzero(~may)
+    assert left_out > 500  # of 3600: else it would be of no use

@@ -1,0 +1,71 @@
+"""Passes over the whole map that a mapping event needs, compiled: a large map is read once and nothing is written.
+
+In numpy each of them makes several temporary arrays as long as the map, which is most of their time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.mapping.gaussian_map import ROWS
+
+_BLOCK = 1024  # Gaussians whose sums stay in the nearest cache
+
+
+@kernel
+def fit_to_stay(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,
+    least_logit: float,
+    most_log_scale: float,
+) -> np.ndarray:  # [count] bool
+    """Opaque enough, small enough along every axis, and finite in all rows."""
+    keep = np.empty(count, np.bool_)
+    total = np.empty(_BLOCK, np.float32)
+    for first in range(0, count, _BLOCK):
+        length = min(_BLOCK, count - first)
+        for i in range(length):
+            total[i] = np.float32(0.0)
+        for row in range(ROWS):
+            values = parameters[row, first : first + length]
+            for i in range(length):
+                total[i] += values[i]  # whatever is not finite stays so
+        for i in range(length):
+            at = first + i
+            keep[at] = (
+                np.isfinite(total[i])
+                & (parameters[10, at] >= least_logit)
+                & (parameters[7, at] <= most_log_scale)
+                & (parameters[8, at] <= most_log_scale)
+                & (parameters[9, at] <= most_log_scale)
+            )
+    return keep
+
+
+@kernel
+def larger_in_view(
+    parameters: np.ndarray,  # [14, n] float32
+    count: int,
+    camera_from_world: np.ndarray,  # [3, 4] float32
+    intrinsics: np.ndarray,  # [4] float32 pixels: fx, fy, cx, cy
+    depth: np.ndarray,  # [H, W] float32 metres, measured; 0 = no return
+    limit: float,  # pixels, sigma
+) -> np.ndarray:  # [count] bool
+    """On the measured surface in view, within one sigma, and appearing larger than ``limit``."""
+    found = np.zeros(count, np.bool_)
+    m, height, width = camera_from_world, depth.shape[0], depth.shape[1]
+    focal = np.float32(0.5) * (intrinsics[0] + intrinsics[1])
+    for i in range(count):
+        a, b, c = parameters[0, i], parameters[1, i], parameters[2, i]
+        z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        if not z > 0.0:
+            continue
+        u = intrinsics[0] * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]) / z + intrinsics[2]
+        v = intrinsics[1] * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]) / z + intrinsics[3]
+        if not (u >= 0.0 and v >= 0.0 and u < width and v < height):
+            continue
+        measured = depth[int(v), int(u)]
+        sigma = np.exp(max(parameters[7, i], parameters[8, i], parameters[9, i]))
+        found[i] = measured > 0.0 and sigma * focal > limit * z and abs(z - measured) <= sigma
+    return found

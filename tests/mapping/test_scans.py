@@ -1,0 +1,56 @@
+"""The compiled passes against the same conditions in numpy."""
+
+import numpy as np
+import pytest
+
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
+from activestructure_gym.mapping.scans import fit_to_stay, larger_in_view
+
+CAPACITY, COUNT = 3072, 2500  # more than one block, and not a whole number of them
+
+
+def _parameters(rng):
+    parameters = rng.normal(size=(14, CAPACITY)).astype(np.float32)
+    parameters[:3] *= 2.0
+    parameters[7:10] = rng.uniform(-6.0, -1.0, (3, CAPACITY))
+    return parameters
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
+def test_fit_to_stay_is_three_conditions(poison):
+    rng = np.random.default_rng(0)
+    parameters = _parameters(rng)
+    rows, columns = rng.integers(14, size=60), rng.choice(COUNT, 60, replace=False)
+    parameters[rows, columns] = poison
+    live = parameters[:, :COUNT]
+    expected = (live[10] >= -0.5) & (live[7:10] <= -1.5).all(axis=0) & np.isfinite(live).all(axis=0)
+    assert np.array_equal(fit_to_stay(parameters, COUNT, -0.5, -1.5), expected)
+    assert 100 < expected.sum() < COUNT - 100
+
+
+def test_the_limits_themselves_may_stay():
+    parameters = np.zeros((14, 16), np.float32)
+    assert fit_to_stay(parameters, 3, 0.0, 0.0).tolist() == [True] * 3
+    assert not fit_to_stay(parameters, 3, np.nextafter(0.0, 1.0), 0.0).any()
+    assert not fit_to_stay(parameters, 3, 0.0, np.nextafter(0.0, -1.0)).any()
+
+
+def test_larger_in_view_is_what_projecting_says():
+    rng = np.random.default_rng(1)
+    parameters = _parameters(rng)
+    camera = PinholeCamera(40, 30, 25.0, 27.0, 19.0, 16.0)
+    pose = look_along(np.array([-1.0, 0.5, 0.2]), np.array([1.0, 0.2, -0.1]))
+    depth = rng.uniform(0.5, 3.0, (30, 40)).astype(np.float32)
+    depth[::3] = 0.0
+    local = (parameters[:3, :COUNT].T.astype(np.float64) - pose[:3, 3]) @ pose[:3, :3]
+    z = local[:, 2]
+    u, v = camera.project(local).T
+    inside = (z > 0) & (u >= 0) & (u < 40) & (v >= 0) & (v < 30)
+    measured = np.zeros(COUNT)
+    measured[inside] = depth[v[inside].astype(int), u[inside].astype(int)]
+    sigma = np.exp(parameters[7:10, :COUNT].max(axis=0))
+    expected = inside & (measured > 0) & (sigma * 26.0 > 1.5 * z) & (np.abs(z - measured) <= sigma)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    found = larger_in_view(parameters, COUNT, invert_rigid(pose)[:3].astype(np.float32), intrinsics, depth, 1.5)
+    assert expected.sum() > 10
+    assert (found != expected).sum() <= 1  # float32 at a pixel's border

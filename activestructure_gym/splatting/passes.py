@@ -65,7 +65,7 @@ def _make_median(stamp):
                     block = k.lowest_bit(reach)
                     reach &= reach - 1
                     at = width * block
-                    _, _, opaque, _ = k._alpha(records, base, block, along, across, view)
+                    opaque = k._alpha(records, base, block, along, across, view)
                     before = k.load(state, at)
                     after = k.fma(k.neg(opaque), before, before)
                     goes_on = after > k.peek(view, k.LEAST_LEFT)  # else this Gaussian is not part of the pixel
@@ -104,11 +104,7 @@ def blend_channels(
         share = channels[:, first : first + _AT_ONCE]
         _paint(colors, share)
         workspace.color = aligned_zeros(workspace.camera.height * int(workspace.grid[k.STRIDE]))
-        workspace.tickets[:] = 0
-        workspace._run(
-            k.blend, workspace.view, workspace.grid, workspace.records, workspace.tile_start, workspace.tile_order,
-            workspace.entries, workspace.color, workspace.depth, workspace.alpha,
-        )  # fmt: skip
+        workspace.blend()
         picture[..., first : first + _AT_ONCE] = workspace.pixels_of(workspace.color)[..., : share.shape[1]]
         kept.append(workspace.color)
     colors[:], workspace.color = before, own

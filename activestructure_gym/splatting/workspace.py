@@ -134,15 +134,19 @@ class Workspace:
         ``keep`` also keeps what makes `backward` faster, up to 64 MiB of it.
         """
         self.prepare(parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads)
-        pixels, tiles = camera.width * camera.height, int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
+        pixels = camera.width * camera.height
         self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
         self.color = self._image("color")
-        self.kept_at = self._buffer("kept at", 2 * tiles, np.int64)
+        self.blend(keep=keep)
+
+    def blend(self, *, keep: bool = True) -> None:
+        """The tiles of `render`, into ``color``, ``depth`` and ``alpha``; also again, with other colours."""
+        tiles = int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
         most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * k.LANES * self.total)
+        self.kept_at = self._buffer("kept at", 2 * tiles, np.int64)
         self.kept = self._buffer("kept", most)[:most] if keep else _NO_FLOATS
-        self._run(
-            k.blend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha
-        )
+        self.tickets[:] = 0
+        self._run(k.blend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha)
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""

@@ -140,6 +140,14 @@ def test_a_noisier_sensor_widens_the_volume_s_margins(box: Scene) -> None:
     assert episode(box, sensor=noisy).volume.config.margin_growth == pytest.approx(3 * growth)
 
 
+def test_the_mapper_named_in_the_configuration_is_the_one_that_maps(box: Scene) -> None:
+    run = episode(box, frames=20, mapper={"name": "splatam"})
+    wander(run)
+    assert run.mapper.config.name == "splatam" and run.mapper.config.iterations == 2  # the preset's
+    scales = run.mapper.map.scales
+    assert len(scales) > 500 and np.array_equal(scales[:, 0], scales[:, 1])  # balls
+
+
 NOISY_POSES = {"pose_noise_m": 0.02, "pose_noise_deg": 1.0}
 
 

@@ -43,7 +43,7 @@ class TrackingConfig:
     color_sigma: float = 0.02  # of the 0..1 range, least scale of the colour residual, as above
     huber: float = 1.345  # scales beyond which a residual counts linearly (95 % efficient on Gaussian noise)
     converged: float = 1e-4  # metres and radians; a shorter step is the last
-    gate: float = 5.0  # times the expected error; a pose further from the reported one is not believed
+    gate: float = 4.0  # times the expected error; a pose further from the reported one is not believed
 
     def __post_init__(self) -> None:
         values = {field.name: getattr(self, field.name) for field in fields(self)}

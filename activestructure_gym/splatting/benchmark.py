@@ -5,8 +5,10 @@ of a furnished box room, and one of those views as the target.
 W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iteration. W4: alpha and depth of 64 cameras at
 80x60 over 50k Gaussians (candidate scoring).
 
-Next to the times stands ``floor_share``: the time the needed arithmetic would take at the multiply-add peak measured in
-the same run, over the time taken. It compares machines and versions where milliseconds do not.
+Next to the times stand ratios, which compare machines and versions where milliseconds do not, all from the same run:
+``floor_share``, the time the needed arithmetic would take at the measured multiply-add peak over the time taken (of an
+iteration: forward and backward alone, so that losses and Adam count against it); ``vs_torch``, the time of the batched
+plain-torch renderer over the time taken; ``vs_one``, the time on the first thread count over the time taken.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render,
 from activestructure_gym.splatting.crew import CREW
 from activestructure_gym.splatting.workspace import Lease, aligned_zeros
 
+WORKLOADS = ("W1", "W2", "W3", "W4")
 _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
 # Per needed pair, a multiply-add as two: offsets 2, exponent 8, exp2 13, limits 2, transmittance 3, sums 8; backward
 # the first 25 again and 40.
@@ -58,11 +61,11 @@ def make_workload(name: str, seed: int = 0) -> Workload:
     rng = np.random.default_rng(seed)
     camera = PinholeCamera.from_size(width, height)
     # W1 to W3 look where neighbouring views have seeded too; W4 looks all around.
-    poses = _poses(np.radians([0, 45, -45, 90, -90, 135]) if name != "W4" else np.arange(64) / 32 * np.pi, rng)
+    poses = _poses(np.radians([0, 50, -50, 100, -100, 150]) if name != "W4" else np.arange(64) / 32 * np.pi, rng)
     sources = poses if name != "W4" else poses[::11]
     per_view = -(-count // 6)
     # W4 is seeded at a density that suits its count, not from its own small images.
-    seeding = camera if name != "W4" else PinholeCamera.from_size(128, 96)
+    seeding = camera if name != "W4" else PinholeCamera.from_size(224, 168)
     blocks = [_seed(seeding, pose, per_view, rng) for pose in sources]
     live = np.concatenate(blocks, axis=1)[:, :count]
     parameters = np.zeros((14, -(-count // 16) * 16), np.float32)
@@ -72,62 +75,101 @@ def make_workload(name: str, seed: int = 0) -> Workload:
 
 
 def run_splatting_benchmark(
-    workloads: Iterable[str] = ("W1", "W2", "W4"),
+    workloads: Iterable[str] = WORKLOADS,
     *,
     repeats: int = 15,
     threads: Iterable[int] | None = None,
-    baseline: bool = False,
+    baseline: bool = True,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
-    """Rows ``{workload, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms, floor_share, repeats}``.
+    """Rows ``{workload, visible, pairs_per_pixel, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms,
+    floor_share, vs_torch, vs_one, repeats}``.
 
-    Low and high are the quartiles, ``cpu_ms`` the median processor time of all threads together (what is left to look
-    at on a machine shared with others); ``floor_share`` is nan where the floor is not defined (losses, Adam).
-    ``baseline`` adds rows of the batched plain-torch renderer (tasks ending in ", torch"; W4 is left out there).
-    The thread counts are alternated within every repetition, so that a busy spell of the machine hits all of them.
+    ``visible`` Gaussians and needed (pixel, Gaussian) ``pairs_per_pixel`` are means over the workload's views. Low and
+    high are the quartiles, ``cpu_ms`` the median processor time of all threads together (what is left to look at on a
+    machine shared with others). Ratios are of medians, nan where they are not defined. ``baseline`` runs the batched
+    plain-torch renderer (tasks ending in ", torch") and the path through torch's autograd as well; the former up to 5
+    times, as it takes a hundred times longer. All tasks and thread counts are alternated, so that a busy spell of the
+    machine hits all of them.
+
+    Raises:
+        InputError: an unknown workload.
     """
-    counts = tuple(threads) if threads is not None else (1, 2)
+    names, counts = tuple(workloads), tuple(threads) if threads is not None else (1, 2)
+    for name in names:
+        if name not in _SIZES:
+            raise unknown_name("splatting workload", name, _SIZES)
     rows = []
-    for name in workloads:
+    for name in names:
         progress(f"splatting workload {name}")
         work = make_workload(name)
         views = work.poses if name == "W4" else work.poses[:1]
-        pairs = sum(needed_pairs(work, pose) for pose in views)
-        floors = dict.fromkeys(("forward", "score 64 views"), _FLOPS_FORWARD * pairs)
-        floors["forward + backward"] = (_FLOPS_FORWARD + _FLOPS_BACKWARD) * pairs
-        peaks = {count: multiply_add_peak(count) for count in counts}
+        visible, pairs = np.mean([count_work(work, pose) for pose in views], axis=0)
         tasks = _tasks(name, work)
-        if baseline and name != "W4":
-            tasks["iteration, L1, torch"] = _torch_iteration(work)
-        for task, action in tasks.items():
-            times: dict[int, list[float]] = {count: [] for count in counts}
-            work_times: dict[int, list[float]] = {count: [] for count in counts}
+        if baseline:
+            tasks |= _torch_tasks(name, work)
+        few = {task: min(repeats, 5) if task.endswith(", torch") else repeats for task in tasks}
+        peaks, wall, busy = _measure(tasks, counts, few, repeats)
+        for task in tasks:
+            flops = _flops(task) * pairs * len(views)
             for count in counts:
-                action(count)  # warm
-            for _ in range(repeats):
-                for count in counts:
-                    start, work_start = time.perf_counter(), time.process_time()
-                    action(count)
-                    times[count].append(1e3 * (time.perf_counter() - start))
-                    work_times[count].append(1e3 * (time.process_time() - work_start))
-            for count in counts:
-                low, median, high = statistics.quantiles(times[count], n=4)
-                floor_ms = 1e3 * floors.get(task, float("nan")) / peaks[count]
+                own = wall[task, count]
+                low, median, high = statistics.quantiles(own, n=4) if len(own) > 1 else own * 3
+                rival = wall.get((f"{_BASELINES.get(task, '')}, torch", count))
                 rows.append({
-                    "workload": name, "task": task, "threads": count, "median_ms": median, "low_ms": low,
-                    "high_ms": high, "best_ms": min(times[count]), "cpu_ms": statistics.median(work_times[count]),
-                    "floor_share": floor_ms / median, "repeats": repeats,
+                    "workload": name, "visible": round(visible), "pairs_per_pixel": pairs / work.target_depth.size,
+                    "task": task, "threads": count, "median_ms": median, "low_ms": low, "high_ms": high,
+                    "best_ms": min(own), "cpu_ms": statistics.median(busy[task, count]),
+                    "floor_share": 1e3 * flops / peaks[count] / median if flops else float("nan"),
+                    "vs_torch": statistics.median(rival) / median if rival else float("nan"),
+                    "vs_one": statistics.median(wall[task, counts[0]]) / median, "repeats": len(own),
                 })  # fmt: skip
     return rows
 
 
-def multiply_add_peak(threads: int) -> float:
+def _measure(tasks, counts, few, repeats):
+    """Peak per thread count, and milliseconds per (task, thread count): of the clock and of the processor."""
+    peaks = {count: multiply_add_peak(count) for count in counts}
+    wall: dict[tuple[str, int], list[float]] = {(task, count): [] for task in tasks for count in counts}
+    busy: dict[tuple[str, int], list[float]] = {(task, count): [] for task in tasks for count in counts}
+    for repeat in range(-1, repeats):
+        for task, action in tasks.items():
+            if repeat >= few[task]:
+                continue
+            for count in counts:
+                start, busy_start = time.perf_counter(), time.process_time()
+                action(count)
+                if repeat >= 0:  # the first round warms up
+                    wall[task, count].append(1e3 * (time.perf_counter() - start))
+                    busy[task, count].append(1e3 * (time.process_time() - busy_start))
+            if task.endswith((", torch", "autograd")):
+                time.sleep(0.02)  # torch's threads spin for a while after their work, on the cores of the next task
+        if repeat % 5 == 0:
+            peaks = {count: max(peaks[count], multiply_add_peak(count, tries=2)) for count in counts}
+    return peaks, wall, busy
+
+
+# Which run of plain torch a task is compared with; both do render, loss, backward and Adam, or the same pictures.
+_BASELINES = {
+    "iteration, L1": "iteration, L1", "iteration, L1 + SSIM": "iteration, L1",
+    "iteration, L1, through autograd": "iteration, L1", "score 64 views": "score 64 views",
+}  # fmt: skip
+
+
+def _flops(task: str) -> int:
+    """Per needed pair."""
+    if task.endswith(", torch"):
+        return 0
+    return _FLOPS_FORWARD if task in ("forward", "score 64 views") else _FLOPS_FORWARD + _FLOPS_BACKWARD
+
+
+def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
     """Flops per second of 16-lane multiply-adds on so many threads, the best of a few tries."""
     pieces, rounds = 8 * threads, 20_000
     values = aligned_zeros(kernels.LANES * (2 + pieces))
     values[: 2 * kernels.LANES] = 0.5
     best = float("inf")
-    for _ in range(6):
+    for _ in range(tries):
         tickets = np.zeros(1, np.int64)
         start = time.perf_counter()
         CREW.run(kernels.multiply_add, (tickets, rounds, pieces, values), threads)
@@ -135,12 +177,16 @@ def multiply_add_peak(threads: int) -> float:
     return 10 * 2 * kernels.LANES * pieces * rounds / best
 
 
-def needed_pairs(work: Workload, world_from_camera: np.ndarray) -> int:
-    """How many (pixel, Gaussian) pairs enter the picture: the pixel still open and alpha at least 1/255."""
-    workspace = Lease().workspace
-    workspace.render(work.parameters, work.count, work.camera, invert_rigid(world_from_camera), threads=1)
+def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]:
+    """Visible Gaussians, and how many (pixel, Gaussian) pairs enter the picture: the pixel still open and alpha at
+    least 1/255.
+    """
+    lease = Lease()
+    workspace = lease.workspace
+    workspace.render(work.parameters, work.count, work.camera, invert_rigid(world_from_camera), threads=1, keep=False)
+    visible = np.unpackbits(workspace.visible[: -(-work.count // kernels.LANES)].view(np.uint8)).sum()
     splats = workspace.entries[kernels.SORTED_SPLAT]
-    return _count_pairs(workspace.grid, workspace.tile_start, splats, workspace.records)
+    return int(visible), _count_pairs(workspace.grid, workspace.tile_start, splats, workspace.records)
 
 
 @njit  # not cached on disk: it depends on layouts in another file, which numba's cache would not notice
@@ -181,14 +227,16 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
             weights, _RATES, threads=threads,
         )  # fmt: skip
 
-    workspace, gradient = Lease().workspace, np.zeros_like(work.parameters)
+    lease, gradient = Lease(), np.zeros_like(work.parameters)
+    workspace = lease.workspace
     height, width = work.target_depth.shape
     images = (np.ones((height, width, 3), np.float32), *np.ones((2, height, width), np.float32))
 
     def there_and_back(threads: int) -> None:
+        _ = lease  # holds the workspace
         workspace.render(work.parameters, work.count, work.camera, invert_rigid(work.poses[0]), threads=threads)
         workspace.set_gradient_images(*images)
-        workspace.backward(np.zeros(18, np.float32), gradient, gradient, gradient)
+        workspace.backward(np.zeros(kernels.RATES, np.float32), gradient, gradient, gradient)
 
     return {
         "forward + backward": there_and_back,
@@ -198,35 +246,54 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
     }
 
 
-def _torch_iteration(work: Workload) -> Callable[[int], None]:
-    """Render, L1 on colour and depth, backward and Adam in plain torch; the learning rates are 0 here too."""
+def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
+    """Plain torch; and the kernels as a node of torch's graph, with loss and optimiser of torch."""
     import torch
 
+    from activestructure_gym.splatting.api import rasterize
     from activestructure_gym.splatting.torch_tiles import rasterize_torch_tiles
 
     live = torch.from_numpy(work.parameters[:, : work.count].copy())
-    means, quaternions, log_scales, opacity_logits, colors = (
-        group.contiguous().requires_grad_() for group in (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
-    )
-    optimizer = torch.optim.Adam([means, quaternions, log_scales, opacity_logits, colors], lr=0.0, fused=True)
-    pose = torch.from_numpy(invert_rigid(work.poses[0]).astype(np.float32))
-    target, depth = torch.from_numpy(work.target_rgb), torch.from_numpy(work.target_depth)
+    splats = [live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T]
+    splats = [group.contiguous().requires_grad_() for group in splats]
+    optimizer = torch.optim.Adam(splats, lr=0.0, fused=True)
+    poses = torch.from_numpy(invert_rigid(work.poses).astype(np.float32))
+    target, measured = torch.from_numpy(work.target_rgb), torch.from_numpy(work.target_depth)
 
-    def iteration(threads: int) -> None:
+    def score() -> None:
+        with torch.no_grad():
+            for pose in poses:
+                rasterize_torch_tiles(*splats, pose, work.camera, with_color=False)
+
+    def descend(color: torch.Tensor, depth: torch.Tensor, alpha: torch.Tensor) -> None:
+        seen = alpha.detach() > 0.5
+        error = torch.where(seen, depth / alpha.clamp_min(0.5) - measured, 0.0).abs().mean()
+        optimizer.zero_grad()
+        (0.5 * (color - target).abs().mean() + error).backward()
+        optimizer.step()
+
+    def iteration() -> None:
+        picture = rasterize_torch_tiles(*splats, poses[0], work.camera)
+        descend(picture[..., :3], picture[..., 3], picture[..., 4])
+
+    def through_autograd(threads: int) -> None:
+        seen = rasterize(*splats, camera_from_world=poses[0], camera=work.camera, backend="cpu", threads=threads)
+        descend(seen.color, seen.depth, seen.alpha)
+
+    def on(threads: int, action: Callable[[], None]) -> None:
         before = torch.get_num_threads()
         torch.set_num_threads(threads)
         try:
-            picture = rasterize_torch_tiles(means, quaternions, log_scales, opacity_logits, colors, pose, work.camera)
-            seen = picture[..., 4].detach() > 0.5
-            error = (picture[..., 3][seen] / picture[..., 4][seen] - depth[seen]).abs().mean()
-            loss = 0.5 * (picture[..., :3] - target).abs().mean() + error
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
+            action()
         finally:
             torch.set_num_threads(before)
 
-    return iteration
+    if name == "W4":
+        return {"score 64 views, torch": lambda threads: on(threads, score)}
+    return {
+        "iteration, L1, through autograd": lambda threads: on(threads, lambda: through_autograd(threads)),
+        "iteration, L1, torch": lambda threads: on(threads, iteration),
+    }
 
 
 def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] radians -> [C, 4, 4]
@@ -257,7 +324,7 @@ def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:  # [14, count]
-    """Disks on the surface at ``count`` pixels in raster order, footprint sigma 1.0 to 1.5 px."""
+    """Disks on the surface at ``count`` pixels in raster order, footprint sigma 1.0 to 1.5 px, blur included."""
     rgb, depth, normals = _see(camera, pose)
     pixels = np.sort(rng.choice(depth.size, count, replace=count > depth.size))
     z = depth.reshape(-1)[pixels]
@@ -265,7 +332,7 @@ def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Ge
     normal = normals.reshape(-1, 3)[pixels]
     quaternion = np.concatenate([1.0 + normal[:, 2:], np.cross([0.0, 0.0, 1.0], normal)], axis=1)
     quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # facing down: half a turn
-    sigma = rng.uniform(1.0, 1.5, count) * z / camera.fx
+    sigma = np.sqrt(rng.uniform(1.0, 1.5, count) ** 2 - kernels.BLUR_VARIANCE) * z / camera.fx
     opacity = rng.uniform(0.5, 0.95, count)
     return np.concatenate([
         points.T, quaternion.T, np.log(sigma)[None], np.log(sigma)[None], np.log(0.1 * sigma)[None],

@@ -1,10 +1,13 @@
 """A tile renderer in plain torch, batched over tiles: what the benchmark's ratios are measured against.
 
 The best of what plain torch does on a CPU: tiles of 8 pixels, opacity-aware boxes, tiles of similar length padded and
-blended together. Same picture as the other backends.
+blended together in batches that fit the cache, transmittance as a sum of logarithms (a fifth faster than a product,
+whose derivative torch finds by division). Same picture as the other backends.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 
@@ -12,7 +15,8 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, NEAR_PLANE, project_gaussians
 
 _TILE = 8  # pixels
-_PAIRS_AT_ONCE = 1_000_000
+_PAIRS_AT_ONCE = 500_000
+_LEAST_LOG = math.log(MIN_TRANSMITTANCE)
 
 
 def rasterize_torch_tiles(
@@ -25,21 +29,24 @@ def rasterize_torch_tiles(
     camera: PinholeCamera,
     *,
     max_alpha: float = 0.999,
-) -> torch.Tensor:  # [H, W, 5] colour, accumulated depth, alpha
+    with_color: bool = True,
+) -> torch.Tensor:  # [H, W, 5] colour, accumulated depth, alpha; [H, W, 2] without colour
     """Render one camera; gradients by autograd."""
     position, inverse, depth = project_gaussians(means, quaternions, log_scales, camera_from_world, camera)
     opacity = torch.sigmoid(opacity_logits)
     tiles_x, tiles_y = -(-camera.width // _TILE), -(-camera.height // _TILE)
     tile, splat = _entries(position, inverse, depth, opacity, tiles_x, tiles_y)
-    features = torch.cat([colors, depth[:, None], torch.ones_like(depth)[:, None]], dim=1)  # [N, 5]
-    packed = torch.cat([position, inverse, opacity[:, None], features], dim=1)  # [N, 11]
+    features = torch.stack([depth, torch.ones_like(depth)], dim=1)
+    if with_color:
+        features = torch.cat([colors, features], dim=1)  # [N, 5]
+    packed = torch.cat([position, inverse, opacity[:, None], features], dim=1)  # [N, 11] or [N, 8]
 
     counts = torch.bincount(tile, minlength=tiles_x * tiles_y)
     starts = torch.cumsum(counts, dim=0) - counts
     by_length = torch.argsort(counts, descending=True)
     by_length = by_length[counts[by_length] > 0]
     inside = torch.arange(_TILE * _TILE)
-    output = torch.zeros(tiles_y * _TILE, tiles_x * _TILE, 5)
+    output = torch.zeros(tiles_y * _TILE, tiles_x * _TILE, features.shape[1])
     at = 0
     while at < len(by_length):
         length = int(counts[by_length[at]])
@@ -47,7 +54,7 @@ def rasterize_torch_tiles(
         at += len(batch)
         slots = torch.arange(length)
         place = (starts[batch, None] + slots).clamp_max(len(splat) - 1)
-        own = packed[splat[place]]  # [B, K, 11]
+        own = packed[splat[place]]  # [B, K, 11 or 8]
         u = (batch % tiles_x)[:, None] * _TILE + inside % _TILE
         v = (batch // tiles_x)[:, None] * _TILE + inside // _TILE
         dx = (u + 0.5)[:, None, :] - own[..., 0:1]  # [B, K, 64]
@@ -56,9 +63,9 @@ def rasterize_torch_tiles(
         alpha = (own[..., 5:6] * torch.exp(power)).clamp_max(max_alpha)
         real = (slots < counts[batch, None])[..., None] & (alpha.detach() >= MIN_ALPHA)
         alpha = torch.where(real, alpha, torch.zeros(()))
-        after = torch.cumprod(1.0 - alpha, dim=1)
-        before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
-        weight = alpha * before * (after.detach() > MIN_TRANSMITTANCE)
+        passes = torch.log1p(-alpha)
+        after = torch.cumsum(passes, dim=1)
+        weight = alpha * torch.exp(after - passes) * (after.detach() > _LEAST_LOG)
         output = output.index_put((v, u), torch.einsum("bkp,bkc->bpc", weight, own[..., 6:]))
     return output[: camera.height, : camera.width]
 

@@ -3,7 +3,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.splatting import LossWeights, kernels, mapping_step, render, render_depth_alpha
-from activestructure_gym.splatting.benchmark import make_workload, run_splatting_benchmark
+from activestructure_gym.splatting.benchmark import count_work, make_workload, run_splatting_benchmark
 
 
 def test_workloads_are_real_and_repeatable():
@@ -41,12 +41,42 @@ def test_same_bits_for_any_number_of_threads_on_a_whole_workload():
 
 def test_rows_of_the_benchmark():
     lines = []
-    rows = run_splatting_benchmark(["W4"], repeats=2, threads=(1, 2), progress=lines.append)
+    rows = run_splatting_benchmark(["W4"], repeats=2, threads=(1, 2), baseline=False, progress=lines.append)
     assert [(row["task"], row["threads"]) for row in rows] == [("score 64 views", 1), ("score 64 views", 2)]
     assert all(0 < row["low_ms"] <= row["median_ms"] <= row["high_ms"] for row in rows)
+    assert all(0 < row["floor_share"] < 1 and np.isnan(row["vs_torch"]) for row in rows)
+    assert rows[0]["vs_one"] == 1.0 and rows[1]["vs_one"] == rows[0]["median_ms"] / rows[1]["median_ms"]
     assert lines == ["splatting workload W4"]
     with pytest.raises(InputError, match="W3"):
         run_splatting_benchmark(["W33"])
+
+
+@pytest.mark.slow
+def test_scoring_is_measured_against_torch():
+    own, torch = run_splatting_benchmark(["W4"], repeats=1, threads=(1,))
+    assert torch["task"] == "score 64 views, torch" and np.isnan(torch["floor_share"])
+    assert own["vs_torch"] == pytest.approx(torch["median_ms"] / own["median_ms"])
+
+
+def test_an_iteration_is_measured_against_torch_and_through_autograd():
+    rows = run_splatting_benchmark(["W1"], repeats=1, threads=(1,))
+    assert all(row["floor_share"] != row["floor_share"] for row in rows if row["task"].endswith(", torch"))
+    ratios = {row["task"]: row["vs_torch"] for row in rows}
+    assert [task for task, ratio in ratios.items() if ratio == ratio] == [
+        "iteration, L1", "iteration, L1 + SSIM", "iteration, L1, through autograd"
+    ]  # fmt: skip
+    alone = run_splatting_benchmark(["W1"], repeats=1, threads=(1,), baseline=False)
+    assert {row["task"] for row in alone} == set(ratios) - {"iteration, L1, through autograd", "iteration, L1, torch"}
+
+
+@pytest.mark.parametrize("name, count, visible, per_pixel", [("W1", 20_000, 6_670, 15.2), ("W4", 50_000, None, 27.0)])
+def test_workloads_ask_for_as_much_as_those_of_the_dossier(name, count, visible, per_pixel):
+    # ../shared/research/rasteriser.md, sections 2 and 3
+    work = make_workload(name)
+    counts = np.array([count_work(work, pose) for pose in (work.poses[:1] if name == "W1" else work.poses[::8])])
+    assert work.count == count
+    assert counts[:, 1].mean() / work.target_depth.size == pytest.approx(per_pixel, rel=0.1)
+    assert visible is None or counts[:, 0].mean() == pytest.approx(visible, rel=0.1)
 
 
 def test_one_compiled_version_of_every_kernel():
@@ -58,12 +88,17 @@ def test_one_compiled_version_of_every_kernel():
         work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth, LossWeights(),
         np.zeros(14, np.float32),
     )  # fmt: skip
+    pixelwise = LossWeights(l1_share=1.0)
+    mapping_step(
+        work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth, pixelwise,
+        np.zeros(14, np.float32),
+    )  # fmt: skip
     render_depth_alpha(work.parameters, work.count, work.camera, work.poses[:1])
     frozen = work.parameters[:, :100].copy()
     frozen.flags.writeable = False
     render(frozen, 100, work.camera, work.poses[0])
     render(work.parameters[:, ::2], 100, work.camera, work.poses[0])
-    for name in ("project", "fill", "blend", "compare", "differentiate", "unblend", "step", "score", "plan"):
+    for name in ("project", "fill", "blend", "compare", "differentiate", "unblend", "fuse", "step", "score", "plan"):
         assert len(getattr(kernels, name).signatures) == 1, name
 
 

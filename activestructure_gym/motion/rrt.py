@@ -26,7 +26,8 @@ def _grow(
 ) -> tuple[np.ndarray, np.ndarray, int]:  # (nodes [M, 3], parents [M], index of the node that sees the goal or -1)
     nodes = np.empty((len(samples) + 1, 3))
     parents = np.empty(len(samples) + 1, np.int64)
-    nodes[0] = start
+    for i in range(3):  # numba takes 3 s to compile the assignment of a row, for the text of an error
+        nodes[0, i] = start[i]
     parents[0] = -1
     count = 1
     for k in range(len(samples)):
@@ -39,14 +40,15 @@ def _grow(
         distance = np.sqrt(shortest)
         if distance < 1e-6:
             continue
-        new = nodes[nearest] + (samples[k] - nodes[nearest]) * min(1.0, step / distance)
-        if not segment_above(field, nodes[nearest], new, bound, 0.5):
+        share = min(1.0, step / distance)
+        for i in range(3):
+            nodes[count, i] = nodes[nearest, i] + (samples[k, i] - nodes[nearest, i]) * share
+        if not segment_above(field, nodes[nearest], nodes[count], bound, 0.5):
             continue
-        nodes[count] = new
         parents[count] = nearest
         count += 1
         # The goal is tried from every new node: in rooms most of them see it (as ActiveGAMER does).
-        if segment_above(field, new, goal, bound, 0.5):
+        if segment_above(field, nodes[count - 1], goal, bound, 0.5):
             return nodes[:count], parents[:count], count - 1
     return nodes[:count], parents[:count], -1
 

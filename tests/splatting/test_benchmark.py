@@ -106,6 +106,8 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
     from numba import njit
     from numba.core import caching
 
+    from activestructure_gym import compiling
+
     for name in ("CacheImpl", "_CacheImpl"):  # the name differs between versions of numba
         if hasattr(caching, name):
             monkeypatch.setattr(getattr(caching, name), "_locator_classes", [])
@@ -115,7 +117,9 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
 
     with pytest.raises(RuntimeError, match="cannot cache"):
         njit(cache=True)(double)
-    assert kernels._entry(double)(21) == 42
+    monkeypatch.setattr(compiling, "_WARNED", [])
+    with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR"):
+        assert kernels._entry(double)(21) == 42
 
 
 def test_torch_tiles_and_the_kernel_agree_on_a_whole_workload():

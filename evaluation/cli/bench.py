@@ -1,4 +1,4 @@
-"""``asg bench``: how fast the sensor and the rasteriser are here."""
+"""``asg bench``: how fast the sensor and the rasteriser are here, how good maps are, what their growth costs."""
 
 from __future__ import annotations
 
@@ -12,21 +12,34 @@ from activestructure_gym.evaluation.cli.commands import Bench
 from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 
+_TITLES = {
+    "sensor": "speed of the sensor on this machine",
+    "splatting": "speed of the rasteriser on this machine",
+    "mapping": "quality of maps on held-out views",
+    "growth": "cost of one place while the map grows elsewhere",
+}
+
 
 def bench(options: Bench) -> int:
     """Measure and print one table."""
     console = Console(highlight=False)
-    with console.status(f"measuring the {options.what}"):
-        if options.what == "sensor":
-            from activestructure_gym.sensors.benchmark import run_sensor_benchmark
+    scenes = split_list([options.scene] if options.scene else [])
+    if options.what in ("mapping", "growth"):
+        from activestructure_gym.evaluation.cli import bench_mapping
 
-            rows = run_sensor_benchmark(split_list([options.scene]))
-        else:
-            from activestructure_gym.splatting.benchmark import run_splatting_benchmark
+        measure = bench_mapping.measure_quality if options.what == "mapping" else bench_mapping.measure_growth
+        rows = measure(console, scenes, quick=options.quick, out=options.out)
+    else:
+        with console.status(f"measuring the {options.what}"):
+            if options.what == "sensor":
+                from activestructure_gym.sensors.benchmark import run_sensor_benchmark
 
-            rows = run_splatting_benchmark()
-    what = "sensor" if options.what == "sensor" else "rasteriser"
-    print_whole(console, rows_table(rows, title=f"speed of the {what} on this machine"))
+                rows = run_sensor_benchmark(scenes or ["room"])
+            else:
+                from activestructure_gym.splatting.benchmark import run_splatting_benchmark
+
+                rows = run_splatting_benchmark()
+    print_whole(console, rows_table(rows, title=_TITLES[options.what]))
     return 0
 
 

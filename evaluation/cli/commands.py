@@ -80,12 +80,16 @@ class Doctor:
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure the speed of the sensor or of the rasteriser on this machine."""
+    """Measure a part on this machine: speed of the sensor or the rasteriser, quality of maps, cost of their growth."""
 
-    what: Annotated[Literal["sensor", "splatting"], tyro.conf.Positional]
+    what: Annotated[Literal["sensor", "splatting", "mapping", "growth"], tyro.conf.Positional]
     """The part to measure."""
-    scene: str = "room"
-    """The scene the sensor looks at."""
+    scene: str | None = None
+    """The scenes the sensor looks at (room), or that are mapped (two apartments); separated by commas."""
+    out: str | None = None
+    """Directory for the figure and the numbers of mapping and growth; only printed if not given."""
+    quick: Switch = False
+    """Mapping and growth in small, to see that they run."""
 
     def run(self) -> int:
         """See `bench.bench`."""

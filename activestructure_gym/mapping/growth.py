@@ -1,0 +1,184 @@
+"""What a mapping event and a decision cost while the map grows elsewhere: the same place in a larger and larger map.
+
+Twenty keyframes are made around one start of an apartment, twenty around the next, and so on; every such place is put
+on a storey of its own, so far above the last that no view of one reaches another. At certain numbers of keyframes,
+copies of the map are shown the same frames of the first place, and the same 256 views of it are scored. What the camera
+meets there stays the same, Gaussian by Gaussian: whatever costs more comes from the size of the map.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.mapping.benchmark_views import KEYFRAME_EVERY, capture, random_walk, true_volume
+from activestructure_gym.mapping.gaussian_map import MEAN
+from activestructure_gym.mapping.mapper import Mapper
+from activestructure_gym.motion import path_lengths
+from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.volume import VoxelVolume
+
+SCENE = "apartment?seed=1&rooms=4"
+SIZE = (160, 90)  # pixels
+SCORED = 256  # candidate views at half the size, as in the default preset
+CHECKPOINTS = (10, 20, 50, 100, 200, 300, 400)  # keyframes
+PLACE_KEYFRAMES = 20  # before the walk goes on at the next place
+MAX_GAUSSIANS = 400_000  # 400 keyframes of the default recipe make 300 thousand
+_RADIUS = 2.5  # metres of way: how far a place reaches
+_STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
+
+
+@dataclass(frozen=True)
+class GrowthRow:
+    """One size of the map. Milliseconds are processor time, medians over the probes."""
+
+    keyframes: int
+    gaussians: int
+    in_view: int  # Gaussians whose centre projects into a probe's image, median
+    event_ms: float  # `Mapper.observe` of a new frame of the first place
+    decision_ms: float  # `Mapper.keyframe_psnr`, which a decision asks for once
+    scoring_ms: float  # `render_depth_alpha` of 256 views of the first place
+    memory_mb: float  # resident memory of the whole process
+
+
+def run_growth_benchmark(
+    scene: Scene,
+    mapper: Mapper,
+    *,
+    checkpoints: Sequence[int] = CHECKPOINTS,
+    size: tuple[int, int] = SIZE,
+    scored: int = SCORED,
+    probes: int = 9,
+    seed: int = 0,
+    advance: Callable[[], None] = lambda: None,  # called `growth_steps` times
+) -> list[GrowthRow]:
+    """Grow ``mapper`` (empty) along a seeded walk and measure it at every checkpoint.
+
+    The voxel volume and the plane graph of an episode grow along, so that the memory is an episode's.
+    """
+    frames, probe_frames, candidates = _views(scene, max(checkpoints), size, scored, probes, seed, advance)
+    volume, planes = VoxelVolume(scene.bounds), PlaneSceneGraph()
+    scoring = PinholeCamera.from_size(max(1, size[0] // 2), max(1, size[1] // 2))
+    rows = []
+    for index, frame in enumerate(frames):
+        mapper.observe(_raised(frame, index // PLACE_KEYFRAMES))
+        volume.integrate(frame, sensor_range=10.0)
+        planes.update(frame, space_state=volume.state_at)
+        advance()
+        if index + 1 in checkpoints:
+            rows.append(_measure(mapper, probe_frames, scoring, candidates))
+    return rows
+
+
+def growth_steps(checkpoints: Sequence[int]) -> int:
+    """How often `run_growth_benchmark` calls ``advance``."""
+    return 2 * max(checkpoints)
+
+
+def _views(
+    scene: Scene,
+    keyframes: int,
+    size: tuple[int, int],
+    scored: int,
+    probes: int,
+    seed: int,
+    advance: Callable[[], None],
+) -> tuple[list[Frame], list[Frame], np.ndarray]:  # keyframes, probes, candidates [C, 4, 4]
+    """The keyframes (all on the ground floor), the frames that are timed, and the views that are scored."""
+    starts = scene.free_space.start_poses
+    volume = true_volume(scene)
+    places = -(-keyframes // PLACE_KEYFRAMES)
+    picks, *walks = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(places + 1))
+    poses = []
+    for place, rng in enumerate(walks):
+        start = starts[place % len(starts)]
+        distances = path_lengths(volume, start[:3, 3], min_clearance=0.2)
+        poses.append(
+            random_walk(
+                volume,
+                start,
+                PLACE_KEYFRAMES * KEYFRAME_EVERY,
+                rng,
+                goal_allowed=lambda points, distances=distances: distances.at(points) <= _RADIUS,
+            )
+        )
+    keyframe_poses = np.concatenate([walk[::KEYFRAME_EVERY] for walk in poses])[:keyframes]
+    # The frames between the first place's keyframes: new to the map, but not new surface.
+    between = np.delete(poses[0], np.arange(0, len(poses[0]), KEYFRAME_EVERY), axis=0)
+    camera = PinholeCamera.from_size(*size)
+    frames = capture(scene, camera, keyframe_poses, supersample=2, advance=advance)
+    timed = between[np.sort(picks.choice(len(between), probes, replace=False))]
+    candidates = poses[0][picks.integers(len(poses[0]), size=scored)]
+    return frames, capture(scene, camera, timed, supersample=2), candidates
+
+
+def _raised(frame: Frame, storey: int) -> Frame:
+    pose = frame.world_from_camera.copy()
+    pose[2, 3] += _STOREY * storey
+    return replace(frame, world_from_camera=pose)
+
+
+def _measure(
+    mapper: Mapper, probe_frames: Sequence[Frame], scoring: PinholeCamera, candidates: np.ndarray
+) -> GrowthRow:
+    memory = resident_mb()
+    counts = [gaussians_in_view(mapper.map.parameters[:, : mapper.map.count], frame) for frame in probe_frames]
+    keyframes, gaussians = len(mapper.keyframes), mapper.map.count
+    scoring_ms = _processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
+    trial = copy.deepcopy(mapper)
+    events, decisions = [], []
+    trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
+    for frame in probe_frames:
+        events.append(_processor_ms(partial(trial.observe, frame)))
+        decisions.append(_processor_ms(trial.keyframe_psnr))
+    return GrowthRow(
+        keyframes=keyframes,
+        gaussians=gaussians,
+        in_view=int(np.median(counts)),
+        event_ms=statistics.median(events),
+        decision_ms=statistics.median(decisions),
+        scoring_ms=scoring_ms,
+        memory_mb=memory,
+    )
+
+
+def gaussians_in_view(
+    parameters: np.ndarray,  # [14, n] live Gaussians
+    frame: Frame,
+) -> int:
+    """How many centres project into the frame's image, hidden ones included."""
+    camera = frame.camera
+    pose = invert_rigid(frame.world_from_camera).astype(np.float32)
+    x, y, z = pose[:3, :3] @ parameters[MEAN] + pose[:3, 3:]
+    safe = np.maximum(z, 1e-6)
+    u, v = camera.fx * x / safe + camera.cx, camera.fy * y / safe + camera.cy
+    return int(np.count_nonzero((z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)))
+
+
+def resident_mb() -> float:
+    """Resident memory of this process in megabytes (where the system does not tell: its largest so far)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (OSError, ValueError, IndexError):
+        import resource
+        import sys
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _processor_ms(action: Callable[[], object]) -> float:
+    before = time.process_time()
+    action()
+    return 1e3 * (time.process_time() - before)

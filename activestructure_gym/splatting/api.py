@@ -159,26 +159,32 @@ def _check(request: _Request) -> None:
 
 
 def _render_reference(request: _Request) -> Rasterization:
-    pose = request.camera_from_world
-    pictures = [_reference_of_one(request, one) for one in pose.reshape(-1, 4, 4)]
-    stacked = [None if of[0] is None else torch.stack(of) for of in zip(*pictures)]
-    if pose.dim() == 2:
-        stacked = [None if picture is None else picture[0] for picture in stacked]
-    return Rasterization(*stacked)
+    if request.camera_from_world.dim() == 2:
+        return _reference_of_one(request, request.camera_from_world)
+    each = [_reference_of_one(request, pose) for pose in request.camera_from_world]
+    channels = [one.channels for one in each if one.channels is not None]
+    medians = [one.median_depth for one in each if one.median_depth is not None]
+    return Rasterization(
+        torch.stack([one.color for one in each]),
+        torch.stack([one.depth for one in each]),
+        torch.stack([one.alpha for one in each]),
+        torch.stack(channels) if channels else None,
+        torch.stack(medians) if medians else None,
+    )
 
 
-def _reference_of_one(request: _Request, pose: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-    """The fields of `Rasterization` for one camera."""
-    colors, sh, channels = request.colors, request.sh, request.channels
-    if sh is not None:
-        colors = evaluate_sh(sh, request.means - camera_centre(pose))
+def _reference_of_one(request: _Request, pose: torch.Tensor) -> Rasterization:
+    colors, channels = request.colors, request.channels
+    if colors is None:
+        assert request.sh is not None
+        colors = evaluate_sh(request.sh, request.means - camera_centre(pose))
     features = colors if channels is None else torch.cat([colors, channels], dim=1)
     picture, depth, alpha, median = blend_reference(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, features, pose, request.camera,
         max_alpha=request.max_alpha,
     )  # fmt: skip
     extra = None if channels is None else picture[..., 3:]
-    return picture[..., :3], depth, alpha, extra, median if request.median_depth else None
+    return Rasterization(picture[..., :3], depth, alpha, extra, median if request.median_depth else None)
 
 
 def _render_gsplat(request: _Request) -> Rasterization:
@@ -200,13 +206,13 @@ def _render_gsplat(request: _Request) -> Rasterization:
     if request.median_depth:
         raise InputError("gsplat has no median depth of 3D Gaussians; use backend='cpu' or leave median_depth out.")
     pose = request.camera_from_world
-    pictures = rasterize_gsplat(
+    color, depth, alpha, extra = rasterize_gsplat(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
         pose.reshape(-1, 4, 4), request.camera, sh=request.sh, channels=request.channels,
     )  # fmt: skip
     if pose.dim() == 2:
-        return Rasterization(*(None if picture is None else picture[0] for picture in pictures))
-    return Rasterization(*pictures)
+        return Rasterization(color[0], depth[0], alpha[0], None if extra is None else extra[0])
+    return Rasterization(color, depth, alpha, extra)
 
 
 def _render_cpu(request: _Request) -> Rasterization:

@@ -17,7 +17,8 @@ from activestructure_gym.splatting.packing import packed, unpacked
 from activestructure_gym.splatting.spherical_harmonics import shade, unshade
 from activestructure_gym.splatting.workspace import Lease, make_grid, make_view
 
-_NO_STEP = np.zeros(kernels.RATES, np.float32)  # makes the backward pass write gradients
+_TO_GRADIENT, _TO_POSE = np.zeros((2, kernels.RATES), np.float32)
+_TO_GRADIENT[kernels.MODE], _TO_POSE[kernels.MODE] = kernels.TO_GRADIENT, kernels.POSE_ONLY
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class CpuRasterization(torch.autograd.Function):
                 view, grid = make_view(camera, pose), make_grid(count, ctx.parameters.shape[1], camera)
                 shade(ctx.parameters, coefficients, pose, view, grid, ctx.threads)
             workspace.render(ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, threads=ctx.threads)
-            own, kept = list(workspace.pictures()), []
+            own = list(workspace.pictures())
+            kept: list[np.ndarray] = []
             if features is not None:
                 picture, kept = passes.blend_channels(workspace, features)
                 own.append(picture)
@@ -81,9 +83,10 @@ class CpuRasterization(torch.autograd.Function):
         poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
         coefficients = None if sh is None else sh.detach().contiguous().numpy()
         features = None if channels is None else channels.detach().contiguous().numpy()
+        still = sh is None and channels is None and not any(ctx.needs_input_grad[:5])  # a camera looks for its place
         total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory that numpy would fetch anew
-        by_sh = None if sh is None else torch.zeros(sh.shape)
-        by_channels = None if channels is None else torch.zeros(channels.shape)
+        by_sh = torch.zeros(sh.shape if sh is not None else 0)
+        by_channels = torch.zeros(channels.shape if channels is not None else 0)
         by_pose = np.zeros((cameras, 4, 4), np.float32)
         part = total
         for index, (lease, kept) in enumerate(ctx.rendered):
@@ -96,17 +99,23 @@ class CpuRasterization(torch.autograd.Function):
             ]
             if any(gradient is not None for gradient in own[:3]):
                 workspace.set_gradient_images(*_filled(own[:3], workspace.camera))
-                own_pose += workspace.backward(_NO_STEP, part, part, part)
+                own_pose += workspace.backward(_TO_POSE if still else _TO_GRADIENT, part, part, part)
                 if coefficients is not None:
                     own_pose += unshade(
                         ctx.parameters, coefficients, poses[index], workspace.grid, part, by_sh.numpy(), ctx.threads
                     )
-            if own[3] is not None:
+            if features is not None and own[3] is not None:
                 own_pose += passes.unblend_channels(workspace, features, kept, own[3], part, by_channels.numpy())
             if index:
                 total += part
-        by_parameters = unpacked(total, _detached(tensors), ctx.threads)
-        return *by_parameters, by_sh, by_channels, torch.from_numpy(by_pose).reshape(camera_from_world.shape), None
+        by_parameters = [None] * 5 if still else unpacked(total, _detached(tensors), ctx.threads)
+        return (
+            *by_parameters,
+            None if sh is None else by_sh,
+            None if channels is None else by_channels,
+            torch.from_numpy(by_pose).reshape(camera_from_world.shape),
+            None,
+        )
 
 
 def _detached(tensors: tuple[torch.Tensor | None, ...]) -> tuple[torch.Tensor | None, ...]:

@@ -42,14 +42,15 @@ def rasterize_gsplat(
     """
     from gsplat import rasterization
 
-    features, degree = colors, None
-    if sh is not None and channels is None:
+    degree = None
+    if sh is None:
+        assert colors is not None
+        features = colors if channels is None else torch.cat([colors, channels], dim=-1)
+    elif channels is None:
         features, degree = sh, TERMS.index(sh.shape[1])
-    elif sh is not None:
-        features = torch.stack([evaluate_sh(sh, means - camera_centre(pose)) for pose in camera_from_world])
-    if channels is not None:
-        own = channels if features.dim() == 2 else channels.expand(len(camera_from_world), -1, -1)
-        features = torch.cat([features, own], dim=-1)
+    else:
+        own = [evaluate_sh(sh, means - camera_centre(pose)) for pose in camera_from_world]
+        features = torch.stack([torch.cat([of_camera, channels], dim=-1) for of_camera in own])  # [C, N, 3 + D]
     intrinsics = torch.tensor(camera.matrix, dtype=torch.float32, device=means.device)
     output, alpha, _ = rasterization(
         means, quaternions, torch.exp(log_scales), torch.sigmoid(opacity_logits), features, camera_from_world,

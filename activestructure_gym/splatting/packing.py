@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numba import njit
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.splatting import kernels as k
 from activestructure_gym.splatting.caching import stamp_of
 from activestructure_gym.splatting.crew import CREW
 
+_inline = njit(forceinline=True)
 _ROWS = ((0, 3), (3, 7), (7, 10), (10, 11), (11, 14))  # mean, quaternion, log-scale, opacity, colour
 
 
@@ -84,6 +86,23 @@ def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
     return torch.as_strided(means, (k.ROWS, capacity), (capacity, 1), start).numpy()
 
 
+@_inline
+def _to_rows(block, row, values, size, first, last):
+    """``block[row + d, i] = values[i, d]``; both flat: so the loops become vector instructions."""
+    capacity = block.shape[1]
+    for d in range(size):
+        for i in range(first, last):
+            k.poke(block, (row + d) * capacity + i, k.peek(values, size * i + d))
+
+
+@_inline
+def _from_rows(block, row, values, size, first, last):
+    capacity = block.shape[1]
+    for d in range(size):
+        for i in range(first, last):
+            k.poke(values, size * i + d, k.peek(block, (row + d) * capacity + i))
+
+
 def _make_copies(stamp):
     @kernel
     def pack(tickets, block, means, quaternions, log_scales, logits, colors):
@@ -93,17 +112,12 @@ def _make_copies(stamp):
             first = k.CHUNK * k.take_ticket(tickets, 0)
             if first >= count:
                 return
-            for i in range(first, min(first + k.CHUNK, count)):
-                block[0, i], block[1, i], block[2, i] = means[i, 0], means[i, 1], means[i, 2]
-            for i in range(first, min(first + k.CHUNK, count)):
-                block[3, i], block[4, i] = quaternions[i, 0], quaternions[i, 1]
-                block[5, i], block[6, i] = quaternions[i, 2], quaternions[i, 3]
-            for i in range(first, min(first + k.CHUNK, count)):
-                block[7, i], block[8, i], block[9, i] = log_scales[i, 0], log_scales[i, 1], log_scales[i, 2]
-            for i in range(first, min(first + k.CHUNK, count)):
-                block[10, i] = logits[i, 0]
-            for i in range(first, min(first + k.CHUNK, count)):
-                block[11, i], block[12, i], block[13, i] = colors[i, 0], colors[i, 1], colors[i, 2]
+            last = min(first + k.CHUNK, count)
+            _to_rows(block, 0, means, 3, first, last)
+            _to_rows(block, 3, quaternions, 4, first, last)
+            _to_rows(block, 7, log_scales, 3, first, last)
+            _to_rows(block, 10, logits, 1, first, last)
+            _to_rows(block, 11, colors, 3, first, last)
 
     @kernel
     def unpack(tickets, block, means, quaternions, log_scales, logits, colors):
@@ -113,17 +127,12 @@ def _make_copies(stamp):
             first = k.CHUNK * k.take_ticket(tickets, 0)
             if first >= count:
                 return
-            for i in range(first, min(first + k.CHUNK, count)):
-                means[i, 0], means[i, 1], means[i, 2] = block[0, i], block[1, i], block[2, i]
-            for i in range(first, min(first + k.CHUNK, count)):
-                quaternions[i, 0], quaternions[i, 1] = block[3, i], block[4, i]
-                quaternions[i, 2], quaternions[i, 3] = block[5, i], block[6, i]
-            for i in range(first, min(first + k.CHUNK, count)):
-                log_scales[i, 0], log_scales[i, 1], log_scales[i, 2] = block[7, i], block[8, i], block[9, i]
-            for i in range(first, min(first + k.CHUNK, count)):
-                logits[i, 0] = block[10, i]
-            for i in range(first, min(first + k.CHUNK, count)):
-                colors[i, 0], colors[i, 1], colors[i, 2] = block[11, i], block[12, i], block[13, i]
+            last = min(first + k.CHUNK, count)
+            _from_rows(block, 0, means, 3, first, last)
+            _from_rows(block, 3, quaternions, 4, first, last)
+            _from_rows(block, 7, log_scales, 3, first, last)
+            _from_rows(block, 10, logits, 1, first, last)
+            _from_rows(block, 11, colors, 3, first, last)
 
     return pack, unpack
 

@@ -17,7 +17,8 @@ from activestructure_gym.splatting import kernels as k
 from activestructure_gym.splatting.caching import stamp_of
 from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
 
-_NO_STEP = np.zeros(k.RATES, np.float32)  # makes `Workspace.backward` write gradients
+_TO_GRADIENT = np.zeros(k.RATES, np.float32)
+_TO_GRADIENT[k.MODE] = k.TO_GRADIENT
 _AT_ONCE = 3  # channels a rendering carries
 
 
@@ -133,7 +134,7 @@ def unblend_channels(
         of_group[..., share.shape[1] :] = 0.0
         of_group[..., : share.shape[1]] = by_picture[..., first : first + _AT_ONCE]
         workspace.set_gradient_images(of_group, nothing, nothing)
-        by_pose += workspace.backward(_NO_STEP, part, part, part)
+        by_pose += workspace.backward(_TO_GRADIENT, part, part, part)
         gradient[: k.ROWS - 3] += part[: k.ROWS - 3]
         by_channels[:, first : first + _AT_ONCE] += part[k.ROWS - 3 : k.ROWS - 3 + share.shape[1], :count].T
     colors[:], workspace.color = before, own

@@ -147,13 +147,15 @@ def _may_be_seen(parameters, i, view, grid):
         return False
     x = (view[0] * mx + view[1] * my + view[2] * mz + view[3]) / z
     y = (view[4] * mx + view[5] * my + view[6] * mz + view[7]) / z
+    u, v = x * view[k.FX] + view[k.CX], y * view[k.FY] + view[k.CY]
+    if u >= 0 and u < grid[k.WIDTH] and v >= 0 and v < grid[k.HEIGHT]:
+        return True
     largest = np.exp(max(parameters[7, i], max(parameters[8, i], parameters[9, i])))
     slope_x = min(max(x, view[k.LOW_X]), view[k.HIGH_X])
     slope_y = min(max(y, view[k.LOW_Y]), view[k.HIGH_Y])
     across, down = largest * view[k.FX] / z, largest * view[k.FY] / z
     size = across * across * (np.float32(1.0) + slope_x * slope_x) + down * down * (np.float32(1.0) + slope_y * slope_y)
     reach = np.float32(3.4) * np.sqrt(size + k.BLUR_VARIANCE) + np.float32(1.0)
-    u, v = x * view[k.FX] + view[k.CX], y * view[k.FY] + view[k.CY]
     return u + reach > 0 and u - reach < grid[k.WIDTH] and v + reach > 0 and v - reach < grid[k.HEIGHT]
 
 

@@ -150,6 +150,9 @@ def test_losses_that_use_little_and_maps_that_are_empty(splats_of):
     expected = torch.autograd.grad(full.depth.sum() + 0.0 * full.color.sum() + 0.0 * full.alpha.sum(), leaves)
     found = torch.autograd.grad(render(leaves).depth.sum(), leaves)
     assert all(torch.equal(a, b) for a, b in zip(expected, found))
+    fixed = [leaf.detach() for leaf in leaves[:5]]
+    (alone,) = torch.autograd.grad(render([*fixed, leaves[5]]).depth.sum(), leaves[5])
+    assert torch.equal(alone, expected[5])
     extra = torch.randn(len(splats.means), 2)
     found = torch.autograd.grad(render(leaves, channels=extra).channels.sum(), leaves[:4] + leaves[5:])
     assert all(gradient.norm() > 0 for gradient in found)

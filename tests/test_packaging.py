@@ -81,3 +81,13 @@ def test_importing_the_package_loads_no_heavy_library() -> None:
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert out.stdout.strip() == "[]"
+
+
+def test_what_is_kept_on_disk_is_compiled_by_our_decorator() -> None:
+    # numba's own would compile in silence, and once in every process that starts at the same time.
+    for path in modules():
+        if path.name == "compiling.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "njit":
+                assert "cache" not in {keyword.arg for keyword in node.keywords}, f"{path}:{node.lineno}: use @kernel"

@@ -68,7 +68,7 @@ def make_workload(name: str, seed: int = 0) -> Workload:
     seeding = camera if name != "W4" else PinholeCamera.from_size(224, 168)
     blocks = [_seed(seeding, pose, per_view, rng) for pose in sources]
     live = np.concatenate(blocks, axis=1)[:, :count]
-    parameters = np.zeros((14, -(-count // 16) * 16), np.float32)
+    parameters = _aligned((14, -(-count // 16) * 16))
     parameters[:, :count] = live
     rgb, depth, _ = _see(camera, poses[0])
     return Workload(parameters, count, camera, poses, rgb.astype(np.float32), depth.astype(np.float32))
@@ -218,8 +218,8 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
                 work.parameters, work.count, work.camera, work.poses, threads=threads
             )
         }
-    parameters = work.parameters.copy()
-    first, second = np.zeros_like(parameters), np.zeros_like(parameters)
+    parameters, first, second = (_aligned(work.parameters.shape) for _ in range(3))
+    parameters[:] = work.parameters
 
     def step(weights: LossWeights, threads: int) -> None:
         mapping_step(
@@ -244,6 +244,11 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
         "iteration, L1": lambda threads: step(LossWeights(l1_share=1.0), threads),
         "iteration, L1 + SSIM": lambda threads: step(LossWeights(), threads),
     }
+
+
+def _aligned(shape: tuple[int, int]) -> np.ndarray:
+    """Zeros whose rows start on cache lines, as those of the mapper's map do."""
+    return aligned_zeros(shape[0] * shape[1]).reshape(shape)
 
 
 def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:

@@ -36,9 +36,12 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from activestructure_gym.compiling import kernel as _entry
 
-# Only called from other kernels: Python's way in, which would be compiled along, is left out.
-_inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-_inline = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+# Only called from other kernels: Python's way in, which would be compiled along, is left out. So is counting references
+# to arrays: eight atomic additions per block of Gaussians, on cache lines that all threads share. It leaves such
+# functions unable to allocate; the few that must are `_allocating`.
+_plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_inner, _inline = njit(_nrt=False, **_plain), njit(_nrt=False, forceinline=True, **_plain)
+_allocating = njit(**_plain)
 
 F = np.float32
 LANES = 16
@@ -46,6 +49,7 @@ CHUNK = 1024  # Gaussians per unit of work
 TILE = 32  # pixels
 RECORD = 16  # floats per Gaussian, 64 bytes
 ROWS = 14  # of the parameter array
+DIGITS = 2048  # of the depth sort
 SCRATCH = 400_000  # floats per thread: the blocks of a tile and 24,500 alphas of 16 pixels, well within a second cache
 THREAD_TICKET, KEPT_TICKET, TICKETS = 7, 8, 9  # counters of threads and of alphas kept; those before are of work
 # rates: a learning rate per row, then these. MODE says what the backward pass is for; ISOTROPIC (0 or 1) ties the three
@@ -345,7 +349,7 @@ def _to_line(typingctx, array):
     return types.int64(array), codegen
 
 
-@_inner
+@_allocating
 def _scratch(size):
     """Floats that start on a cache line: vectors across two lines cost double."""
     room = np.empty(size + LANES, np.float32)
@@ -699,7 +703,7 @@ def _opacity(parameters, capacity, i):
     return opacity, e * opacity, neg(_log2(one_more))
 
 
-@_inline
+@_inner
 def _project_block(parameters, i, view, grid, records):
     """Records of Gaussians i .. i + 15; returns the bits of those that reach a pixel block of the image."""
     capacity = grid[CAPACITY]
@@ -899,7 +903,7 @@ def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, c
     chunk_entries[chunk] = entries
 
 
-@_inner
+@_allocating
 def _order_tiles(tiles, tile_start, tile_order):
     """The tiles by falling number of entries, to a 256th of the largest, ties by index: a counting sort."""
     places, most = np.zeros(258, np.int64), 1
@@ -1003,27 +1007,33 @@ def _sort_tile(start, stop, entries, digits):
             nearest, farthest = min(nearest, key), max(farthest, key)
         # Only the bits in which depths of this tile differ from the nearest need sorting.
         nearest = nearest >> _U64(32)
-        spare = (farthest >> _U64(32)) - nearest
-        shift = 0
-        while spare != _U64(0):
-            for digit in range(512):
+        spare, width = (farthest >> _U64(32)) - nearest, 0
+        while (spare >> _U64(width)) != _U64(0):
+            width += 1
+        most = 8 if count < 2048 else 11  # bits of a digit: its table has to be walked through as well
+        rounds = (width + most - 1) // most
+        width = (width + rounds - 1) // max(rounds, 1)
+        shift, size = 0, 1 << width
+        low = _U64(size - 1)
+        for _ in range(rounds):
+            for digit in range(size):
                 poke(digits, digit, np.int64(0))
             for i in range(start, stop):
-                digit = np.int64((((peek(entries, source + i) >> _U64(32)) - nearest) >> _U64(shift)) & _U64(511))
+                digit = np.int64((((peek(entries, source + i) >> _U64(32)) - nearest) >> _U64(shift)) & low)
                 poke(digits, digit, peek(digits, digit) + 1)
             place = start
-            for digit in range(512):
+            for digit in range(size):
                 own = peek(digits, digit)
                 poke(digits, digit, place)
                 place += own
             for i in range(start, stop):
                 key = peek(entries, source + i)
-                digit = np.int64((((key >> _U64(32)) - nearest) >> _U64(shift)) & _U64(511))
+                digit = np.int64((((key >> _U64(32)) - nearest) >> _U64(shift)) & low)
                 place = peek(digits, digit)
                 poke(digits, digit, place + 1)
                 poke(entries, target + place, key)
             source, target = target, source
-            spare, shift = spare >> _U64(9), shift + 9
+            shift += width
     blocks = 0
     for i in range(start, stop):
         at = np.int64(peek(entries, source + i) & _U64(0xFFFFFFFF))
@@ -1413,7 +1423,7 @@ def _axis_gradient(axis, scale, row, covariance, lens, view, seen, gradient, pos
     return d0 * scale, d1 * scale, d2 * scale, by_b0 * t0, by_b0 * t2, by_b1 * t1, by_b1 * t2
 
 
-@_inner
+@_inline
 def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose):
     """Derivatives of Gaussians i .. i + 15: into ``gradient [14 * 16]`` and, summed up, into ``pose [12 * 16]``.
 
@@ -1614,14 +1624,17 @@ def _ssim_row(row, grid, image, target, maps, buffers):
     return _lane_sum(total)
 
 
-@_inner
-def _lane_sum(vector):
-    parts = np.empty(LANES, np.float32)
-    store(parts, 0, vector)
-    total = F(0.0)
-    for lane in range(LANES):
-        total += parts[lane]
-    return total
+@intrinsic
+def _lane_sum(typingctx, vector):
+    """The sum of the 16 lanes, in order."""
+
+    def codegen(context, builder, sig, args):
+        total = builder.extract_element(args[0], ir.Constant(_I32, 0))
+        for lane in range(1, LANES):
+            total = builder.fadd(total, builder.extract_element(args[0], ir.Constant(_I32, lane)))
+        return total
+
+    return types.float32(floats), codegen
 
 
 @_inner
@@ -1722,7 +1735,7 @@ def blend(
     tile start (-1: not kept) and the first entry that found all of its pixels stopped.
     """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
-    state, digits = scratch[own : own + SCRATCH], np.empty(512, np.int64)
+    state, digits = scratch[own : own + SCRATCH], np.empty(DIGITS, np.int64)
     tiles = grid[TILES_X] * grid[TILES_Y]
     while True:
         ticket = take_ticket(tickets, 2)
@@ -1750,7 +1763,7 @@ def fuse(
     """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, kept = scratch[own : own + 64 * _COLORED], scratch[own + 64 * _COLORED : own + SCRATCH]
-    digits, edge = np.empty(512, np.int64), np.empty(64, np.float32)
+    digits, edge = np.empty(DIGITS, np.int64), np.empty(64, np.float32)
     while True:
         ticket = take_ticket(tickets, 2)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
@@ -1840,7 +1853,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
     visible = np.empty(chunks * (CHUNK // LANES), np.int32)
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
     tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles, np.int64)
-    digits = np.empty(512, np.int64)
+    digits = np.empty(DIGITS, np.int64)
     state, no_color = _scratch(64 * _SCORING), np.empty(0, np.float32)
     entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
     pixels = grid[WIDTH] * grid[HEIGHT]

@@ -16,6 +16,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.scans import fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
@@ -95,9 +96,8 @@ class Mapper:
         index = self._store.append(frame, new_share=new_share)
         views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
         losses, pruned = self._optimize(views)
-        self._measure_psnr(index)
-        for stale in self._store.stalest(min(self.config.psnr_refresh, index)):
-            self._measure_psnr(stale)
+        # The new keyframe itself, which has no value yet, and those that have waited longest.
+        self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
         return _report(
             self.map.count,
             views,
@@ -133,7 +133,8 @@ class Mapper:
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
         """Depth and alpha from many poses at once, for scoring candidate views."""
-        return cpu.render_depth_alpha(self.map.parameters, self.map.count, camera, world_from_camera)
+        parameters, count = MapParts(self.map).in_view(camera, world_from_camera)
+        return cpu.render_depth_alpha(parameters, count, camera, world_from_camera)
 
     def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
         """PSNR of every keyframe, as it was last measured; the ``renders`` oldest values are measured anew first.
@@ -141,8 +142,7 @@ class Mapper:
         So the cost does not grow with the keyframes, and no value is older than ``ceil(T / renders)`` calls: all are
         of the map as it is now up to ``renders`` keyframes, or with ``renders=None``.
         """
-        for index in self._store.stalest(len(self.keyframes) if renders is None else renders):
-            self._measure_psnr(index)
+        self._measure_psnr(self._store.stalest(len(self.keyframes) if renders is None else renders))
         return np.array(self._store.psnr, dtype=np.float64)
 
     def _seed(self, frame: Frame) -> tuple[int, int, int, float]:
@@ -286,11 +286,14 @@ class Mapper:
         keep = fit_to_stay(self.map.parameters, self.map.count, least_logit, float(np.log(limit)))
         return self.map.keep(keep)
 
-    def _measure_psnr(self, index: int) -> None:
-        frame = self._store.frames[index]
-        shown = np.clip(self.render(frame.camera, frame.world_from_camera).color, 0.0, 1.0)
-        error = float(np.mean(np.square(shown - _unit_rgb(frame)), dtype=np.float64))
-        self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
+    def _measure_psnr(self, indices: Sequence[int]) -> None:
+        parts = MapParts(self.map)
+        for index in indices:
+            frame = self._store.frames[index]
+            parameters, count = parts.in_view(frame.camera, frame.world_from_camera)
+            shown = cpu.render(parameters, count, frame.camera, frame.world_from_camera).color
+            error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - _unit_rgb(frame)), dtype=np.float64))
+            self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
 
 
 def _report(

@@ -30,7 +30,7 @@ def bench(options: Bench) -> int:
         measure = bench_mapping.measure_quality if options.what == "mapping" else bench_mapping.measure_growth
         rows = measure(console, scenes, quick=options.quick, out=options.out)
     else:
-        with console.status(f"measuring the {options.what}"):
+        with console.status(f"measuring the {options.what}") as status:
             if options.what == "sensor":
                 from activestructure_gym.sensors.benchmark import run_sensor_benchmark
 
@@ -38,7 +38,12 @@ def bench(options: Bench) -> int:
             else:
                 from activestructure_gym.splatting.benchmark import run_splatting_benchmark
 
-                rows = run_splatting_benchmark()
+                rows = run_splatting_benchmark(
+                    split_list(options.workloads),
+                    repeats=options.repeats,
+                    baseline=options.baseline,
+                    progress=lambda line: status.update(f"measuring the {line}"),
+                )
     print_whole(console, rows_table(rows, title=_TITLES[options.what]))
     return 0
 

@@ -91,6 +91,14 @@ class Bench:
     quick: Switch = False
     """Mapping and growth in small, to see that they run."""
 
+    workloads: tuple[str, ...] = ("W1", "W2", "W3", "W4")
+    """Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k
+    (W3), and 64 candidate views of 50k (W4)."""
+    repeats: int = 15
+    """How often everything of splatting is timed."""
+    baseline: bool = True
+    """Measure plain torch beside splatting, for the ratios: minutes instead of half a minute."""
+
     def run(self) -> int:
         """See `bench.bench`."""
         from activestructure_gym.evaluation.cli.bench import bench

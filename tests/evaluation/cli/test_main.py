@@ -181,6 +181,23 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
     assert "160 .. 90" in out and "123" in out and "n/a" in out
 
 
+def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys):
+    from activestructure_gym.splatting import benchmark
+
+    asked = []
+
+    def measure(names, *, progress, **options):
+        asked.append((names, options))
+        return [{"workload": name, "vs_torch": 71.26} for name in names]
+
+    monkeypatch.setattr(benchmark, "run_splatting_benchmark", measure)
+    assert main(["bench", "splatting", "--workloads", "W1,W4", "--repeats", "3", "--no-baseline"]) == 0
+    assert asked == [(("W1", "W4"), {"repeats": 3, "baseline": False})]
+    assert "71.3" in capsys.readouterr().out
+    assert main(["bench", "splatting"]) == 0
+    assert asked[1] == (("W1", "W2", "W3", "W4"), {"repeats": 15, "baseline": True})
+
+
 def test_json_of_a_record_is_plain():
     from activestructure_gym.evaluation import machine
 

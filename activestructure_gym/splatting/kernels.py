@@ -1650,8 +1650,17 @@ def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, ter
         difference = load(image, column) - load(target, column)  # both are 0 in the margin
         total = total + _most(difference, neg(difference))
     terms[at + TERM_COLOR] = _lane_sum(total)
-    error = F(0.0)
-    for pixel in range(row * grid[WIDTH], (row + 1) * grid[WIDTH]):
+    first, end = row * grid[WIDTH], (row + 1) * grid[WIDTH]
+    total = spread(F(0.0))
+    while first + LANES <= end:
+        measured, opaque = load(target_depth, first), load(alpha, first)
+        counts = (measured > F(0.0)) & (opaque > factors[LEAST_ALPHA])
+        share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
+        difference, _ = _difference(load(depth, first) / share, measured, spread(F(0.0)))
+        total = total + sel(counts, difference, F(0.0))
+        first += LANES
+    error = _lane_sum(total)
+    for pixel in range(first, end):
         if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > factors[LEAST_ALPHA]:
             share = peek(alpha, pixel) if factors[NORMALISED] > F(0.0) else F(1.0)
             error += abs(peek(depth, pixel) / share - peek(target_depth, pixel))
@@ -1688,7 +1697,20 @@ def _differentiate_row(
             by_covariance = _blur_along(buffers, 2 * stride + column)
             gradient = fma(fma(x + x, by_variance, fma(y, by_covariance, by_mean)), of_ssim, gradient)
         store(by_color, at, sel(lane_index() < F(margin + length - column), gradient, F(0.0)))
-    for pixel in range(row * grid[WIDTH], (row + 1) * grid[WIDTH]):
+    first, end = row * grid[WIDTH], (row + 1) * grid[WIDTH]
+    while first + LANES <= end:
+        measured, opaque = load(target_depth, first), load(alpha, first)
+        has_depth = measured > F(0.0)
+        counts = has_depth & (opaque > factors[LEAST_ALPHA])
+        share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
+        expected = load(depth, first) / share
+        _, sign = _difference(expected, measured, spread(of_depth))
+        g_z = sel(counts, sign / share, F(0.0))
+        store(by_depth, first, g_z)
+        g_a = sel(has_depth, (opaque - F(1.0)) * factors[OF_ALPHA], F(0.0))
+        store(by_alpha, first, g_a - g_z * expected * factors[NORMALISED])
+        first += LANES
+    for pixel in range(first, end):
         of_pixel, of_alpha = F(0.0), F(0.0)
         if peek(target_depth, pixel) > F(0.0):
             of_alpha = -factors[OF_ALPHA] * (F(1.0) - peek(alpha, pixel))

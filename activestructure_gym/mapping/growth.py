@@ -1,6 +1,6 @@
 """What a mapping event and a decision cost while the map grows elsewhere: the same place in a larger and larger map.
 
-Twenty keyframes are made around one start of an apartment, twenty around the next, and so on; every such place is put
+25 keyframes are made around one start of an apartment, 25 around the next, and so on; every such place is put
 on a storey of its own, so far above the last that no view of one reaches another. At certain numbers of keyframes,
 copies of the map are shown the same frames of the first place, and the same 256 views of it are scored. What the camera
 meets there stays the same, Gaussian by Gaussian: whatever costs more comes from the size of the map.
@@ -32,10 +32,10 @@ from activestructure_gym.volume import VoxelVolume
 SCENE = "apartment?seed=1&rooms=4"
 SIZE = (160, 90)  # pixels
 SCORED = 256  # candidate views at half the size, as in the default preset
-CHECKPOINTS = (10, 20, 50, 100, 200, 300, 400)  # keyframes
-PLACE_KEYFRAMES = 20  # before the walk goes on at the next place
-MAX_GAUSSIANS = 400_000  # 400 keyframes of the default recipe make 300 thousand
-_RADIUS = 2.5  # metres of way: how far a place reaches
+CHECKPOINTS = (10, 25, 50, 100, 200, 300, 400)  # keyframes
+PLACE_KEYFRAMES = 25  # before the walk goes on at the next place: 400 are one round of the 16 starts
+MAX_GAUSSIANS = 400_000  # 400 keyframes of the default recipe make about 300 thousand
+_RADIUS = 1.8  # metres of way: how far a place reaches
 _STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
 
 

@@ -215,9 +215,13 @@ class Mapper:
 
     def _drop_weakest(self, number: int) -> int:
         """Remove the ``number`` Gaussians with the smallest opacity (of equal ones those that stand first)."""
+        if number < 1:
+            return 0
         logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
-        mask = np.ones(self.map.count, dtype=bool)
-        mask[np.argsort(logits, kind="stable")[:number]] = False
+        strongest = np.partition(logits, number - 1)[number - 1]  # of those that go
+        mask = ~(logits <= strongest)
+        equal = np.flatnonzero(logits == strongest)
+        mask[equal[number - np.count_nonzero(logits < strongest) :]] = True
         return self.map.keep(mask)
 
     def _local_views(self, index: int) -> list[int]:

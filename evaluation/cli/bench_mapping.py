@@ -54,8 +54,8 @@ def measure_growth(console: Console, scenes: Sequence[str], *, quick: bool, out:
     from activestructure_gym.mapping import Mapper, MapperConfig, growth
     from activestructure_gym.scenes.library import load_scene
 
-    checkpoints = (2, 4, 22) if quick else growth.CHECKPOINTS
-    size, scored, probes = ((96, 54), 8, 2) if quick else (growth.SIZE, growth.SCORED, 9)
+    checkpoints = (2, 4, 27) if quick else growth.CHECKPOINTS
+    size, scored, probes = ((96, 54), 8, 2) if quick else (growth.SIZE, growth.SCORED, 15)
     with console.status("loading the scene"):
         scene = load_scene(scenes[0] if scenes else "box" if quick else growth.SCENE)
     mapper = Mapper(MapperConfig(max_gaussians=growth.MAX_GAUSSIANS), np.random.default_rng(0))

@@ -129,15 +129,15 @@ def test_what_is_seen_of_the_first_place_does_not_change_while_the_map_grows(sce
     rows = run_growth_benchmark(
         scene,
         Mapper(MapperConfig(iterations=1), np.random.default_rng(0)),
-        checkpoints=(20, 32),
+        checkpoints=(25, 35),
         size=(64, 36),
         scored=4,
         probes=3,
         advance=lambda: calls.append(1),
     )
-    assert len(calls) == growth_steps((20, 32))
+    assert len(calls) == growth_steps((25, 35))
     small, large = rows
-    assert (small.keyframes, large.keyframes) == (20, 32)
+    assert (small.keyframes, large.keyframes) == (25, 35)
     assert large.gaussians > 1.2 * small.gaussians
     # Global visits prune one or the other.
     assert abs(large.in_view - small.in_view) <= 0.02 * small.in_view

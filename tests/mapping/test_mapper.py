@@ -185,6 +185,18 @@ def test_the_cap_drops_the_most_transparent_when_the_coarsest_does_not_fit(room_
     assert sorted(kept.tolist()) == sorted(logits.tolist())[second.dropped :]
 
 
+def test_dropping_takes_the_weakest_and_of_equal_ones_the_first():
+    mapper = _mapper()
+    block = np.zeros((14, 8), np.float32)
+    block[10] = [3, 1, 2, 1, 0, 1, 5, 4]
+    block[0] = np.arange(8)
+    for number, left in ((0, range(8)), (1, {0, 1, 2, 3, 5, 6, 7}), (3, {0, 2, 5, 6, 7}), (8, ())):
+        mapper.map.count = 0
+        mapper.map.append(block)
+        assert mapper._drop_weakest(number) == number
+        assert set(mapper.map.means[:, 0]) == set(left)
+
+
 def test_one_frame_may_exceed_the_cap_by_itself(room_frames):
     report = _mapper(max_gaussians=50, max_seed_stride=2).observe(room_frames[0])
     assert report.added == 50 and report.count == 50

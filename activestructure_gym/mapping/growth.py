@@ -23,7 +23,7 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.mapping.benchmark_views import KEYFRAME_EVERY, capture, random_walk, true_volume
 from activestructure_gym.mapping.gaussian_map import MEAN
 from activestructure_gym.mapping.mapper import Mapper
-from activestructure_gym.motion import path_lengths
+from activestructure_gym.motion import DistanceMap, path_lengths
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.frame import Frame
@@ -103,14 +103,14 @@ def _views(
     poses = []
     for place, rng in enumerate(walks):
         start = starts[place % len(starts)]
-        distances = path_lengths(volume, start[:3, 3], min_clearance=0.2)
+        near = partial(_within_radius, path_lengths(volume, start[:3, 3], min_clearance=0.2))
         poses.append(
             random_walk(
                 volume,
                 start,
                 PLACE_KEYFRAMES * KEYFRAME_EVERY,
                 rng,
-                goal_allowed=lambda points, distances=distances: distances.at(points) <= _RADIUS,
+                goal_allowed=near,
             )
         )
     keyframe_poses = np.concatenate([walk[::KEYFRAME_EVERY] for walk in poses])[:keyframes]
@@ -121,6 +121,10 @@ def _views(
     timed = between[np.sort(picks.choice(len(between), probes, replace=False))]
     candidates = poses[0][picks.integers(len(poses[0]), size=scored)]
     return frames, capture(scene, camera, timed, supersample=2), candidates
+
+
+def _within_radius(distances: DistanceMap, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] bool
+    return distances.at(points) <= _RADIUS
 
 
 def _raised(frame: Frame, storey: int) -> Frame:

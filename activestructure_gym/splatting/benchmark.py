@@ -26,13 +26,14 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
 from activestructure_gym.splatting import kernels
 from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
 from activestructure_gym.splatting.crew import CREW
-from activestructure_gym.splatting.workspace import Lease, aligned_zeros
+from activestructure_gym.splatting.workspace import Lease, aligned_zeros, inverse_of_pose
 
 WORKLOADS = ("W1", "W2", "W3", "W4")
 _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
 # Per needed pair, a multiply-add as two: offsets 2, exponent 8, exp2 13, limits 2, transmittance 3, sums 8; backward
 # the first 25 again and 40.
 _FLOPS_FORWARD, _FLOPS_BACKWARD = 36, 65
+_IN_A_ROW = 5  # runs per repetition, as a mapping event has iterations, after one that is not counted
 _RATES = np.zeros(14, np.float32)  # all the arithmetic, but every repetition meets the same map
 _ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
 _BOXES = np.array([
@@ -85,12 +86,14 @@ def run_splatting_benchmark(
     """Rows ``{workload, visible, pairs_per_pixel, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms,
     floor_share, vs_torch, vs_one, repeats}``.
 
-    ``visible`` Gaussians and needed (pixel, Gaussian) ``pairs_per_pixel`` are means over the workload's views. Low and
-    high are the quartiles, ``cpu_ms`` the median processor time of all threads together (what is left to look at on a
-    machine shared with others). Ratios are of medians, nan where they are not defined. ``baseline`` runs the batched
-    plain-torch renderer (tasks ending in ", torch") and the path through torch's autograd as well; the former up to 5
-    times, as it takes a hundred times longer. All tasks and thread counts are alternated, so that a busy spell of the
-    machine hits all of them.
+    ``visible`` Gaussians and needed (pixel, Gaussian) ``pairs_per_pixel`` are means over the workload's views. A
+    repetition is the mean of five runs one after the other, after a sixth that is not counted: as in a mapping event,
+    where the iteration before has left its map in the caches (plain torch: one run, longer than these). Low and high
+    are the quartiles of the repetitions, ``cpu_ms`` the median processor time of all threads together (what is left to
+    look at on a machine shared with others). Ratios are of medians, nan where they are not defined. ``baseline`` runs
+    the batched plain-torch renderer (tasks ending in ", torch") and the path through torch's autograd as well; the
+    former up to 5 times, as it takes a hundred times longer. All tasks and thread counts are alternated, so that a busy
+    spell of the machine hits all of them.
 
     Raises:
         InputError: an unknown workload.
@@ -137,13 +140,16 @@ def _measure(tasks, counts, few, repeats):
             if repeat >= few[task]:
                 continue
             for count in counts:
+                runs = 1
                 if not task.endswith(", torch"):
                     action(count)  # as in use, where the iteration before has left its map in the caches
+                    runs = _IN_A_ROW
                 start, busy_start = time.perf_counter(), time.process_time()
-                action(count)
+                for _ in range(runs):
+                    action(count)
                 if repeat >= 0:  # the first round warms up
-                    wall[task, count].append(1e3 * (time.perf_counter() - start))
-                    busy[task, count].append(1e3 * (time.process_time() - busy_start))
+                    wall[task, count].append(1e3 / runs * (time.perf_counter() - start))
+                    busy[task, count].append(1e3 / runs * (time.process_time() - busy_start))
             if task.endswith((", torch", "autograd")):
                 time.sleep(0.02)  # torch's threads spin for a while after their work, on the cores of the next task
         if repeat % 5 == 0:
@@ -236,7 +242,7 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
 
     def there_and_back(threads: int) -> None:
         _ = lease  # holds the workspace
-        workspace.render(work.parameters, work.count, work.camera, invert_rigid(work.poses[0]), threads=threads)
+        workspace.render(work.parameters, work.count, work.camera, inverse_of_pose(work.poses[0]), threads=threads)
         workspace.set_gradient_images(*images)
         workspace.backward(np.zeros(kernels.RATES, np.float32), gradient, gradient, gradient)
 

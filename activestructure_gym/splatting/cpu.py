@@ -13,7 +13,7 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.splatting import kernels
 from activestructure_gym.splatting.crew import CREW, default_threads
-from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, make_grid, make_view
+from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, inverse_of_pose, make_grid, make_view
 
 PARAMETER_ROWS = kernels.ROWS
 
@@ -105,7 +105,7 @@ def render(
     _check(parameters, count)
     lease = Lease()
     lease.workspace.render(
-        fitted(parameters), count, camera, invert_rigid(world_from_camera), max_alpha=max_alpha, threads=threads,
+        fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha, threads=threads,
         keep=False,
     )  # fmt: skip
     return Rendering(*lease.workspace.pictures())
@@ -172,14 +172,13 @@ def mapping_step(
     used = tuple(fitted(array) for array in state)
     lease = Lease()
     workspace = lease.workspace
-    pose, of_color = invert_rigid(world_from_camera), weights.image * weights.l1_share
+    pose, of_color = inverse_of_pose(world_from_camera), weights.image * weights.l1_share
     if weights.image * (1.0 - weights.l1_share) == 0.0:
         workspace.prepare(used[0], count, camera, pose, threads=threads)
-        color, depth = workspace.fused_losses(
-            target_rgb, target_depth, of_color, weights.depth, weights.alpha, weights.normalised_depth
+        color, depth = workspace.fused_step(
+            target_rgb, target_depth, of_color, weights.depth, weights.alpha, weights.normalised_depth, rates, *used[1:]
         )
         ssim = float("nan")
-        workspace.step(rates, used[1], used[2], used[0])
     else:
         workspace.render(used[0], count, camera, pose, threads=threads)
         color, depth, ssim = workspace.losses(
@@ -209,17 +208,15 @@ def pose_gradient(
     The step of a gradient descent is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
     """
     _check(parameters, count)
-    pose = invert_rigid(np.asarray(world_from_camera, dtype=np.float64))
+    pose = inverse_of_pose(world_from_camera)
     lease = Lease()
     workspace, used = lease.workspace, fitted(parameters)
     workspace.prepare(used, count, camera, pose, threads=threads)
     of_color = weights.color / 3.0 if weights.mean else weights.color
-    color, depth, pixels = workspace.tracking_losses(
+    color, depth, pixels, by_pose = workspace.tracking_losses(
         target_rgb, target_depth, of_color, weights.depth, weights.min_alpha
     )
-    rates = np.zeros(kernels.RATES, np.float32)
-    rates[kernels.MODE] = kernels.POSE_ONLY
-    by_pose = workspace.step(rates, used, used, used).astype(np.float64)
+    by_pose = by_pose.astype(np.float64)
     turned = by_pose @ pose[:3].T  # d exp(xi) T = hat(xi) T: the derivative by the entries of hat(phi)
     gradient = np.empty(6)
     gradient[:3] = by_pose[:, 3]

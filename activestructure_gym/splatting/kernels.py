@@ -3,15 +3,15 @@
 The picture is cut into tiles of 32 x 32 pixels = 8 x 8 blocks of 4 x 4 pixels; a block is one vector, and the blocks of
 a tile that a Gaussian reaches are the bits of one uint64. One rendering goes through
 
-    project  per chunk of 1024 Gaussians: 64-byte records, block bitmaps, how many (tile, Gaussian) entries there are
-    plan     serial: where the entries of every tile and chunk go
-    fill     per chunk: the entries
+    prepare  per chunk of 1024 Gaussians: 64-byte records, block bitmaps, how many (tile, Gaussian) entries there are;
+             serial: where the entries of every tile and chunk go; per chunk: the entries
     blend    per tile: sort by depth (exact float order, ties by index), blend front to back
     compare  per rows: losses, SSIM and (differentiate) the gradient images
-    unblend  per tile: front to back again; one 16-float slot of sums per entry
-    step     per chunk: sum the slots, back through the projection, Adam or dense gradients
+    unblend  per tile: front to back again; one 16-float slot of sums per entry;
+             per chunk: sum the slots, back through the projection, Adam or dense gradients
 
-and where the loss is pixelwise, ``fuse`` does the three in the middle for one tile after the other.
+and where the loss is pixelwise, ``fuse`` does all after ``prepare``, blending, comparing and going back for one tile
+after the other. Between the parts of a kernel threads wait for each other in the kernel: waking them anew takes longer.
 
 Every partial result has its own fixed place, so results do not depend on the number of threads. Chunks, tiles and rows
 are handed out by atomic counters.
@@ -51,7 +51,10 @@ RECORD = 16  # floats per Gaussian, 64 bytes
 ROWS = 14  # of the parameter array
 DIGITS = 2048  # of the depth sort
 SCRATCH = 400_000  # floats per thread: the blocks of a tile and 24,500 alphas of 16 pixels, well within a second cache
-THREAD_TICKET, KEPT_TICKET, TICKETS = 7, 8, 9  # counters of threads and of alphas kept; those before are of work
+# Counters: of work handed out (before these), of threads, of alphas kept, of work that is done; how many entries there
+# are; whether somebody has given up waiting.
+THREAD_TICKET, KEPT_TICKET, PROJECTED, PLANNED, FILLED, TILES_DONE, STEPPED, ENTRIES, GIVEN_UP, TICKETS = range(7, 17)
+_PATIENCE = 1 << 19  # looks at a counter, about half a millisecond
 # rates: a learning rate per row, then these. MODE says what the backward pass is for; ISOTROPIC (0 or 1) ties the three
 # log-scales of a Gaussian together: each gets the derivative by all of them.
 BETA1, BETA2, EPSILON, MODE, ISOTROPIC, RATES = range(14, 20)
@@ -321,7 +324,17 @@ def take_ticket(typingctx, counters, index):
 
     def codegen(context, builder, sig, args):
         pointer = _pointer(context, builder, sig.args[0], args[0], args[1])
-        return builder.atomic_rmw("add", pointer, ir.Constant(_I64, 1), "monotonic")
+        return builder.atomic_rmw("add", pointer, ir.Constant(_I64, 1), "acq_rel")
+
+    return types.int64(counters, types.intp), codegen
+
+
+@intrinsic
+def _read_ticket(typingctx, counters, index):
+    """Atomic load; what was written before the counter was raised is there."""
+
+    def codegen(context, builder, sig, args):
+        return builder.load_atomic(_pointer(context, builder, sig.args[0], args[0], args[1]), "acquire", 8)
 
     return types.int64(counters, types.intp), codegen
 
@@ -335,6 +348,20 @@ def take_tickets(typingctx, counters, index, count):
         return builder.atomic_rmw("add", pointer, args[2], "monotonic")
 
     return types.int64(counters, types.intp, types.int64), codegen
+
+
+@_inner
+def _all_done(tickets, counter, units):
+    """Wait until so many units of work are done.
+
+    False if that takes too long: then a thread that holds a unit has lost its core, and whoever waits leaves the kernel
+    and so sets the other core free. Counters stay as they are: the kernel called again goes on from there.
+    """
+    for _ in range(_PATIENCE):
+        if _read_ticket(tickets, counter) >= units:
+            return _read_ticket(tickets, GIVEN_UP) == 0  # nobody goes on without those who have left
+    take_ticket(tickets, GIVEN_UP)
+    return False
 
 
 @intrinsic
@@ -903,24 +930,29 @@ def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, c
     chunk_entries[chunk] = entries
 
 
-@_allocating
+PLACES = 258  # integers behind the tiles in ``tile_order``: room for ordering them
+
+
+@_inner
 def _order_tiles(tiles, tile_start, tile_order):
     """The tiles by falling number of entries, to a 256th of the largest, ties by index: a counting sort."""
-    places, most = np.zeros(258, np.int64), 1
+    most = 1
+    for rank in range(PLACES):
+        poke(tile_order, tiles + rank, 0)
     for tile in range(tiles):
         most = max(most, tile_start[tile + 1] - tile_start[tile])
     for tile in range(tiles):
-        poke_add(places, 257 - 256 * (tile_start[tile + 1] - tile_start[tile]) // most, 1)
-    for rank in range(1, 258):
-        poke_add(places, rank, peek(places, rank - 1))
+        poke_add(tile_order, tiles + 257 - 256 * (tile_start[tile + 1] - tile_start[tile]) // most, 1)
+    for rank in range(1, PLACES):
+        poke_add(tile_order, tiles + rank, peek(tile_order, tiles + rank - 1))
     for tile in range(tiles):
-        rank = 256 - 256 * (tile_start[tile + 1] - tile_start[tile]) // most
-        tile_order[peek(places, rank)] = tile
-        poke_add(places, rank, 1)
+        place = tiles + 256 - 256 * (tile_start[tile + 1] - tile_start[tile]) // most
+        poke(tile_order, peek(tile_order, place), tile)
+        poke_add(tile_order, place, 1)
 
 
-@_entry
-def plan(grid, histogram, chunk_entries, tile_start, tile_order):
+@_inner
+def _plan(grid, histogram, chunk_entries, tile_start, tile_order):
     """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots.
 
     ``tile_order`` lists the tiles with most entries first: handed out so, all threads finish at nearly the same time.
@@ -1269,7 +1301,7 @@ def _write_tile(tile, grid, state, width, color, depth, alpha):
 
 
 @_inner
-def _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha):
+def _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, by_layout):
     """The state of the backward loop from the pictures and the gradients by them."""
     x, y = _corner(tile, grid)
     _open_tile(tile, grid, state, _COLORED)
@@ -1279,7 +1311,7 @@ def _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_al
         if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
             g_z, g_a = load_block(by_depth, pixel, grid[WIDTH]), load_block(by_alpha, pixel, grid[WIDTH])
             rest = load_block(depth, pixel, grid[WIDTH]) * g_z + load_block(alpha, pixel, grid[WIDTH]) * g_a
-            g_r, g_g, g_b = load_color_block(by_color, place, grid[STRIDE])
+            g_r, g_g, g_b = load_color_block(by_color, top * by_layout[0] + by_layout[1] + 3 * left, by_layout[0])
             r, g, b = load_color_block(color, place, grid[STRIDE])
             store(state, at + 16, fma(r, g_r, fma(g, g_g, fma(b, g_b, rest))))
             store(state, at + 32, g_r)
@@ -1295,9 +1327,10 @@ def _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_al
                 poke(state, lane + 80, peek(by_depth, here))
                 poke(state, lane + 96, peek(by_alpha, here))
                 for channel in range(3):
-                    spot = place + row * grid[STRIDE] + 3 * column + channel
-                    rest_here += peek(by_color, spot) * peek(color, spot)
-                    poke(state, lane + 32 + 16 * channel, peek(by_color, spot))
+                    spot = (top + row) * by_layout[0] + by_layout[1] + 3 * (left + column) + channel
+                    by_channel = peek(by_color, spot)
+                    rest_here += by_channel * peek(color, place + row * grid[STRIDE] + 3 * column + channel)
+                    poke(state, lane + 32 + 16 * channel, by_channel)
                 poke(state, lane + 16, rest_here)
 
 
@@ -1564,6 +1597,49 @@ def _step_chunk(
     )  # fmt: skip
 
 
+# results: the derivative by camera_from_world [3, 4], then the sums of the terms of all tiles
+OF_POSE, RESULTS = 12, 15
+_POSE_LANES = np.array([[SUM_LANES.index(x) for x in (3 * j, 3 * j + 1, 3 * j + 2, 9 + j)] for j in range(3)]).ravel()
+
+
+@_inner
+def _sum_up(grid, pose_parts, terms, results):
+    """From the parts of every chunk and tile to ``results [15]``, in float64 and always in the same order."""
+    for number in range(OF_POSE):
+        total = 0.0
+        for chunk in range(grid[CHUNKS]):
+            total += peek(pose_parts, LANES * chunk + peek(_POSE_LANES, number))
+        poke(results, number, total)
+    if len(terms) == 0:
+        return
+    for number in range(3):
+        total = 0.0
+        for tile in range(grid[TILES_X] * grid[TILES_Y]):
+            for lane in range(LANES):
+                total += peek(terms, TILE_TERMS * tile + LANES * number + lane)
+        poke(results, OF_POSE + number, total)
+
+
+@_inner
+def _step(
+    tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts,
+    terms, results, scratch,
+):
+    """When the slots of all tiles are there: `_step_chunk` for every chunk. The last to finish sums up the parts."""
+    if not _all_done(tickets, TILES_DONE, grid[TILES_X] * grid[TILES_Y]):
+        return
+    while True:
+        chunk = take_ticket(tickets, 6)
+        if chunk >= grid[CHUNKS]:
+            return
+        _step_chunk(
+            chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
+            pose_parts, scratch,
+        )  # fmt: skip
+        if take_ticket(tickets, STEPPED) == grid[CHUNKS] - 1:
+            _sum_up(grid, pose_parts, terms, results)
+
+
 # ---------------------------------------------------------------------------------------------------------------------
 # Losses. Colour images here are rows of STRIDE floats: MARGIN zeros, the pixels interleaved, zeros; the blur of one
 # channel is then a blur with steps of three floats.
@@ -1730,21 +1806,29 @@ def _differentiate_row(
 
 
 @_entry
-def project(tickets, parameters, view, grid, records, visible, histogram, chunk_entries):
+def prepare(
+    tickets, parameters, view, grid, records, visible, histogram, chunk_entries, tile_start, tile_order, entries
+):
+    """Project, count and list. Without room for the entries it ends before listing and goes on when called again with
+    more; FILLED counts up to the number of chunks.
+    """
+    chunks = grid[CHUNKS]
     while True:
         chunk = take_ticket(tickets, 0)
-        if chunk >= grid[CHUNKS]:
-            return
+        if chunk >= chunks:
+            break
         _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
-
-
-@_entry
-def fill(tickets, grid, records, visible, histogram, chunk_entries, entries):
+        if take_ticket(tickets, PROJECTED) == chunks - 1:  # the last one to finish
+            tickets[ENTRIES] = _plan(grid, histogram, chunk_entries, tile_start, tile_order)
+            take_ticket(tickets, PLANNED)
+    if not _all_done(tickets, PLANNED, 1) or tickets[ENTRIES] > entries.shape[1]:
+        return
     while True:
         chunk = take_ticket(tickets, 1)
-        if chunk >= grid[CHUNKS]:
+        if chunk >= chunks:
             return
         _fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
+        take_ticket(tickets, FILLED)
 
 
 @_entry
@@ -1780,16 +1864,17 @@ def blend(
 
 @_entry
 def fuse(
-    tickets, view, grid, records, tile_start, tile_order, entries, scratch, factors, target, target_depth, terms, slots
+    tickets, view, grid, records, tile_start, tile_order, entries, scratch, factors, target, target_depth, terms, slots,
+    parameters, first_moment, second_moment, rates, visible, gradient, pose_parts, results,
 ):
-    """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches."""
+    """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches; then step."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, kept = scratch[own : own + 64 * _COLORED], scratch[own + 64 * _COLORED : own + SCRATCH]
     digits, edge = np.empty(DIGITS, np.int64), np.empty(64, np.float32)
     while True:
         ticket = take_ticket(tickets, 2)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
-            return
+            break
         tile = tile_order[ticket]
         start, stop = tile_start[tile], tile_start[tile + 1]
         blocks = _sort_tile(start, stop, entries, digits)
@@ -1799,6 +1884,11 @@ def fuse(
         done = _forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
         _compare_tile(tile, grid, state, factors, target, target_depth, terms, edge)
         _backward(F(x), F(y), start, done, stop, entries, records, view, state, kept, keeps, slots)
+        take_ticket(tickets, TILES_DONE)
+    _step(
+        tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
+        pose_parts, terms, results, scratch[own : own + SCRATCH],
+    )  # fmt: skip
 
 
 @_entry
@@ -1831,17 +1921,21 @@ def differentiate(
 @_entry
 def unblend(
     tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha,
-    by_color, by_depth, by_alpha, slots,
+    by_color, by_depth, by_alpha, by_layout, slots, parameters, first_moment, second_moment, rates, visible, gradient,
+    pose_parts, results,
 ):
-    """The backward pass of what `blend` has left, from the gradients by its pictures."""
+    """The backward pass of what `blend` has left, from the gradients by its pictures; then step.
+
+    ``by_layout [2]``: floats per row of ``by_color`` and before the first pixel of a row.
+    """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, spare = scratch[own : own + 64 * _COLORED], scratch[own + 64 * _COLORED : own + SCRATCH]
     while True:
         ticket = take_ticket(tickets, 5)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
-            return
+            break
         tile = tile_order[ticket]
-        _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha)
+        _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, by_layout)
         x, y = _corner(tile, grid)
         place, done = kept_at[2 * tile], kept_at[2 * tile + 1]
         keeps, keep = 0, spare
@@ -1850,21 +1944,11 @@ def unblend(
         _backward(
             F(x), F(y), tile_start[tile], done, tile_start[tile + 1], entries, records, view, state, keep, keeps, slots
         )
-
-
-@_entry
-def step(
-    tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts
-):
-    scratch = _scratch(42 * LANES)
-    while True:
-        chunk = take_ticket(tickets, 6)
-        if chunk >= grid[CHUNKS]:
-            return
-        _step_chunk(
-            chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
-            pose_parts, scratch,
-        )  # fmt: skip
+        take_ticket(tickets, TILES_DONE)
+    _step(
+        tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
+        pose_parts, scratch[:0], results, scratch[own : own + SCRATCH],
+    )  # fmt: skip
 
 
 @_entry
@@ -1874,7 +1958,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
     records = _scratch(max(grid[COUNT] + LANES, 1) * RECORD)
     visible = np.empty(chunks * (CHUNK // LANES), np.int32)
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
-    tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles, np.int64)
+    tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
     digits = np.empty(DIGITS, np.int64)
     state, no_color = _scratch(64 * _SCORING), np.empty(0, np.float32)
     entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
@@ -1886,7 +1970,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
         view = views[camera]
         for chunk in range(chunks):
             _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
-        total = plan(grid, histogram, chunk_entries, tile_start, tile_order)
+        total = _plan(grid, histogram, chunk_entries, tile_start, tile_order)
         if total > entries.shape[1]:
             entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
         for chunk in range(chunks):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
@@ -14,28 +16,43 @@ _MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a Gaussian of usual size r
 
 
 def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: float = MAX_ALPHA) -> np.ndarray:
-    """The floats of a camera as the kernels read them (``kernels.POSE ...``)."""
-    view = np.empty(k.VIEW_SIZE, np.float32)
-    view[: k.FX] = np.asarray(camera_from_world, dtype=np.float64)[:3].reshape(-1)
+    """The floats of a camera as the kernels read them (``kernels.POSE ...``); of the pose ``[4, 4]`` or ``[3, 4]``."""
+    view = _view_of(camera).copy()
+    view[: k.FX] = camera_from_world[:3].reshape(-1)
+    view[k.MAX_ALPHA] = max_alpha
+    return view
+
+
+@lru_cache(64)
+def _view_of(camera: PinholeCamera) -> np.ndarray:
+    """All of `make_view` that a camera keeps while it moves."""
+    view = np.zeros(k.VIEW_SIZE, np.float32)
     view[k.FX : k.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
     margin_x, margin_y = 0.5 * k.CLAMP_MARGIN * camera.width, 0.5 * k.CLAMP_MARGIN * camera.height
     view[k.LOW_X] = (-camera.cx - margin_x) / camera.fx
     view[k.HIGH_X] = (camera.width - camera.cx + margin_x) / camera.fx
     view[k.LOW_Y] = (-camera.cy - margin_y) / camera.fy
     view[k.HIGH_Y] = (camera.height - camera.cy + margin_y) / camera.fy
-    view[k.MAX_ALPHA] = max_alpha
-    view[k.CONSTANTS :] = 0.0
     view[k.CONSTANTS : k.CONSTANTS + len(k.CONSTANT_VALUES)] = k.CONSTANT_VALUES
     return view
 
 
+def inverse_of_pose(pose: np.ndarray) -> np.ndarray:  # [4, 4] -> [3, 4]
+    """The upper rows of the inverse of one rigid motion; in plain floats, a tenth of the time of nine small arrays."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = np.asarray(pose, dtype=np.float64)[:3].tolist()
+    return np.array([
+        (a, d, g, -(a * x + d * y + g * z)), (b, e, h, -(b * x + e * y + h * z)), (c, f, i, -(c * x + f * y + i * z)),
+    ])  # fmt: skip
+
+
+@lru_cache(64)
 def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
-    """The integers of a rendering as the kernels read them (``kernels.COUNT ...``)."""
+    """The integers of a rendering as the kernels read them (``kernels.COUNT ...``); not to be written to."""
     grid = np.empty(k.GRID_SIZE, np.int64)
     grid[k.COUNT], grid[k.CAPACITY], grid[k.WIDTH], grid[k.HEIGHT] = count, capacity, camera.width, camera.height
     grid[k.TILES_X], grid[k.TILES_Y] = -(-camera.width // k.TILE), -(-camera.height // k.TILE)
     grid[k.BLOCKS_X], grid[k.BLOCKS_Y] = -(-camera.width // 4), -(-camera.height // 4)
-    grid[k.CHUNKS] = -(-count // k.CHUNK)
+    grid[k.CHUNKS] = max(1, -(-count // k.CHUNK))  # an empty map has an empty one
     grid[k.MARGIN], grid[k.TILE_BLOCKS] = k.LANES, 64
     grid[k.STRIDE] = 2 * k.LANES + k.LANES * -(-3 * camera.width // k.LANES)
     return grid
@@ -69,6 +86,7 @@ class Workspace:
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
         self.tickets = np.zeros(k.TICKETS, np.int64)
+        self._results = np.zeros(k.RESULTS)
         self.entries = np.empty((k.ENTRY_ROWS, 0), np.uint64)
 
     def _buffer(self, name: str, size: int, dtype: type = np.float32) -> np.ndarray:
@@ -107,14 +125,15 @@ class Workspace:
         histogram = self._buffer("histogram", chunks * tiles, np.int32)
         chunk_entries = self._buffer("chunk entries", chunks, np.int64)
         self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
-        self.tile_order = self._buffer("tile order", tiles, np.int64)
+        self.tile_order = self._buffer("tile order", tiles + k.PLACES, np.int64)
         self.tickets[:] = 0
-        found = (self.records, self.visible, histogram, chunk_entries)
-        self._run(k.project, parameters, self.view, grid, *found)
-        self.total = k.plan(grid, histogram, chunk_entries, self.tile_start, self.tile_order)
-        if self.total > self.entries.shape[1]:
-            self.entries = np.empty((k.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
-        self._run(k.fill, grid, *found, self.entries)
+        found = (self.records, self.visible, histogram, chunk_entries, self.tile_start, self.tile_order)
+        while self.tickets[k.FILLED] < chunks:
+            self.total = int(self.tickets[k.ENTRIES])
+            if self.total > self.entries.shape[1]:
+                self.entries = np.empty((k.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
+            self._run(k.prepare, parameters, self.view, grid, *found, self.entries)
+        self.total = int(self.tickets[k.ENTRIES])
         self._lists = (self.view, grid, self.records, self.tile_start, self.tile_order, self.entries)
         self._scratch = self._buffer("scratch", self.threads * k.SCRATCH)
 
@@ -206,6 +225,7 @@ class Workspace:
         sums = terms[: height * k.TERMS].reshape(height, k.TERMS).sum(axis=0, dtype=np.float64)
         values = 3 * height * width
         self.by_color = self._image("by color")
+        self._by_layout = self.grid[[k.STRIDE, k.MARGIN]]
         self.by_depth = self._buffer("by depth", height * width)
         self.by_alpha = self._buffer("by alpha", height * width)
         self._run(k.differentiate, self.grid, *images, factors, self.by_color, self.by_depth, self.by_alpha)
@@ -222,20 +242,23 @@ class Workspace:
         factors[k.LEAST_ALPHA], factors[k.NORMALISED] = (0.5, 1.0) if normalised_depth else (-1.0, 0.0)
         return factors
 
-    def fused_losses(
+    def fused_step(
         self,
         target_rgb: np.ndarray,  # [H, W, 3] float32
         target_depth: np.ndarray,  # [H, W] float32
         of_color: float,
         of_depth: float,
-        of_alpha: float = 0.0,
-        normalised_depth: bool = True,
+        of_alpha: float,
+        normalised_depth: bool,
+        rates: np.ndarray,  # [20] float32, as for `backward`
+        first_moment: np.ndarray,  # [14, capacity] float32
+        second_moment: np.ndarray,  # [14, capacity] float32
     ) -> tuple[float, float]:
-        """After `prepare`: blends, compares as `losses` without SSIM, and goes back to the slots, without pictures."""
+        """After `prepare`: blends, compares as `losses` without SSIM and goes back, without pictures."""
         target_depth, pixels = flat(target_depth), self.camera.height * self.camera.width
         measured = max(1, int(np.count_nonzero(target_depth > 0)))
         factors = self._factors(of_color, 0.0, of_depth, of_alpha, normalised_depth, measured)
-        color, depth, _ = self._fuse(factors, target_rgb, target_depth)
+        color, depth, _ = self._fuse(factors, target_rgb, target_depth, rates, first_moment, second_moment)
         return color / (3 * pixels), depth / measured
 
     def tracking_losses(
@@ -245,25 +268,37 @@ class Workspace:
         of_color: float,
         of_depth: float,
         least_alpha: float,
-        normalised_depth: bool = True,
-    ) -> tuple[float, float, int]:
-        """After `prepare`, as `fused_losses`, but for sums over the pixels with a depth and alpha above a limit.
+    ) -> tuple[float, float, int, np.ndarray]:
+        """After `prepare`, as `fused_step`, but for sums over the pixels with a depth and alpha above a limit.
 
-        Returns the sums of |colour difference| and |depth error| and the number of these pixels.
+        Returns the sums of |colour difference| and |depth error|, the number of these pixels, and the derivative
+        ``[3, 4]`` by camera_from_world; the parameters stay as they are.
         """
         factors = np.zeros(k.FACTORS, np.float32)
         factors[k.OF_COLOR], factors[k.OF_DEPTH] = of_color, of_depth
-        factors[k.LEAST_ALPHA], factors[k.NORMALISED] = least_alpha, normalised_depth
-        color, depth, compared = self._fuse(factors, target_rgb, flat(target_depth))
-        return color, depth, int(compared)
+        factors[k.LEAST_ALPHA], factors[k.NORMALISED] = least_alpha, 1.0
+        rates = np.zeros(k.RATES, np.float32)
+        rates[k.MODE] = k.POSE_ONLY
+        arrays = (rates, self.parameters, self.parameters)
+        color, depth, compared = self._fuse(factors, target_rgb, flat(target_depth), *arrays)
+        return color, depth, int(compared), self._by_pose()
 
-    def _fuse(self, factors: np.ndarray, target_rgb: np.ndarray, target_depth: np.ndarray) -> list[float]:
+    def _fuse(
+        self,
+        factors: np.ndarray,
+        target_rgb: np.ndarray,
+        target_depth: np.ndarray,
+        rates: np.ndarray,
+        first_moment: np.ndarray,
+        second_moment: np.ndarray,
+    ) -> list[float]:
         tiles = int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
-        self._slots = self._buffer("slots", self.total * k.LANES)
+        slots = self._buffer("slots", self.total * k.LANES)
         terms = self._buffer("terms", tiles * k.TILE_TERMS)
-        self._run(k.fuse, *self._lists, self._scratch, factors, flat(target_rgb), target_depth, terms, self._slots)
-        terms = terms[: tiles * k.TILE_TERMS].reshape(tiles, 3, k.LANES)
-        return terms.sum(axis=(0, 2), dtype=np.float64).tolist()
+        images = (factors, flat(target_rgb), target_depth, terms)
+        to_map = self._to_map(rates, first_moment, second_moment, self.parameters)
+        self._run_through(k.fuse, *self._lists, self._scratch, *images, slots, *to_map)
+        return self._results[k.OF_POSE :].tolist()
 
     def _maps(self) -> np.ndarray:
         shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
@@ -274,7 +309,8 @@ class Workspace:
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
         """Derivatives of any loss by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
-        self.by_color = self._padded("by color", by_color)
+        self.by_color = flat(by_color)
+        self._by_layout = np.array([3 * self.camera.width, 0])
         self.by_depth = flat(by_depth)
         self.by_alpha = flat(by_alpha)
 
@@ -286,32 +322,35 @@ class Workspace:
         gradient: np.ndarray,  # [14, capacity] float32, zeros
     ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
         """From the gradient images to an Adam step in place, to ``gradient``, or to the pose alone."""
-        self._slots = self._buffer("slots", self.total * k.LANES)
+        slots = self._buffer("slots", self.total * k.LANES)
         self.tickets[:] = 0
-        self._run(
+        self._run_through(
             k.unblend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha,
-            self.by_color, self.by_depth, self.by_alpha, self._slots,
+            self.by_color, self.by_depth, self.by_alpha, self._by_layout, slots,
+            *self._to_map(rates, first_moment, second_moment, gradient),
         )  # fmt: skip
-        return self.step(rates, first_moment, second_moment, gradient)
+        return self._by_pose()
 
-    def step(
+    def _to_map(
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
-    ) -> np.ndarray:
-        """The second half of `backward`: from the slots to the parameters."""
+    ) -> tuple[np.ndarray, ...]:
+        """What the second part of a backward kernel takes."""
         if len(rates) < k.RATES:  # what is left out is 0
             rates = np.concatenate([rates, np.zeros(k.RATES - len(rates), np.float32)])
-        chunks = int(self.grid[k.CHUNKS])
-        pose_parts = self._buffer("pose parts", chunks * k.LANES)
-        self._run(
-            k.step, self.parameters, first_moment, second_moment, rates, self.view, self.grid, self.records,
-            self.visible, self._slots, gradient, pose_parts,
-        )  # fmt: skip
-        total = pose_parts[: chunks * k.LANES].reshape(chunks, k.LANES).sum(axis=0, dtype=np.float64)
-        ordered = total[[k.SUM_LANES.index(number) for number in range(12)]].astype(np.float32)
-        return np.concatenate([ordered[:9].reshape(3, 3), ordered[9:, None]], axis=1)
+        pose_parts = self._buffer("pose parts", int(self.grid[k.CHUNKS]) * k.LANES)
+        return self.parameters, first_moment, second_moment, rates, self.visible, gradient, pose_parts, self._results
+
+    def _by_pose(self) -> np.ndarray:  # [3, 4]
+        """The derivative by camera_from_world that a backward kernel has left."""
+        return self._results[: k.OF_POSE].reshape(3, 4).astype(np.float32)
+
+    def _run_through(self, kernel, *arguments) -> None:
+        """A kernel whose last part steps the map, again while some thread has left it early."""
+        while self.tickets[k.STEPPED] < self.grid[k.CHUNKS]:
+            self._run(kernel, *arguments)
 
     def _run(self, kernel, *arguments) -> None:
-        self.tickets[k.THREAD_TICKET] = 0
+        self.tickets[k.THREAD_TICKET] = self.tickets[k.GIVEN_UP] = 0
         CREW.run(kernel, (self.tickets, *arguments), self.threads)
 
 

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp
+from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting.benchmark import make_workload
+from activestructure_gym.splatting.workspace import Workspace, inverse_of_pose, make_grid, make_view
+
+
+def test_inverse_of_pose_is_that_of_any_rigid_motion():
+    for seed in range(5):
+        pose = se3_exp(np.random.default_rng(seed).normal(size=6))
+        np.testing.assert_allclose(inverse_of_pose(pose), invert_rigid(pose)[:3], atol=1e-15)
+
+
+def test_a_view_does_not_share_memory_with_the_next_one_of_its_camera():
+    camera = PinholeCamera.from_size(40, 30)
+    first = make_view(camera, np.eye(4), max_alpha=0.5)
+    before = first.copy()
+    make_view(camera, se3_exp(np.ones(6)))
+    np.testing.assert_array_equal(first, before)
+
+
+def _prepared(threads):
+    work, workspace = make_workload("W1"), Workspace()
+    workspace.prepare(work.parameters, work.count, work.camera, inverse_of_pose(work.poses[0]), threads=threads)
+    return work, workspace
+
+
+@pytest.mark.parametrize("lost", ["while projecting", "while listing"])
+def test_preparing_ends_without_a_thread_that_lost_its_core_and_goes_on_with_it(lost):
+    work, workspace = _prepared(threads=1)
+    entries, starts = workspace.entries[: k.SORTED_REACH, : workspace.total].copy(), workspace.tile_start.copy()
+    grid, tickets = make_grid(work.count, work.parameters.shape[1], work.camera), np.zeros(k.TICKETS, np.int64)
+    chunks = grid[k.CHUNKS]
+    arguments = (
+        work.parameters, workspace.view, grid, workspace.records, workspace.visible, workspace._buffers["histogram"],
+        workspace._buffers["chunk entries"], workspace.tile_start, workspace.tile_order,
+    )  # fmt: skip
+    workspace.entries[:] = 0
+    if lost == "while projecting":
+        tickets[0] = 1  # the first chunk is in the hands of somebody who does not go on
+        k.prepare(tickets, *arguments, workspace.entries)
+        assert tickets[k.GIVEN_UP] == 1 and tickets[k.PROJECTED] == chunks - 1 and tickets[k.FILLED] == 0
+        tickets[0] = tickets[k.GIVEN_UP] = 0
+        tickets[k.PROJECTED] = 0
+    else:
+        k.prepare(tickets, *arguments, np.empty((k.ENTRY_ROWS, 0), np.uint64))  # no room
+        assert tickets[k.ENTRIES] == workspace.total and tickets[k.FILLED] == 0
+    k.prepare(tickets, *arguments, workspace.entries)
+    assert tickets[k.FILLED] == chunks
+    np.testing.assert_array_equal(workspace.tile_start, starts)
+    keys = workspace.entries[k.KEY, : workspace.total]
+    np.testing.assert_array_equal(keys, entries[k.KEY])
+
+
+def test_an_empty_map_is_prepared_and_rendered():
+    camera, workspace = PinholeCamera.from_size(40, 30), Workspace()
+    workspace.render(np.zeros((14, 16), np.float32), 0, camera, np.eye(4), threads=2)
+    assert workspace.total == 0
+    assert not any(picture.any() for picture in workspace.pictures())

@@ -74,3 +74,11 @@ def test_the_page_of_the_observation_is_up_to_date() -> None:
     )
     for name in (*CANDIDATE_FEATURES, *PLANE_FEATURES):
         assert f"`{name}`" in page
+
+
+def test_the_rasteriser_s_example_runs() -> None:
+    scope: dict[str, Any] = {}
+    (block,) = blocks("docs/rasteriser.md")
+    exec(compile(block, "docs/rasteriser.md", "exec"), scope)
+    assert scope["picture"].color.shape == (120, 160, 3)
+    assert float(scope["means"].grad.abs().sum()) > 0

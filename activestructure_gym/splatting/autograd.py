@@ -46,13 +46,16 @@ class CpuRasterization(torch.autograd.Function):
         coefficients = None if sh is None else sh.detach().contiguous().numpy()
         features = None if channels is None else channels.detach().contiguous().numpy()
         pictures, ctx.rendered = [], []
+        goes_back = any(ctx.needs_input_grad)
         for pose in poses:
             lease = Lease()
             workspace = lease.workspace
             if coefficients is not None:
                 view, grid = make_view(camera, pose), make_grid(count, ctx.parameters.shape[1], camera)
                 shade(ctx.parameters, coefficients, pose, view, grid, ctx.threads)
-            workspace.render(ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, threads=ctx.threads)
+            workspace.render(
+                ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, threads=ctx.threads, keep=goes_back
+            )
             own = list(workspace.pictures())
             kept: list[np.ndarray] = []
             if features is not None:
@@ -61,7 +64,7 @@ class CpuRasterization(torch.autograd.Function):
             if options.median_depth:
                 own.append(passes.median_depth(workspace))
             pictures.append(own)
-            if any(ctx.needs_input_grad):
+            if goes_back:
                 ctx.rendered.append((lease, kept))
         if camera_from_world.dim() == 2:
             outputs = [torch.from_numpy(picture) for picture in pictures[0]]

@@ -263,13 +263,16 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
     """Plain torch; and the kernels as a node of torch's graph, with loss and optimiser of torch."""
     import torch
 
-    from activestructure_gym.splatting.api import rasterize
+    from activestructure_gym.splatting.api import parameter_rows, rasterize
     from activestructure_gym.splatting.torch_tiles import rasterize_torch_tiles
 
     live = torch.from_numpy(work.parameters[:, : work.count].copy())
     splats = [live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T]
     splats = [group.contiguous().requires_grad_() for group in splats]
     optimizer = torch.optim.Adam(splats, lr=0.0, fused=True)
+    # Each in the layout it is fastest with: plain torch with a row per Gaussian, the kernels with one per parameter.
+    rows = [group.requires_grad_() for group in parameter_rows(torch.from_numpy(work.parameters.copy()))]
+    of_rows = torch.optim.Adam(rows, lr=0.0, fused=True)
     poses = torch.from_numpy(invert_rigid(work.poses).astype(np.float32))
     target, measured = torch.from_numpy(work.target_rgb), torch.from_numpy(work.target_depth)
 
@@ -278,7 +281,7 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
             for pose in poses:
                 rasterize_torch_tiles(*splats, pose, work.camera, with_color=False)
 
-    def descend(color: torch.Tensor, depth: torch.Tensor, alpha: torch.Tensor) -> None:
+    def descend(color: torch.Tensor, depth: torch.Tensor, alpha: torch.Tensor, optimizer: torch.optim.Adam) -> None:
         seen = alpha.detach() > 0.5
         error = torch.where(seen, depth / alpha.clamp_min(0.5) - measured, 0.0).abs().mean()
         optimizer.zero_grad()
@@ -287,11 +290,15 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
 
     def iteration() -> None:
         picture = rasterize_torch_tiles(*splats, poses[0], work.camera)
-        descend(picture[..., :3], picture[..., 3], picture[..., 4])
+        descend(picture[..., :3], picture[..., 3], picture[..., 4], optimizer)
 
     def through_autograd(threads: int) -> None:
-        seen = rasterize(*splats, camera_from_world=poses[0], camera=work.camera, backend="cpu", threads=threads)
-        descend(seen.color, seen.depth, seen.alpha)
+        means, quaternions, log_scales, logits, colors = rows
+        seen = rasterize(
+            means.T, quaternions.T, log_scales.T, logits, colors.T, camera_from_world=poses[0], camera=work.camera,
+            backend="cpu", threads=threads,
+        )  # fmt: skip
+        descend(seen.color, seen.depth, seen.alpha, of_rows)
 
     def on(threads: int, action: Callable[[], None]) -> None:
         before = torch.get_num_threads()

@@ -961,18 +961,22 @@ def _plan(grid, histogram, chunk_entries, tile_start, tile_order):
     for tile in range(tiles + 1):
         tile_start[tile] = 0
     for chunk in range(chunks):
+        if chunk_entries[chunk] == 0:  # out of view, as most of a large map
+            continue
         for tile in range(tiles):
-            tile_start[tile] += peek(histogram, chunk * tiles + tile)
+            poke_add(tile_start, tile, np.int64(peek(histogram, chunk * tiles + tile)))
     total = 0
     for tile in range(tiles + 1):
         entries = tile_start[tile]
         tile_start[tile] = total
         total += entries
     for chunk in range(chunks):
+        if chunk_entries[chunk] == 0:
+            continue
         for tile in range(tiles):
-            entries = peek(histogram, chunk * tiles + tile)
-            poke(histogram, chunk * tiles + tile, np.int32(tile_start[tile]))
-            tile_start[tile] += entries
+            entries = np.int64(peek(histogram, chunk * tiles + tile))
+            poke(histogram, chunk * tiles + tile, np.int32(peek(tile_start, tile)))
+            poke_add(tile_start, tile, entries)
     for tile in range(tiles, 0, -1):  # each start has moved to the next one's
         tile_start[tile] = tile_start[tile - 1]
     tile_start[0] = 0

@@ -6,7 +6,7 @@ a tile that a Gaussian reaches are the bits of one uint64. One rendering goes th
     prepare  per chunk of 1024 Gaussians: 64-byte records, block bitmaps, how many (tile, Gaussian) entries there are;
              serial: where the entries of every tile and chunk go; per chunk: the entries
     blend    per tile: sort by depth (exact float order, ties by index), blend front to back
-    compare  per rows: losses, SSIM and (differentiate) the gradient images
+    compare  per strip of columns: losses, SSIM and the gradient images
     unblend  per tile: front to back again; one 16-float slot of sums per entry;
              per chunk: sum the slots, back through the projection, Adam or dense gradients
 
@@ -1195,6 +1195,7 @@ def _make_forward(with_color):
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
                     store(state, at + 64, fma(weight, b, load(state, at + 64)))
                     store(kept, at_kept, opaque)
+                    prefetch(kept, at_kept + 16 * LANES)  # to be written: a line costs more than the block if it is far
                     at_kept += keeps
         return stop
 
@@ -1252,6 +1253,7 @@ def _backward(x, y, start, done, stop, entries, records, view, state, kept, keep
             at = _COLORED * block
             t, s = _place(records, base, block, along, across)
             opaque = load(kept, at_kept)
+            prefetch(kept, at_kept + 32 * LANES)  # what `blend` has kept of a whole picture comes from far
             at_kept += LANES
             before = load(state, at)
             weight = opaque * before
@@ -1647,162 +1649,298 @@ def _step(
 # ---------------------------------------------------------------------------------------------------------------------
 # Losses. Colour images here are rows of STRIDE floats: MARGIN zeros, the pixels interleaved, zeros; the blur of one
 # channel is then a blur with steps of three floats.
+#
+# A thread takes a strip of the picture, some vectors wide and all rows high, and goes down it in groups of 8 rows. Of
+# every group it blurs along the rows, then down the columns where the group and its neighbours are there, so that one
+# load of a row serves up to 8 sums. What it carries from group to group stays in the second cache:
+#     lines   u = (x + y) / sqrt(2), v = (x - y) / sqrt(2) of one row
+#     means   3 groups [column, (u, u^2, v, v^2), row, 16] blurred along the rows
+#     maps    1 group [(mean, variance, covariance), row, column, 16] of the derivatives of SSIM
+#     backs   3 groups [column, (mean, variance, covariance), row, 16] of these, blurred along the rows
+# With u and v two blurred squares take the part of x^2 + y^2 and of x y, and no product has to be stored.
 
 _HALF_TAPS = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
 _TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
-_C1, _C2 = F(0.01**2), F(0.03**2)
-# terms of a row: sums of |colour difference|, SSIM and |depth error|
-TERM_COLOR, TERM_SSIM, TERM_DEPTH, TERMS = range(4)
+_C1, _C2, _ROOT = F(0.01**2), F(0.03**2), F(np.sqrt(0.5))
+_GROUP = 8
+_BLOCK = _GROUP * LANES  # floats of one quantity of a group in one column
+# terms of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM; then of pieces of the depth image,
+# so many pixels each: the sum of |depth error|
+TERM_COLOR, TERM_SSIM, TERMS = 0, LANES, 2 * LANES
+PIECE = 1920
+STRIP_FLOATS = (3 * 4 + 3 * 3 + 3) * _BLOCK + 2 * LANES  # of scratch per column of a strip and its 4 columns of edge
 
 
-@_inner
-def _blur_along(buffer, at):
-    """Horizontal blur of one row buffer at 16 floats."""
-    total = load(buffer, at) * _TAPS[5]
-    for k in range(1, 6):
-        total = fma(load(buffer, at - 3 * k) + load(buffer, at + 3 * k), _TAPS[5 + k], total)
-    return total
+def _load_at(context, builder, sig, args, offset):
+    pointer = _pointer(context, builder, sig.args[0], args[0], builder.add(args[1], ir.Constant(_I64, offset)))
+    return builder.load(builder.bitcast(pointer, _FLOATS.as_pointer()), align=4, typ=_FLOATS)
 
 
-@_inner
-def _ssim_row(row, grid, image, target, maps, buffers):
-    """Sum of SSIM over a row; its derivatives by mean, variance and covariance go to ``maps [3, H, STRIDE]``."""
-    height, stride, margin = grid[HEIGHT], grid[STRIDE], grid[MARGIN]
-    length = 3 * grid[WIDTH]
-    first, last = max(row - 5, 0), min(row + 6, height)
-    for column in range(margin, margin + length, LANES):
-        mean_x, mean_y = spread(F(0.0)), spread(F(0.0))
-        squares, product = mean_x, mean_x
-        for k in range(first, last):
-            x, y = load(image, k * stride + column), load(target, k * stride + column)
-            tap = spread(_TAPS[k - row + 5])
-            tap_x, tap_y = x * tap, y * tap
-            mean_x, mean_y = mean_x + tap_x, mean_y + tap_y
-            squares, product = fma(tap_x, x, fma(tap_y, y, squares)), fma(tap_x, y, product)
-        store(buffers, column, mean_x)
-        store(buffers, stride + column, mean_y)
-        store(buffers, 2 * stride + column, squares)
-        store(buffers, 3 * stride + column, product)
-    total = spread(F(0.0))
-    plane = height * stride
-    for column in range(margin, margin + length, LANES):
-        mx, my = _blur_along(buffers, column), _blur_along(buffers, stride + column)
-        squares = _blur_along(buffers, 2 * stride + column)
-        product = _blur_along(buffers, 3 * stride + column)
-        both = fma(mx, mx, my * my)
-        n1, n2 = fma(mx + mx, my, _C1), fma(product - mx * my, F(2.0), _C2)
-        d1, d2 = both + _C1, squares - both + _C2
-        inverse = spread(F(1.0)) / (d1 * d2)
-        value = n1 * n2 * inverse
-        inside = lane_index() < F(margin + length - column)
-        total = total + sel(inside, value, F(0.0))
-        by_mean = fma(my, (n2 - n1) * inverse, mx * value * ((d1 - d2) * inverse)) * F(2.0)
-        at = row * stride + column
-        store(maps, at, sel(inside, by_mean, F(0.0)))
-        store(maps, plane + at, sel(inside, neg(value * d1 * inverse), F(0.0)))
-        store(maps, 2 * plane + at, sel(inside, n1 * inverse * F(2.0), F(0.0)))
-    return _lane_sum(total)
+def _times_tap(builder, value, distance, total=None):
+    tap = ir.Constant(_FLOATS, [float(_TAPS[5 + distance])] * LANES)
+    if total is None:
+        return builder.fmul(value, tap)
+    return _call(builder, "llvm.fmuladd.v16f32", _FLOATS, [value, tap, total])
 
 
 @intrinsic
-def _lane_sum(typingctx, vector):
-    """The sum of the 16 lanes, in order."""
+def _blur_along(typingctx, array, index):
+    """Horizontal blur at 16 floats."""
 
     def codegen(context, builder, sig, args):
-        total = builder.extract_element(args[0], ir.Constant(_I32, 0))
-        for lane in range(1, LANES):
-            total = builder.fadd(total, builder.extract_element(args[0], ir.Constant(_I32, lane)))
+        total = _times_tap(builder, _load_at(context, builder, sig, args, 0), 0)
+        for k in range(1, 6):
+            pair = [_load_at(context, builder, sig, args, offset) for offset in (-3 * k, 3 * k)]
+            total = _times_tap(builder, builder.fadd(*pair), k, total)
         return total
 
-    return types.float32(floats), codegen
+    return floats(array, types.intp), codegen
+
+
+@intrinsic
+def _blur_squares_along(typingctx, array, index):
+    """Horizontal blur at 16 floats, of the values and of their squares."""
+
+    def codegen(context, builder, sig, args):
+        value = _load_at(context, builder, sig, args, 0)
+        total, squares = _times_tap(builder, value, 0), _times_tap(builder, builder.fmul(value, value), 0)
+        for k in range(1, 6):
+            one, two = (_load_at(context, builder, sig, args, offset) for offset in (-3 * k, 3 * k))
+            square = _call(builder, "llvm.fmuladd.v16f32", _FLOATS, [one, one, builder.fmul(two, two)])
+            total = _times_tap(builder, builder.fadd(one, two), k, total)
+            squares = _times_tap(builder, square, k, squares)
+        return context.make_tuple(builder, sig.return_type, [total, squares])
+
+    return types.UniTuple(floats, 2)(array, types.intp), codegen
+
+
+@intrinsic
+def _blur_down(typingctx, array, above, here, below, to):
+    """Vertical blur of a group of 8 rows, from the blocks of itself and its neighbours to the one at ``to``."""
+
+    def codegen(context, builder, sig, args):
+        totals = [None] * _GROUP
+        for row in range(-5, _GROUP + 5):
+            block = [args[0], args[2 + (row >= _GROUP) - (row < 0)]]
+            value = _load_at(context, builder, sig, block, LANES * (row % _GROUP))
+            for to in range(max(row - 5, 0), min(row + 6, _GROUP)):
+                totals[to] = _times_tap(builder, value, abs(row - to), totals[to])
+        for row, total in enumerate(totals):
+            at = builder.add(args[4], ir.Constant(_I64, LANES * row))
+            pointer = _pointer(context, builder, sig.args[0], args[0], at)
+            builder.store(total, builder.bitcast(pointer, _FLOATS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, *[types.intp] * 4), codegen
+
+
+def _first_lanes(builder, count):
+    lanes = ir.Constant(_INTS, list(range(LANES)))
+    return builder.icmp_signed("<", lanes, _spread(builder, builder.trunc(count, _I32)))
+
+
+@intrinsic
+def _load_first(typingctx, array, index, count):
+    """The first ``count`` of 16 floats and zeros; what lies behind is not touched."""
+
+    def codegen(context, builder, sig, args):
+        pointer = builder.bitcast(_pointer(context, builder, sig.args[0], args[0], args[1]), _FLOATS.as_pointer())
+        mask = _first_lanes(builder, args[2])
+        kind = ir.FunctionType(_FLOATS, [pointer.type, _I32, _MASK, _FLOATS])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.load.v16f32.p0")
+        return builder.call(function, [pointer, ir.Constant(_I32, 4), mask, ir.Constant(_FLOATS, None)])
+
+    return floats(array, types.intp, types.intp), codegen
+
+
+@intrinsic
+def _store_first(typingctx, array, index, count, value):
+    def codegen(context, builder, sig, args):
+        pointer = builder.bitcast(_pointer(context, builder, sig.args[0], args[0], args[1]), _FLOATS.as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [_FLOATS, pointer.type, _I32, _MASK])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.store.v16f32.p0")
+        builder.call(function, [args[3], pointer, ir.Constant(_I32, 4), _first_lanes(builder, args[2])])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, floats), codegen
+
+
+@_inline
+def _load_up_to(array, at, end):
+    """16 floats, zeros from ``end`` on."""
+    return load(array, at) if at + LANES <= end else _load_first(array, at, end - at)
+
+
+@_inline
+def _store_up_to(array, at, end, value):
+    if at + LANES <= end:
+        store(array, at, value)
+    else:
+        _store_first(array, at, end - at, value)
+
+
+@_inline
+def _load_target(target, row, column, length):
+    """16 floats of a row of ``target [H, length]``, zeros behind its end."""
+    return _load_up_to(target, row * length + LANES * column, (row + 1) * length)
 
 
 @_inner
-def _compare_row(row, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, factors):
-    """The loss terms of one row."""
-    at = TERMS * row
-    terms[at + TERM_SSIM] = F(0.0)
-    if factors[OF_SSIM] != F(0.0):
-        terms[at + TERM_SSIM] = _ssim_row(row, grid, image, target, maps, buffers)
-    start = row * grid[STRIDE] + grid[MARGIN]
-    total = spread(F(0.0))
-    for column in range(start, start + 3 * grid[WIDTH], LANES):
-        difference = load(image, column) - load(target, column)  # both are 0 in the margin
-        total = total + _most(difference, neg(difference))
-    terms[at + TERM_COLOR] = _lane_sum(total)
-    first, end = row * grid[WIDTH], (row + 1) * grid[WIDTH]
-    total = spread(F(0.0))
-    while first + LANES <= end:
-        measured, opaque = load(target_depth, first), load(alpha, first)
-        counts = (measured > F(0.0)) & (opaque > factors[LEAST_ALPHA])
-        share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
-        difference, _ = _difference(load(depth, first) / share, measured, spread(F(0.0)))
-        total = total + sel(counts, difference, F(0.0))
-        first += LANES
-    error = _lane_sum(total)
-    for pixel in range(first, end):
-        if peek(target_depth, pixel) > F(0.0) and peek(alpha, pixel) > factors[LEAST_ALPHA]:
-            share = peek(alpha, pixel) if factors[NORMALISED] > F(0.0) else F(1.0)
-            error += abs(peek(depth, pixel) / share - peek(target_depth, pixel))
-    terms[at + TERM_DEPTH] = error
+def _means_of_group(top, first, last, grid, image, target, scratch, lines, means):
+    """Blur along the rows from ``top`` on, from column ``first`` on."""
+    stride, length, height = grid[STRIDE], 3 * grid[WIDTH], grid[HEIGHT]
+    columns = (length + LANES - 1) // LANES
+    room = last - first + 4
+    low, high = max(first - 1, 0), min(last + 1, columns)
+    for row in range(top, min(top + _GROUP, height)):
+        base = row * stride + grid[MARGIN]
+        for column in range(max(first - 2, 0), min(last + 2, columns)):
+            x, y = load(image, base + LANES * column), _load_target(target, row, column, length)
+            at = lines + LANES * (column - first + 2)
+            store(scratch, at, (x + y) * _ROOT)
+            store(scratch, at + LANES * room, (x - y) * _ROOT)
+        for column in range(low, high):
+            at = lines + LANES * (column - first + 2)
+            mean_u, square_u = _blur_squares_along(scratch, at)
+            mean_v, square_v = _blur_squares_along(scratch, at + LANES * room)
+            to = means + 4 * _BLOCK * (column - first + 1) + LANES * (row - top)
+            store(scratch, to, mean_u)
+            store(scratch, to + _BLOCK, square_u)
+            store(scratch, to + 2 * _BLOCK, mean_v)
+            store(scratch, to + 3 * _BLOCK, square_v)
+    for row in range(max(height - top, 0), _GROUP):
+        for to in range(means + LANES * row, means + 4 * _BLOCK * (last - first + 2), _BLOCK):
+            store(scratch, to, spread(F(0.0)))
+
+
+@_inline
+def _map_row(scratch, blurred, inside, maps, plane):
+    """SSIM at 16 floats; its derivatives by mean, variance and covariance go to ``maps``."""
+    mu, mv = load(scratch, blurred), load(scratch, blurred + 2 * _BLOCK)
+    mu_mu, mv_mv = mu * mu, mv * mv
+    var_u, var_v = load(scratch, blurred + _BLOCK) - mu_mu, load(scratch, blurred + 3 * _BLOCK) - mv_mv
+    n1, n2 = mu_mu - mv_mv + _C1, var_u - var_v + _C2
+    d1, d2 = mu_mu + mv_mv + _C1, var_u + var_v + _C2
+    inverse = spread(F(1.0)) / (d1 * d2)
+    value = n1 * n2 * inverse
+    mx, my = mu + mv, mu - mv  # times sqrt(2)
+    by_mean = fma(my, n2 - n1, mx * value * (d1 - d2)) * inverse * (F(2.0) * _ROOT)
+    store(scratch, maps, sel(inside, by_mean, F(0.0)))
+    store(scratch, maps + plane, sel(inside, neg(value * d1 * inverse), F(0.0)))
+    store(scratch, maps + 2 * plane, sel(inside, n1 * inverse * F(2.0), F(0.0)))
+    return value
 
 
 @_inner
-def _differentiate_row(
-    row, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha, buffers
+def _maps_of_group(top, first, last, grid, scratch, above, here, below, blurred, maps, backs, terms):
+    """SSIM of the rows from ``top`` on: its sum, and its derivatives, blurred along the rows."""
+    length, rows, zero = 3 * grid[WIDTH], min(_GROUP, grid[HEIGHT] - top), spread(F(0.0))
+    line = LANES * (last - first + 2)  # of the maps: the columns of the strip and one at each side
+    plane, end = _GROUP * line, min(last + 1, (length + LANES - 1) // LANES)
+    for column in range(max(first - 1, 0), last + 2):
+        # The derivatives are blurred two columns later, row by row in turn with SSIM: its arithmetic and their loads
+        # across cache lines go well together, and loads do not meet stores on their way.
+        inside, total, back = lane_index() < F(length - LANES * column), zero, column - 2
+        if column < end:
+            for own in range(0, 4 * _BLOCK, _BLOCK):
+                at = 4 * _BLOCK * (column - first + 1) + own
+                _blur_down(scratch, above + at, here + at, below + at, blurred + own)
+        for row in range(_GROUP):
+            at = maps + row * line + LANES * (column - first + 1)
+            if column < end and row < rows:
+                total = total + _map_row(scratch, blurred + LANES * row, inside, at, plane)
+            elif column < end:
+                store(scratch, at, zero)
+                store(scratch, at + plane, zero)
+                store(scratch, at + 2 * plane, zero)
+            if back >= first:
+                at, to = at - 2 * LANES, backs + 3 * _BLOCK * (back - first) + LANES * row
+                store(scratch, to, _blur_along(scratch, at))
+                store(scratch, to + _BLOCK, _blur_along(scratch, at + plane))
+                store(scratch, to + 2 * _BLOCK, _blur_along(scratch, at + 2 * plane))
+        if column >= first and column < min(last, end):
+            at = TERMS * column + TERM_SSIM
+            store(terms, at, load(terms, at) + sel(inside, total, F(0.0)))
+
+
+@_inner
+def _gradient_of_group(
+    top, first, last, grid, image, target, scratch, above, here, below, blurred, factors, by_color, terms
 ):
-    """The gradient images of one row."""
-    height, stride, margin = grid[HEIGHT], grid[STRIDE], grid[MARGIN]
-    length, plane = 3 * grid[WIDTH], height * stride
-    of_sign, of_ssim, of_depth = factors[OF_COLOR], factors[OF_SSIM], factors[OF_DEPTH]
-    first, last = max(row - 5, 0), min(row + 6, height)
-    if of_ssim != F(0.0):
-        for column in range(margin, margin + length, LANES):
-            a, b, c = spread(F(0.0)), spread(F(0.0)), spread(F(0.0))
-            for k in range(first, last):
-                at, tap = k * stride + column, spread(_TAPS[k - row + 5])
-                a = fma(load(maps, at), tap, a)
-                b = fma(load(maps, plane + at), tap, b)
-                c = fma(load(maps, 2 * plane + at), tap, c)
-            store(buffers, column, a)
-            store(buffers, stride + column, b)
-            store(buffers, 2 * stride + column, c)
-    for column in range(margin, margin + length, LANES):
-        at = row * stride + column
-        x, y = load(image, at), load(target, at)
-        gradient = sel(x > y, of_sign, sel(x < y, neg(spread(of_sign)), F(0.0)))
-        if of_ssim != F(0.0):
-            by_mean = _blur_along(buffers, column)
-            by_variance = _blur_along(buffers, stride + column)
-            by_covariance = _blur_along(buffers, 2 * stride + column)
-            gradient = fma(fma(x + x, by_variance, fma(y, by_covariance, by_mean)), of_ssim, gradient)
-        store(by_color, at, sel(lane_index() < F(margin + length - column), gradient, F(0.0)))
-    first, end = row * grid[WIDTH], (row + 1) * grid[WIDTH]
-    while first + LANES <= end:
-        measured, opaque = load(target_depth, first), load(alpha, first)
+    """The derivative by the colours of the rows from ``top`` on, and the sum of their differences."""
+    stride, length = grid[STRIDE], 3 * grid[WIDTH]
+    of_sign, of_ssim = factors[OF_COLOR], factors[OF_SSIM]
+    for column in range(first, last):
+        for quantity in range(0, 3 * _BLOCK, _BLOCK):
+            own = 3 * _BLOCK * (column - first) + quantity
+            _blur_down(scratch, above + own, here + own, below + own, blurred + quantity)
+        inside, total = lane_index() < F(length - LANES * column), spread(F(0.0))
+        for row in range(top, min(top + _GROUP, grid[HEIGHT])):
+            at, own = row * stride + grid[MARGIN] + LANES * column, blurred + LANES * (row - top)
+            x, y = load(image, at), _load_target(target, row, column, length)
+            error, gradient = _difference(x, y, spread(of_sign))
+            total = total + error
+            by_variance, by_covariance = load(scratch, own + _BLOCK), load(scratch, own + 2 * _BLOCK)
+            of_both = fma(x + x, by_variance, fma(y, by_covariance, load(scratch, own)))
+            store(by_color, at, sel(inside, fma(of_both, of_ssim, gradient), F(0.0)))
+        at = TERMS * column + TERM_COLOR
+        store(terms, at, load(terms, at) + total)  # both are 0 behind the row's end
+
+
+@_inner
+def _compare_strip(first, last, grid, image, target, factors, by_color, terms, scratch):
+    """Colour losses and gradient of the columns of vectors from ``first`` to before ``last``."""
+    room, groups = last - first, (grid[HEIGHT] + _GROUP - 1) // _GROUP
+    means, backs = 4 * _BLOCK * (room + 2), 3 * _BLOCK * room  # floats of a group
+    at_backs = 3 * means
+    at_maps = at_backs + 3 * backs
+    at_lines = at_maps + 3 * _BLOCK * (room + 2)
+    at_blurred = at_lines + 2 * LANES * (room + 4)
+    # Zero is what lies above the picture and at its sides.
+    for at in range(2 * means, 3 * means, LANES):
+        store(scratch, at, spread(F(0.0)))
+    for at in range(at_backs + 2 * backs, at_blurred, LANES):
+        store(scratch, at, spread(F(0.0)))
+    for at in range(TERMS * first, TERMS * last, LANES):
+        store(terms, at, spread(F(0.0)))
+    for step in range(groups + 2):
+        # group g lies in place (g + 3) % 3
+        newest, middle, oldest = step % 3, (step + 2) % 3, (step + 1) % 3
+        if step <= groups:
+            _means_of_group(_GROUP * step, first, last, grid, image, target, scratch, at_lines, means * newest)
+        if step >= 1 and step <= groups:
+            _maps_of_group(
+                _GROUP * (step - 1), first, last, grid, scratch, means * oldest, means * middle, means * newest,
+                at_blurred, at_maps, at_backs + backs * middle, terms,
+            )  # fmt: skip
+        if step > groups:
+            for at in range(at_backs + backs * middle, at_backs + backs * (middle + 1), LANES):
+                store(scratch, at, spread(F(0.0)))
+        if step >= 2:
+            _gradient_of_group(
+                _GROUP * (step - 2), first, last, grid, image, target, scratch, at_backs + backs * newest,
+                at_backs + backs * oldest, at_backs + backs * middle, at_blurred, factors, by_color, terms,
+            )  # fmt: skip
+
+
+@_inner
+def _compare_depth(first, end, depth, alpha, target_depth, factors, by_depth, by_alpha):
+    """Sum of the depth errors of pixels from ``first`` to before ``end``; the derivatives by depth and alpha."""
+    total, one = spread(F(0.0)), spread(F(1.0))
+    normalised = spread(factors[NORMALISED]) > F(0.0)
+    for at in range(first, end, LANES):
+        measured, opaque = _load_up_to(target_depth, at, end), _load_up_to(alpha, at, end)
         has_depth = measured > F(0.0)
         counts = has_depth & (opaque > factors[LEAST_ALPHA])
-        share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
-        expected = load(depth, first) / share
-        _, sign = _difference(expected, measured, spread(of_depth))
-        g_z = sel(counts, sign / share, F(0.0))
-        store(by_depth, first, g_z)
+        of_sum = one / sel(counts & normalised, opaque, F(1.0))
+        expected = _load_up_to(depth, at, end) * of_sum
+        error, sign = _difference(expected, measured, spread(factors[OF_DEPTH]))
+        total = total + sel(counts, error, F(0.0))
+        g_z = sel(counts, sign * of_sum, F(0.0))
+        _store_up_to(by_depth, at, end, g_z)
         g_a = sel(has_depth, (opaque - F(1.0)) * factors[OF_ALPHA], F(0.0))
-        store(by_alpha, first, g_a - g_z * expected * factors[NORMALISED])
-        first += LANES
-    for pixel in range(first, end):
-        of_pixel, of_alpha = F(0.0), F(0.0)
-        if peek(target_depth, pixel) > F(0.0):
-            of_alpha = -factors[OF_ALPHA] * (F(1.0) - peek(alpha, pixel))
-            if peek(alpha, pixel) > factors[LEAST_ALPHA]:
-                share = peek(alpha, pixel) if factors[NORMALISED] > F(0.0) else F(1.0)
-                expected = peek(depth, pixel) / share
-                error = expected - peek(target_depth, pixel)
-                sign = of_depth if error > F(0.0) else -of_depth if error < F(0.0) else F(0.0)
-                of_pixel = sign / share
-                of_alpha -= of_pixel * expected * factors[NORMALISED]
-        poke(by_depth, pixel, of_pixel)
-        poke(by_alpha, pixel, of_alpha)
+        _store_up_to(by_alpha, at, end, g_a - g_z * expected * factors[NORMALISED])
+    return total
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -1896,30 +2034,29 @@ def fuse(
 
 
 @_entry
-def compare(tickets, grid, image, depth, alpha, target, target_depth, maps, factors, terms):
-    buffers = np.zeros(4 * grid[STRIDE], np.float32)
-    while True:
-        row = 8 * take_ticket(tickets, 3)
-        if row >= grid[HEIGHT]:
-            return
-        for own in range(row, min(row + 8, grid[HEIGHT])):
-            _compare_row(own, grid, image, depth, alpha, target, target_depth, maps, terms, buffers, factors)
-
-
-@_entry
-def differentiate(
-    tickets, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha
+def compare(
+    tickets, strip, grid, image, depth, alpha, target, target_depth, scratch, factors, terms, by_color, by_depth,
+    by_alpha,
 ):
-    buffers = np.zeros(4 * grid[STRIDE], np.float32)
+    """Losses and gradient images: colour in strips of so many vectors, then depth in pieces.
+
+    ``target [H * W * 3]`` without margins. The ``strip`` does not change the results.
+    """
+    own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
+    state, columns = scratch[own : own + SCRATCH], (3 * grid[WIDTH] + LANES - 1) // LANES
     while True:
-        row = 8 * take_ticket(tickets, 4)
-        if row >= grid[HEIGHT]:
+        first = strip * take_ticket(tickets, 3)
+        if first >= columns:
+            break
+        _compare_strip(first, min(first + strip, columns), grid, image, target, factors, by_color, terms, state)
+    pixels = grid[HEIGHT] * grid[WIDTH]
+    while True:
+        piece = take_ticket(tickets, 4)
+        if PIECE * piece >= pixels:
             return
-        for own in range(row, min(row + 8, grid[HEIGHT])):
-            _differentiate_row(
-                own, grid, image, depth, alpha, target, target_depth, maps, factors, by_color, by_depth, by_alpha,
-                buffers,
-            )  # fmt: skip
+        end = min(PIECE * (piece + 1), pixels)
+        error = _compare_depth(PIECE * piece, end, depth, alpha, target_depth, factors, by_depth, by_alpha)
+        store(terms, TERMS * columns + LANES * piece, error)
 
 
 @_entry

@@ -12,6 +12,7 @@ from activestructure_gym.splatting.crew import CREW, default_threads
 
 MAX_ALPHA = 0.999
 _NO_FLOATS = np.empty(0, np.float32)
+_STRIP = 30  # vectors, about: a third of a million bytes in the second cache
 _MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a Gaussian of usual size reaches about 5 blocks of a tile
 
 
@@ -215,22 +216,29 @@ class Workspace:
         the accumulated depth; its sum is divided by the number of pixels with a measured depth.
         """
         height, width = self.camera.height, self.camera.width
-        target, target_depth = self._padded("target", target_rgb), flat(target_depth)
+        target_depth = flat(target_depth)
         measured = max(1, int(np.count_nonzero(target_depth > 0)))
-        maps = self._maps() if of_ssim else _NO_FLOATS
-        terms = self._buffer("terms", height * k.TERMS)
-        images = (self.color, self.depth, self.alpha, target, target_depth, maps)
+        columns, pieces = -(-3 * width // k.LANES), -(-height * width // k.PIECE)
+        terms = self._buffer("terms", columns * k.TERMS + pieces * k.LANES)
         factors = self._factors(of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured)
-        self._run(k.compare, self.grid, *images, factors, terms)
-        sums = terms[: height * k.TERMS].reshape(height, k.TERMS).sum(axis=0, dtype=np.float64)
-        values = 3 * height * width
         self.by_color = self._image("by color")
         self._by_layout = self.grid[[k.STRIDE, k.MARGIN]]
         self.by_depth = self._buffer("by depth", height * width)
         self.by_alpha = self._buffer("by alpha", height * width)
-        self._run(k.differentiate, self.grid, *images, factors, self.by_color, self.by_depth, self.by_alpha)
-        ssim = sums[k.TERM_SSIM] / values if of_ssim else float("nan")
-        return float(sums[k.TERM_COLOR] / values), float(sums[k.TERM_DEPTH] / measured), float(ssim)
+        scratch = self._buffer("scratch", self.threads * k.SCRATCH)
+        self._run(
+            k.compare, self._strip(columns), self.grid, self.color, self.depth, self.alpha, flat(target_rgb),
+            target_depth, scratch, factors, terms, self.by_color, self.by_depth, self.by_alpha,
+        )  # fmt: skip
+        of_columns, of_pieces = terms[: columns * k.TERMS], terms[columns * k.TERMS :][: pieces * k.LANES]
+        color, ssim = of_columns.reshape(columns, 2, k.LANES).sum(axis=(0, 2), dtype=np.float64) / (3 * height * width)
+        error = of_pieces.sum(dtype=np.float64) / measured
+        return float(color), float(error), float(ssim) if of_ssim else float("nan")
+
+    def _strip(self, columns: int) -> int:
+        """How many columns of vectors one thread compares at a time: as many strips for each thread."""
+        rounds = max(1, round(columns / (_STRIP * self.threads)))
+        return min(-(-columns // (rounds * self.threads)), k.SCRATCH // k.STRIP_FLOATS - 4)
 
     def _factors(self, of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured) -> np.ndarray:
         """The weights of `losses` as the kernels take them."""
@@ -299,13 +307,6 @@ class Workspace:
         to_map = self._to_map(rates, first_moment, second_moment, self.parameters)
         self._run_through(k.fuse, *self._lists, self._scratch, *images, slots, *to_map)
         return self._results[k.OF_POSE :].tolist()
-
-    def _maps(self) -> np.ndarray:
-        shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
-        name = f"maps {shape}"
-        if name not in self._buffers:
-            self._buffers[name] = aligned_zeros(3 * shape[0] * shape[1])
-        return self._buffers[name]
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
         """Derivatives of any loss by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""

@@ -23,7 +23,7 @@ def _ssim_torch(x, y):
     return (numerator / ((mx**2 + my**2 + 0.01**2) * (blur(x * x) - mx**2 + blur(y * y) - my**2 + 0.03**2))).mean()
 
 
-@pytest.mark.parametrize("shape", [(50, 70, 3), (1, 1, 3), (7, 40, 3), (64, 64, 3), (33, 3, 3)])
+@pytest.mark.parametrize("shape", [(50, 70, 3), (1, 1, 3), (7, 40, 3), (64, 64, 3), (33, 3, 3), (9, 700, 3)])
 def test_value_and_gradient_against_float64_autograd(shape):
     x, y = _pair(shape)
     leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
@@ -32,6 +32,16 @@ def test_value_and_gradient_against_float64_autograd(shape):
     value, gradient = ssim_and_gradient(x, y)
     assert value == pytest.approx(expected.item(), abs=2e-6)
     assert np.linalg.norm(gradient - by_leaf.numpy()) <= 2e-5 * by_leaf.norm().item()
+
+
+def test_threads_do_not_change_a_bit():
+    # every number of threads cuts the picture into other strips
+    x, y = _pair((21, 300, 3))
+    value, gradient = ssim_and_gradient(x, y, threads=1)
+    for threads in (2, 3, 7):
+        again, by_image = ssim_and_gradient(x, y, threads=threads)
+        assert again == value
+        np.testing.assert_array_equal(by_image, gradient)
 
 
 def test_interior_agrees_with_scikit_image():

@@ -267,9 +267,9 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
     from activestructure_gym.splatting.torch_tiles import rasterize_torch_tiles
 
     live = torch.from_numpy(work.parameters[:, : work.count].copy())
-    splats = [live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T]
-    splats = [group.contiguous().requires_grad_() for group in splats]
-    optimizer = torch.optim.Adam(splats, lr=0.0, fused=True)
+    columns = (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
+    means, quaternions, log_scales, logits, colors = (group.contiguous().requires_grad_() for group in columns)
+    optimizer = torch.optim.Adam([means, quaternions, log_scales, logits, colors], lr=0.0, fused=True)
     # Each in the layout it is fastest with: plain torch with a row per Gaussian, the kernels with one per parameter.
     rows = [group.requires_grad_() for group in parameter_rows(torch.from_numpy(work.parameters.copy()))]
     of_rows = torch.optim.Adam(rows, lr=0.0, fused=True)
@@ -279,7 +279,9 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
     def score() -> None:
         with torch.no_grad():
             for pose in poses:
-                rasterize_torch_tiles(*splats, pose, work.camera, with_color=False)
+                rasterize_torch_tiles(
+                    means, quaternions, log_scales, logits, colors, pose, work.camera, with_color=False
+                )
 
     def descend(color: torch.Tensor, depth: torch.Tensor, alpha: torch.Tensor, optimizer: torch.optim.Adam) -> None:
         seen = alpha.detach() > 0.5
@@ -289,14 +291,14 @@ def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]
         optimizer.step()
 
     def iteration() -> None:
-        picture = rasterize_torch_tiles(*splats, poses[0], work.camera)
+        picture = rasterize_torch_tiles(means, quaternions, log_scales, logits, colors, poses[0], work.camera)
         descend(picture[..., :3], picture[..., 3], picture[..., 4], optimizer)
 
     def through_autograd(threads: int) -> None:
-        means, quaternions, log_scales, logits, colors = rows
+        mean_rows, quaternion_rows, scale_rows, logit_row, color_rows = rows
         seen = rasterize(
-            means.T, quaternions.T, log_scales.T, logits, colors.T, camera_from_world=poses[0], camera=work.camera,
-            backend="cpu", threads=threads,
+            mean_rows.T, quaternion_rows.T, scale_rows.T, logit_row, color_rows.T, camera_from_world=poses[0],
+            camera=work.camera, backend="cpu", threads=threads,
         )  # fmt: skip
         descend(seen.color, seen.depth, seen.alpha, of_rows)
 

@@ -1676,11 +1676,13 @@ def _load_at(context, builder, sig, args, offset):
     return builder.load(builder.bitcast(pointer, _FLOATS.as_pointer()), align=4, typ=_FLOATS)
 
 
-def _times_tap(builder, value, distance, total=None):
-    tap = ir.Constant(_FLOATS, [float(_TAPS[5 + distance])] * LANES)
-    if total is None:
-        return builder.fmul(value, tap)
-    return _call(builder, "llvm.fmuladd.v16f32", _FLOATS, [value, tap, total])
+def _taps(builder):
+    """By distance, one value for all uses: literal vectors would be most of the code that LLVM has to read."""
+    return [_spread(builder, ir.Constant(_F32, float(tap))) for tap in _TAPS[5:]]
+
+
+def _fused(builder, a, b, c):
+    return _call(builder, "llvm.fmuladd.v16f32", _FLOATS, [a, b, c])
 
 
 @intrinsic
@@ -1688,10 +1690,11 @@ def _blur_along(typingctx, array, index):
     """Horizontal blur at 16 floats."""
 
     def codegen(context, builder, sig, args):
-        total = _times_tap(builder, _load_at(context, builder, sig, args, 0), 0)
+        taps = _taps(builder)
+        total = builder.fmul(_load_at(context, builder, sig, args, 0), taps[0])
         for k in range(1, 6):
             pair = [_load_at(context, builder, sig, args, offset) for offset in (-3 * k, 3 * k)]
-            total = _times_tap(builder, builder.fadd(*pair), k, total)
+            total = _fused(builder, builder.fadd(*pair), taps[k], total)
         return total
 
     return floats(array, types.intp), codegen
@@ -1702,13 +1705,12 @@ def _blur_squares_along(typingctx, array, index):
     """Horizontal blur at 16 floats, of the values and of their squares."""
 
     def codegen(context, builder, sig, args):
-        value = _load_at(context, builder, sig, args, 0)
-        total, squares = _times_tap(builder, value, 0), _times_tap(builder, builder.fmul(value, value), 0)
+        taps, value = _taps(builder), _load_at(context, builder, sig, args, 0)
+        total, squares = builder.fmul(value, taps[0]), builder.fmul(builder.fmul(value, value), taps[0])
         for k in range(1, 6):
             one, two = (_load_at(context, builder, sig, args, offset) for offset in (-3 * k, 3 * k))
-            square = _call(builder, "llvm.fmuladd.v16f32", _FLOATS, [one, one, builder.fmul(two, two)])
-            total = _times_tap(builder, builder.fadd(one, two), k, total)
-            squares = _times_tap(builder, square, k, squares)
+            total = _fused(builder, builder.fadd(one, two), taps[k], total)
+            squares = _fused(builder, _fused(builder, one, one, builder.fmul(two, two)), taps[k], squares)
         return context.make_tuple(builder, sig.return_type, [total, squares])
 
     return types.UniTuple(floats, 2)(array, types.intp), codegen
@@ -1719,12 +1721,13 @@ def _blur_down(typingctx, array, above, here, below, to):
     """Vertical blur of a group of 8 rows, from the blocks of itself and its neighbours to the one at ``to``."""
 
     def codegen(context, builder, sig, args):
-        totals = [None] * _GROUP
+        taps, totals = _taps(builder), [None] * _GROUP
         for row in range(-5, _GROUP + 5):
             block = [args[0], args[2 + (row >= _GROUP) - (row < 0)]]
             value = _load_at(context, builder, sig, block, LANES * (row % _GROUP))
             for to in range(max(row - 5, 0), min(row + 6, _GROUP)):
-                totals[to] = _times_tap(builder, value, abs(row - to), totals[to])
+                tap = taps[abs(row - to)]
+                totals[to] = builder.fmul(value, tap) if row == to - 5 else _fused(builder, value, tap, totals[to])
         for row, total in enumerate(totals):
             at = builder.add(args[4], ir.Constant(_I64, LANES * row))
             pointer = _pointer(context, builder, sig.args[0], args[0], at)

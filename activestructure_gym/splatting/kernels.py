@@ -1789,6 +1789,12 @@ def _load_target(target, row, column, length):
 
 
 @_inner
+def _clear(array, first, end):
+    for at in range(first, end, LANES):
+        store(array, at, spread(F(0.0)))
+
+
+@_inner
 def _means_of_group(top, first, last, grid, image, target, scratch, lines, means):
     """Blur along the rows from ``top`` on, from column ``first`` on."""
     stride, length, height = grid[STRIDE], 3 * grid[WIDTH], grid[HEIGHT]
@@ -1816,54 +1822,46 @@ def _means_of_group(top, first, last, grid, image, target, scratch, lines, means
             store(scratch, to, spread(F(0.0)))
 
 
-@_inline
-def _map_row(scratch, blurred, inside, maps, plane):
-    """SSIM at 16 floats; its derivatives by mean, variance and covariance go to ``maps``."""
-    mu, mv = load(scratch, blurred), load(scratch, blurred + 2 * _BLOCK)
-    mu_mu, mv_mv = mu * mu, mv * mv
-    var_u, var_v = load(scratch, blurred + _BLOCK) - mu_mu, load(scratch, blurred + 3 * _BLOCK) - mv_mv
-    n1, n2 = mu_mu - mv_mv + _C1, var_u - var_v + _C2
-    d1, d2 = mu_mu + mv_mv + _C1, var_u + var_v + _C2
-    inverse = spread(F(1.0)) / (d1 * d2)
-    value = n1 * n2 * inverse
-    mx, my = mu + mv, mu - mv  # times sqrt(2)
-    by_mean = fma(my, n2 - n1, mx * value * (d1 - d2)) * inverse * (F(2.0) * _ROOT)
-    store(scratch, maps, sel(inside, by_mean, F(0.0)))
-    store(scratch, maps + plane, sel(inside, neg(value * d1 * inverse), F(0.0)))
-    store(scratch, maps + 2 * plane, sel(inside, n1 * inverse * F(2.0), F(0.0)))
-    return value
-
-
 @_inner
 def _maps_of_group(top, first, last, grid, scratch, above, here, below, blurred, maps, backs, terms):
     """SSIM of the rows from ``top`` on: its sum, and its derivatives, blurred along the rows."""
-    length, rows, zero = 3 * grid[WIDTH], min(_GROUP, grid[HEIGHT] - top), spread(F(0.0))
+    length, zero = 3 * grid[WIDTH], spread(F(0.0))
     line = LANES * (last - first + 2)  # of the maps: the columns of the strip and one at each side
-    plane, end = _GROUP * line, min(last + 1, (length + LANES - 1) // LANES)
+    plane = _GROUP * line
     for column in range(max(first - 1, 0), last + 2):
         # The derivatives are blurred two columns later, row by row in turn with SSIM: its arithmetic and their loads
         # across cache lines go well together, and loads do not meet stores on their way.
-        inside, total, back = lane_index() < F(length - LANES * column), zero, column - 2
-        if column < end:
+        total = zero
+        if column <= last:
             for own in range(0, 4 * _BLOCK, _BLOCK):
                 at = 4 * _BLOCK * (column - first + 1) + own
                 _blur_down(scratch, above + at, here + at, below + at, blurred + own)
         for row in range(_GROUP):
             at = maps + row * line + LANES * (column - first + 1)
-            if column < end and row < rows:
-                total = total + _map_row(scratch, blurred + LANES * row, inside, at, plane)
-            elif column < end:
-                store(scratch, at, zero)
-                store(scratch, at + plane, zero)
-                store(scratch, at + 2 * plane, zero)
-            if back >= first:
-                at, to = at - 2 * LANES, backs + 3 * _BLOCK * (back - first) + LANES * row
+            if column <= last:
+                own = blurred + LANES * row
+                mu, mv = load(scratch, own), load(scratch, own + 2 * _BLOCK)
+                mu_mu, mv_mv = mu * mu, mv * mv
+                var_u, var_v = load(scratch, own + _BLOCK) - mu_mu, load(scratch, own + 3 * _BLOCK) - mv_mv
+                n1, n2 = mu_mu - mv_mv + _C1, var_u - var_v + _C2
+                d1, d2 = mu_mu + mv_mv + _C1, var_u + var_v + _C2
+                inverse = spread(F(1.0)) / (d1 * d2)
+                value = n1 * n2 * inverse
+                mx, my = mu + mv, mu - mv  # times sqrt(2)
+                by_mean = fma(my, n2 - n1, mx * value * (d1 - d2)) * inverse * (F(2.0) * _ROOT)
+                inside = lane_index() < F(length - LANES * column if top + row < grid[HEIGHT] else 0)
+                total = total + sel(inside, value, F(0.0))
+                store(scratch, at, sel(inside, by_mean, F(0.0)))
+                store(scratch, at + plane, sel(inside, neg(value * d1 * inverse), F(0.0)))
+                store(scratch, at + 2 * plane, sel(inside, n1 * inverse * F(2.0), F(0.0)))
+            if column - 2 >= first:
+                at, to = at - 2 * LANES, backs + 3 * _BLOCK * (column - 2 - first) + LANES * row
                 store(scratch, to, _blur_along(scratch, at))
                 store(scratch, to + _BLOCK, _blur_along(scratch, at + plane))
                 store(scratch, to + 2 * _BLOCK, _blur_along(scratch, at + 2 * plane))
-        if column >= first and column < min(last, end):
+        if column >= first and column < last:
             at = TERMS * column + TERM_SSIM
-            store(terms, at, load(terms, at) + sel(inside, total, F(0.0)))
+            store(terms, at, load(terms, at) + total)
 
 
 @_inner
@@ -1888,42 +1886,6 @@ def _gradient_of_group(
             store(by_color, at, sel(inside, fma(of_both, of_ssim, gradient), F(0.0)))
         at = TERMS * column + TERM_COLOR
         store(terms, at, load(terms, at) + total)  # both are 0 behind the row's end
-
-
-@_inner
-def _compare_strip(first, last, grid, image, target, factors, by_color, terms, scratch):
-    """Colour losses and gradient of the columns of vectors from ``first`` to before ``last``."""
-    room, groups = last - first, (grid[HEIGHT] + _GROUP - 1) // _GROUP
-    means, backs = 4 * _BLOCK * (room + 2), 3 * _BLOCK * room  # floats of a group
-    at_backs = 3 * means
-    at_maps = at_backs + 3 * backs
-    at_lines = at_maps + 3 * _BLOCK * (room + 2)
-    at_blurred = at_lines + 2 * LANES * (room + 4)
-    # Zero is what lies above the picture and at its sides.
-    for at in range(2 * means, 3 * means, LANES):
-        store(scratch, at, spread(F(0.0)))
-    for at in range(at_backs + 2 * backs, at_blurred, LANES):
-        store(scratch, at, spread(F(0.0)))
-    for at in range(TERMS * first, TERMS * last, LANES):
-        store(terms, at, spread(F(0.0)))
-    for step in range(groups + 2):
-        # group g lies in place (g + 3) % 3
-        newest, middle, oldest = step % 3, (step + 2) % 3, (step + 1) % 3
-        if step <= groups:
-            _means_of_group(_GROUP * step, first, last, grid, image, target, scratch, at_lines, means * newest)
-        if step >= 1 and step <= groups:
-            _maps_of_group(
-                _GROUP * (step - 1), first, last, grid, scratch, means * oldest, means * middle, means * newest,
-                at_blurred, at_maps, at_backs + backs * middle, terms,
-            )  # fmt: skip
-        if step > groups:
-            for at in range(at_backs + backs * middle, at_backs + backs * (middle + 1), LANES):
-                store(scratch, at, spread(F(0.0)))
-        if step >= 2:
-            _gradient_of_group(
-                _GROUP * (step - 2), first, last, grid, image, target, scratch, at_backs + backs * newest,
-                at_backs + backs * oldest, at_backs + backs * middle, at_blurred, factors, by_color, terms,
-            )  # fmt: skip
 
 
 @_inner
@@ -2047,11 +2009,37 @@ def compare(
     """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, columns = scratch[own : own + SCRATCH], (3 * grid[WIDTH] + LANES - 1) // LANES
+    means, backs = 4 * _BLOCK * (strip + 2), 3 * _BLOCK * strip  # floats of a group
+    at_backs = 3 * means
+    at_maps = at_backs + 3 * backs
+    at_lines = at_maps + 3 * _BLOCK * (strip + 2)
+    at_blurred = at_lines + 2 * LANES * (strip + 4)
+    groups = (grid[HEIGHT] + _GROUP - 1) // _GROUP
     while True:
         first = strip * take_ticket(tickets, 3)
         if first >= columns:
             break
-        _compare_strip(first, min(first + strip, columns), grid, image, target, factors, by_color, terms, state)
+        last = min(first + strip, columns)
+        _clear(state, 2 * means, 3 * means)  # what lies above the picture
+        _clear(state, at_backs + 2 * backs, at_blurred)  # the same, and what lies at its sides
+        _clear(terms, TERMS * first, TERMS * last)
+        for step in range(groups + 2):
+            # group g lies in place (g + 3) % 3
+            newest, middle, oldest = step % 3, (step + 2) % 3, (step + 1) % 3
+            if step <= groups:
+                _means_of_group(_GROUP * step, first, last, grid, image, target, state, at_lines, means * newest)
+            if step > groups:
+                _clear(state, at_backs + backs * middle, at_backs + backs * (middle + 1))
+            elif step >= 1:
+                _maps_of_group(
+                    _GROUP * (step - 1), first, last, grid, state, means * oldest, means * middle, means * newest,
+                    at_blurred, at_maps, at_backs + backs * middle, terms,
+                )  # fmt: skip
+            if step >= 2:
+                _gradient_of_group(
+                    _GROUP * (step - 2), first, last, grid, image, target, state, at_backs + backs * newest,
+                    at_backs + backs * oldest, at_backs + backs * middle, at_blurred, factors, by_color, terms,
+                )  # fmt: skip
     pixels = grid[HEIGHT] * grid[WIDTH]
     while True:
         piece = take_ticket(tickets, 4)

@@ -112,7 +112,7 @@ def run_splatting_benchmark(
         if baseline:
             tasks |= _torch_tasks(name, work)
         few = {task: min(repeats, 5) if task.endswith(", torch") else repeats for task in tasks}
-        peaks, wall, busy = _measure(tasks, counts, few, repeats)
+        wall, busy, peaks = _measure(tasks, counts, few, repeats)
         for task in tasks:
             flops = _flops(task) * pairs * len(views)
             for count in counts:
@@ -123,24 +123,29 @@ def run_splatting_benchmark(
                     "workload": name, "visible": round(visible), "pairs_per_pixel": pairs / work.target_depth.size,
                     "task": task, "threads": count, "median_ms": median, "low_ms": low, "high_ms": high,
                     "best_ms": min(own), "cpu_ms": statistics.median(busy[task, count]),
-                    "floor_share": 1e3 * flops / peaks[count] / median if flops else float("nan"),
+                    "floor_share": _floor_share(flops, peaks[task, count], own) if flops else float("nan"),
                     "vs_torch": statistics.median(rival) / median if rival else float("nan"),
                     "vs_one": statistics.median(wall[task, counts[0]]) / median, "repeats": len(own),
                 })  # fmt: skip
     return rows
 
 
+def _floor_share(flops: float, peaks: list[float], times_ms: list[float]) -> float:
+    """Median over the repetitions: each beside the peak measured just before it, as clocks rise and fall."""
+    return statistics.median(1e3 * flops / peak / time_ms for peak, time_ms in zip(peaks, times_ms))
+
+
 def _measure(tasks, counts, few, repeats):
-    """Peak per thread count, and milliseconds per (task, thread count): of the clock and of the processor."""
-    peaks = {count: multiply_add_peak(count) for count in counts}
-    wall: dict[tuple[str, int], list[float]] = {(task, count): [] for task in tasks for count in counts}
-    busy: dict[tuple[str, int], list[float]] = {(task, count): [] for task in tasks for count in counts}
+    """Per (task, thread count): milliseconds of the clock, of the processor, and the peak before each repetition."""
+    keys = [(task, count) for task in tasks for count in counts]
+    wall, busy, peaks = ({key: [] for key in keys} for _ in range(3))
     for repeat in range(-1, repeats):
         for task, action in tasks.items():
             if repeat >= few[task]:
                 continue
             for count in counts:
                 runs = 1
+                peak = multiply_add_peak(count, tries=2) if _flops(task) else float("nan")
                 if not task.endswith(", torch"):
                     action(count)  # as in use, where the iteration before has left its map in the caches
                     runs = _IN_A_ROW
@@ -150,11 +155,10 @@ def _measure(tasks, counts, few, repeats):
                 if repeat >= 0:  # the first round warms up
                     wall[task, count].append(1e3 / runs * (time.perf_counter() - start))
                     busy[task, count].append(1e3 / runs * (time.process_time() - busy_start))
+                    peaks[task, count].append(peak)
             if task.endswith((", torch", "autograd")):
                 time.sleep(0.02)  # torch's threads spin for a while after their work, on the cores of the next task
-        if repeat % 5 == 0:
-            peaks = {count: max(peaks[count], multiply_add_peak(count, tries=2)) for count in counts}
-    return peaks, wall, busy
+    return wall, busy, peaks
 
 
 # Which run of plain torch a task is compared with; both do render, loss, backward and Adam, or the same pictures.

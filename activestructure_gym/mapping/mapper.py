@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
-from activestructure_gym.mapping.gaussian_map import LOG_SCALE, OPACITY_LOGIT, GaussianMap
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.scans import fit_to_stay
@@ -125,7 +125,8 @@ class Mapper:
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> cpu.Rendering:
         """What the map shows from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
-        return cpu.render(self.map.parameters, self.map.count, camera, world_from_camera)
+        unseen = MapParts(self.map).unseen(camera, world_from_camera)
+        return cpu.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
 
     def render_depth_alpha(
         self,
@@ -247,12 +248,15 @@ class Mapper:
         if config.adam_reset:
             self.map.reset_moments()
         rates, epsilon = config.learning_rates(self.scene_radius), config.adam_epsilon
-        pruned = 0
+        farthest = largest_adam_step(config.adam_beta1, config.adam_beta2) * len(views) * rates
+        shift, growth = float(farthest[MEAN].max()), float(np.exp(farthest[LOG_SCALE].max()))
+        pruned, parts = 0, None
         for step, view in enumerate(views):
             if step in config.prune_steps:
-                pruned += self._prune()
+                pruned, parts = pruned + self._prune(), None
             if not self.map.count:
                 break
+            parts = parts or MapParts(self.map, shift=shift, growth=growth)
             if config.adam_reset:
                 # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
@@ -274,6 +278,7 @@ class Mapper:
                 beta2=config.adam_beta2,
                 epsilon=epsilon,
                 isotropic=config.isotropic,
+                unseen=parts.unseen(frame.camera, frame.world_from_camera),
             )
             losses[step] = result.color, result.depth, result.ssim
         if -1 in config.prune_steps:
@@ -294,10 +299,20 @@ class Mapper:
         parts = MapParts(self.map)
         for index in indices:
             frame = self._store.frames[index]
-            parameters, count = parts.in_view(frame.camera, frame.world_from_camera)
-            shown = cpu.render(parameters, count, frame.camera, frame.world_from_camera).color
+            camera, pose = frame.camera, frame.world_from_camera
+            unseen = parts.unseen(camera, pose)
+            shown = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
             error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - _unit_rgb(frame)), dtype=np.float64))
             self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
+
+
+def largest_adam_step(beta1: float, beta2: float) -> float:
+    """Upper bound of |first moment| / sqrt(second moment), that is of a step in units of the rate.
+
+    By Cauchy and Schwarz over all past gradients: (1 - b1) / sqrt((1 - b2) (1 - b1^2 / b2)); inf where that diverges.
+    """
+    rest = 1.0 - beta1**2 / beta2
+    return (1.0 - beta1) / np.sqrt((1.0 - beta2) * rest) if rest > 0 else np.inf
 
 
 def _report(

@@ -24,12 +24,29 @@ _BLUR_PIXELS = 2.0  # by which its blur of .3 px^2 widens everything: 3.34 sqrt(
 
 
 class MapParts:
-    """Boxes around the blocks of a map as it is at construction; whatever changes the map makes them invalid."""
+    """Boxes around the blocks of a map as it is at construction; whatever changes the map makes them invalid.
 
-    def __init__(self, gaussians: GaussianMap) -> None:
+    Unless the changes stay small: with ``shift`` and ``growth`` the boxes hold as long as no Gaussian moves further
+    than ``shift`` metres or becomes larger than ``growth`` times its size.
+    """
+
+    def __init__(self, gaussians: GaussianMap, *, shift: float = 0.0, growth: float = 1.0) -> None:
         self._map = gaussians
-        large = gaussians.count > _WORTHWHILE * BLOCK
+        large = gaussians.count > _WORTHWHILE * BLOCK and bool(np.isfinite([shift, growth]).all())
         self._boxes = block_boxes(gaussians.parameters, gaussians.count) if large else None
+        if self._boxes is not None and (shift or growth != 1.0):
+            self._boxes += [-shift, -shift, -shift, shift, shift, shift, 0.0]
+            self._boxes[:, 6] *= growth
+
+    def unseen(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> np.ndarray | None:  # [chunks] bool
+        """The rasteriser's chunks without a block that the camera could see; None for a small map."""
+        if self._boxes is None:
+            return None
+        seen = may_be_seen(self._boxes, camera, world_from_camera)
+        per_chunk = kernels.CHUNK // BLOCK
+        padded = np.zeros(-(-len(seen) // per_chunk) * per_chunk, dtype=bool)
+        padded[: len(seen)] = seen
+        return ~padded.reshape(-1, per_chunk).any(axis=1)
 
     def in_view(
         self,

@@ -100,13 +100,17 @@ def render(
     *,
     max_alpha: float = MAX_ALPHA,
     threads: int | None = None,
+    unseen: np.ndarray | None = None,  # [chunks of 1024 Gaussians] bool
 ) -> Rendering:
-    """Colour, accumulated depth and alpha of one camera."""
+    """Colour, accumulated depth and alpha of one camera.
+
+    ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
+    """
     _check(parameters, count)
     lease = Lease()
     lease.workspace.render(
         fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha, threads=threads,
-        keep=False,
+        keep=False, unseen=unseen,
     )  # fmt: skip
     return Rendering(*lease.workspace.pictures())
 
@@ -150,6 +154,7 @@ def mapping_step(
     epsilon: float = 1e-15,
     isotropic: bool = False,
     threads: int | None = None,
+    unseen: np.ndarray | None = None,  # [chunks] bool, as in `render`
 ) -> StepLosses:
     """Render, compare, differentiate, and move the Gaussians that have a weight in some pixel (Adam).
 
@@ -174,13 +179,13 @@ def mapping_step(
     workspace = lease.workspace
     pose, of_color = inverse_of_pose(world_from_camera), weights.image * weights.l1_share
     if weights.image * (1.0 - weights.l1_share) == 0.0:
-        workspace.prepare(used[0], count, camera, pose, threads=threads)
+        workspace.prepare(used[0], count, camera, pose, threads=threads, unseen=unseen)
         color, depth = workspace.fused_step(
             target_rgb, target_depth, of_color, weights.depth, weights.alpha, weights.normalised_depth, rates, *used[1:]
         )
         ssim = float("nan")
     else:
-        workspace.render(used[0], count, camera, pose, threads=threads)
+        workspace.render(used[0], count, camera, pose, threads=threads, unseen=unseen)
         color, depth, ssim = workspace.losses(
             target_rgb, target_depth, of_color, weights.image * (1.0 - weights.l1_share), weights.depth, weights.alpha,
             weights.normalised_depth,

@@ -907,13 +907,21 @@ def _one_tile(x0, y0, x1, y1):
 
 @_inner
 def _project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries):
-    """Project 1024 Gaussians and count their entries per tile."""
+    """Project 1024 Gaussians and count their entries per tile.
+
+    A chunk whose first entry of ``visible`` is negative is known to be out of view and is not looked at.
+    """
     tiles_x = grid[TILES_X]
     tiles = tiles_x * grid[TILES_Y]
     for tile in range(tiles):
         poke(histogram, chunk * tiles + tile, np.int32(0))
     entries = 0
-    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+    first = chunk * CHUNK
+    if peek(visible, first // LANES) < 0:
+        for block in range(CHUNK // LANES):
+            poke(visible, first // LANES + block, np.int32(0))
+        first = grid[COUNT]
+    for i in range(first, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
         seen = _project_block(parameters, i, view, grid, records)
         poke(visible, i // LANES, np.int32(seen))
         while seen != 0:
@@ -2088,7 +2096,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
     """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
     chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]
     records = _scratch(max(grid[COUNT] + LANES, 1) * RECORD)
-    visible = np.empty(chunks * (CHUNK // LANES), np.int32)
+    visible = np.zeros(chunks * (CHUNK // LANES), np.int32)
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
     tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
     digits = np.empty(DIGITS, np.int64)

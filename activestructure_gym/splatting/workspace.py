@@ -114,8 +114,12 @@ class Workspace:
         *,
         max_alpha: float = MAX_ALPHA,
         threads: int | None = None,
+        unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> None:
-        """Everything before the tiles: records of the visible Gaussians and which tiles they reach."""
+        """Everything before the tiles: records of the visible Gaussians and which tiles they reach.
+
+        ``unseen`` says of which chunks (1024 Gaussians) it is known that none is in view; they cost nothing.
+        """
         self.threads = threads or default_threads()
         self.parameters, self.camera = parameters, camera
         self.view = make_view(camera, camera_from_world, max_alpha)
@@ -127,6 +131,8 @@ class Workspace:
         chunk_entries = self._buffer("chunk entries", chunks, np.int64)
         self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
         self.tile_order = self._buffer("tile order", tiles + k.PLACES, np.int64)
+        if unseen is not None:
+            self.visible[np.flatnonzero(unseen) * (k.CHUNK // k.LANES)] = -1
         self.tickets[:] = 0
         found = (self.records, self.visible, histogram, chunk_entries, self.tile_start, self.tile_order)
         while self.tickets[k.FILLED] < chunks:
@@ -148,12 +154,15 @@ class Workspace:
         max_alpha: float = MAX_ALPHA,
         threads: int | None = None,
         keep: bool = True,
+        unseen: np.ndarray | None = None,  # [chunks] bool, see `prepare`
     ) -> None:
         """Forward: fills ``color`` (padded), ``depth`` and ``alpha``.
 
         ``keep`` also keeps what makes `backward` faster, up to 64 MiB of it.
         """
-        self.prepare(parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads)
+        self.prepare(
+            parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads, unseen=unseen
+        )
         pixels = camera.width * camera.height
         self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
         self.color = self._image("color")

@@ -5,6 +5,7 @@ import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.mapping.mapper import largest_adam_step
 from activestructure_gym.mapping.parts import BLOCK, MapParts, block_boxes
 from activestructure_gym.splatting import cpu
 
@@ -84,3 +85,41 @@ def test_boxes_hold_their_blocks_and_not_much_more():
         assert np.array_equal(boxes[block, :3], np.nanmin(own[:3], axis=1))
         assert np.array_equal(boxes[block, 3:6], np.nanmax(own[:3], axis=1))
         assert boxes[block, 6] == pytest.approx(np.exp(own[7:10].max()))
+
+
+@pytest.mark.parametrize("largest", [-3.0, 0.5])
+def test_steps_that_skip_what_is_out_of_view_change_the_same_bits(largest):
+    rng = np.random.default_rng(4)
+    whole = _map(rng, largest=largest)
+    parts = GaussianMap()
+    parts.append(whole.parameters[:, : whole.count])
+    rates = np.full(14, 1e-3, np.float32)
+    poses = _poses(rng, 6)
+    bound = largest_adam_step(0.9, 0.999) * len(poses) * 1e-3
+    boxes = MapParts(parts, shift=bound, growth=float(np.exp(bound)))
+    skipped = []
+    for pose in poses:
+        target = rng.uniform(size=(CAMERA.height, CAMERA.width, 3)).astype(np.float32)
+        depth = rng.uniform(0.5, 3.0, (CAMERA.height, CAMERA.width)).astype(np.float32)
+        for gaussians, unseen in ((whole, None), (parts, boxes.unseen(CAMERA, pose))):
+            cpu.mapping_step(
+                gaussians.parameters, gaussians.first_moment, gaussians.second_moment, gaussians.count, CAMERA, pose,
+                target, depth, cpu.LossWeights(), rates, unseen=unseen,
+            )  # fmt: skip
+        skipped.append(unseen.mean())
+    assert whole.parameters[:, : whole.count].tobytes() == parts.parameters[:, : parts.count].tobytes()
+    assert whole.second_moment[:, : whole.count].any()
+    if largest < 0:
+        assert np.median(skipped) > 0.2
+
+
+def test_no_step_of_adam_is_larger_than_its_bound():
+    rng = np.random.default_rng(5)
+    bound, worst = largest_adam_step(0.9, 0.999), 0.0
+    for growth in (1.0, 1.05, 0.999 / 0.9):
+        m = v = 0.0
+        for g in growth ** np.arange(200) * np.where(rng.random(200) < 0.02, 0.5, 1.0):
+            m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g * g
+            worst = max(worst, abs(m) / np.sqrt(v))
+    assert 0.9 * bound < worst <= bound
+    assert largest_adam_step(0.99, 0.9) == np.inf

@@ -17,6 +17,7 @@ import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import PlaneSceneGraph, depth_noise_scale
@@ -47,6 +48,7 @@ class Reconstruction:
     pool: CandidatePool
     candidates: CandidateTable
     gains: np.ndarray  # [n, G] one column per name in config.gains
+    visible: np.ndarray  # [n, N] bool, which planes of the graph each candidate would see
 
     def __init__(self, config: ReconstructionConfig) -> None:
         self.config = config
@@ -141,9 +143,30 @@ class Reconstruction:
                 if not reached and not self.exhausted:
                     # Blocked: the volume now knows better, and the same view is not tried a second time.
                     self.pool.drop(int(self.candidates.ids[index]))
+            if reached and self.candidates.revisit[index]:
+                self._refine_here()
             self.pool.mark_visited(self.pose)
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
+
+    def _refine_here(self) -> None:
+        """More map iterations on the keyframe just taken: whoever revisits a keyframe wants it to render better."""
+        with self._timed("mapping"):
+            last = len(self.mapper.keyframes) - 1
+            self.mapper.refine(
+                self.config.revisit_rounds * self.config.mapper.iterations, keyframe_indices=self._alike(last)
+            )
+
+    def _alike(self, index: int) -> list[int]:
+        """The keyframe and the ones taken at (nearly) the same pose."""
+        pose = self.mapper.keyframes[index].world_from_camera
+        views = self.config.views
+        return [
+            k
+            for k, frame in enumerate(self.mapper.keyframes)
+            if np.linalg.norm(frame.world_from_camera[:3, 3] - pose[:3, 3]) <= views.visited_distance_m
+            and np.degrees(rotation_angle(frame.world_from_camera, pose)) <= views.visited_angle_deg
+        ]
 
     def _plan(self, goal: np.ndarray) -> np.ndarray | None:  # [T, 4, 4]
         motion = self.config.motion
@@ -235,6 +258,7 @@ class Reconstruction:
                 world_from_camera=self.candidates.world_from_camera,
             )
             self.gains = evaluate_gains(config.gains, context)
+            self.visible = context.visible
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
         """Keyframe poses, worst rendered first."""

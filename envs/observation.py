@@ -23,6 +23,13 @@ FARTHEST_M = 1000.0  # bound of every position and length in the observation
 LARGEST_GAIN = 1e6  # bound of every gain
 
 
+def plane_columns(*names: str) -> list[int]:
+    """Columns of ``observation["plane_features"]`` by name (``activestructure_gym.planes.PLANE_FEATURES``)."""
+    from activestructure_gym.planes import PLANE_FEATURES  # late: policies take names from here without the world
+
+    return [PLANE_FEATURES.index(name) for name in names]
+
+
 @dataclass(frozen=True)
 class Key:
     """One entry of the observation."""
@@ -61,6 +68,9 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
         "candidates": Key((K, len(columns_low)), f32, columns_low, columns_high, "m", ", ".join(CANDIDATE_FEATURES)),
         "candidate_gains": Key((K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for"),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
+        "fidelity": Key(
+            (2,), f32, 0, 200, "dB", "PSNR of the keyframes when last rendered: lowest tenth (10 % quantile), median"
+        ),
         "plane_features": Key((P, F), f32, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH, "-", "PLANE_FEATURES of the nodes"),
         "plane_mask": Key((P,), i8, 0, 1, "-", "1 where the row holds a plane"),
         "plane_edges": Key((P, P), f32, 0, 1, "-", "edge weight w_ij (Eq. 4), small = reliable; 0 = no edge"),
@@ -93,10 +103,7 @@ def least_frames(pose: np.ndarray, table: CandidateTable, motion: MotionConfig) 
 
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
     """The observation of the current state. Every array is new: nothing is shared with another observation."""
-    # Late imports: policies take names from this module without loading the world.
-    from scipy.spatial.transform import Rotation
-
-    from activestructure_gym.views import visible_planes
+    from scipy.spatial.transform import Rotation  # policies take names from this module without loading scipy
 
     config, table = reconstruction.config, reconstruction.candidates
     size, count = config.views.max_candidates, len(table)
@@ -114,10 +121,9 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     graph = reconstruction.planes
     planes = graph.arrays(max_planes)
     seen = np.zeros((size, max_planes), np.int8)
-    seen[:count, : len(planes.nodes)] = visible_planes(
-        [graph.nodes[i] for i in planes.nodes], config.sensor.camera, table.world_from_camera, reconstruction.volume
-    )
+    seen[:count, : len(planes.nodes)] = reconstruction.visible[:, planes.nodes]
 
+    fidelity = reconstruction.mapper.keyframe_psnr(renders=0)
     quaternion = Rotation.from_matrix(frame.world_from_camera[:3, :3]).as_quat(scalar_first=True, canonical=True)
     pose = np.concatenate([np.clip(frame.world_from_camera[:3, 3], -FARTHEST_M, FARTHEST_M), quaternion])
     left = max(0, config.frame_budget - reconstruction.frames) / config.frame_budget
@@ -129,6 +135,7 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
         "candidates": candidates,
         "candidate_gains": gains,
         "action_mask": mask,
+        "fidelity": np.clip(np.quantile(fidelity, [0.1, 0.5]), 0.0, 200.0).astype(np.float32),
         "plane_features": planes.features,
         "plane_mask": planes.mask,
         "plane_edges": planes.edge_weights,

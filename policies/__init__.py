@@ -1,7 +1,25 @@
 """Who chooses the next view. A policy is a pure function of the observation and its own state."""
 
+from activestructure_gym.policies.activestructure import (
+    ActiveStructure,
+    ActiveStructureA,
+    ActiveStructureB,
+    ActiveStructureC,
+    ActiveStructureD,
+)
 from activestructure_gym.policies.base import POLICIES, Policy, travel_discount
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
 
-__all__ = ["POLICIES", "PixelOnly", "Policy", "Random", "travel_discount"]
+__all__ = [
+    "POLICIES",
+    "ActiveStructure",
+    "ActiveStructureA",
+    "ActiveStructureB",
+    "ActiveStructureC",
+    "ActiveStructureD",
+    "PixelOnly",
+    "Policy",
+    "Random",
+    "travel_discount",
+]

@@ -32,7 +32,24 @@ def visible_planes(
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
     points = np.stack([_spread(plane.points) for plane in planes])  # [P, S, 3]
     normals = np.stack([plane.normal for plane in planes])  # [P, 3]
-    seen = _in_view(
+    seen = cosines_in_view(points, normals, camera, world_from_camera) > 0.0
+    if volume is not None and seen.any():
+        view, plane, sample = np.nonzero(seen)
+        seen[view, plane, sample] = volume.sight_free(world_from_camera[view, :3, 3], points[plane, sample])
+    return seen.mean(axis=2) >= LEAST_SHARE
+
+
+def cosines_in_view(
+    points: np.ndarray,  # [P, S, 3] metres, world
+    normals: np.ndarray,  # [P, 3] unit, of all S points of a row
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [K, 4, 4]
+) -> np.ndarray:  # [K, P, S] float64
+    """Cosine between the normal and the line of sight; 0 outside the frustum, the distance gate or the view angle.
+
+    Occlusion is not looked at.
+    """
+    return _cosines_in_view(
         np.ascontiguousarray(points, dtype=np.float64),
         np.ascontiguousarray(normals, dtype=np.float64),
         np.ascontiguousarray(world_from_camera, dtype=np.float64),
@@ -43,14 +60,10 @@ def visible_planes(
         camera.width,
         camera.height,
     )
-    if volume is not None and seen.any():
-        view, plane, sample = np.nonzero(seen)
-        seen[view, plane, sample] = volume.sight_free(world_from_camera[view, :3, 3], points[plane, sample])
-    return seen.mean(axis=2) >= LEAST_SHARE
 
 
 @kernel
-def _in_view(
+def _cosines_in_view(
     points: np.ndarray,  # [P, S, 3] world
     normals: np.ndarray,  # [P, 3]
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
@@ -60,9 +73,9 @@ def _in_view(
     cy: float,
     width: int,
     height: int,
-) -> np.ndarray:  # [K, P, S] bool
+) -> np.ndarray:  # [K, P, S]
     """Frustum, distance and view angle of every point from every candidate; asked in every step, hence compiled."""
-    seen = np.zeros((len(poses), points.shape[0], points.shape[1]), np.bool_)
+    cosines = np.zeros((len(poses), points.shape[0], points.shape[1]))
     for k in range(len(poses)):
         pose = poses[k]
         for p in range(points.shape[0]):
@@ -77,8 +90,9 @@ def _in_view(
                 if not (0.0 <= u < width and 0.0 <= v < height):
                     continue
                 cosine = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2]) / distance
-                seen[k, p, s] = cosine >= STEEPEST_COSINE
-    return seen
+                if cosine >= STEEPEST_COSINE:
+                    cosines[k, p, s] = cosine
+    return cosines
 
 
 def _spread(points: np.ndarray) -> np.ndarray:  # [N, 3] -> [SAMPLES, 3]

@@ -11,7 +11,9 @@ name without registering, in every worker process.
 """
 
 from activestructure_gym.views.gains.base import GAINS, Gain, GainContext, evaluate_gains
+from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.pixel import pixel
+from activestructure_gym.views.gains.structure import structure
 
-__all__ = ["GAINS", "Gain", "GainContext", "evaluate_gains", "hole_area", "pixel"]
+__all__ = ["GAINS", "Gain", "GainContext", "deficiency", "evaluate_gains", "hole_area", "pixel", "structure"]

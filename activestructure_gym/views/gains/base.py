@@ -12,6 +12,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import Mapper
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.registry import Registry
+from activestructure_gym.views.visibility import visible_planes
 from activestructure_gym.volume import VoxelVolume
 
 
@@ -41,6 +42,11 @@ class GainContext:
     def alpha(self) -> np.ndarray:  # [K, h, w] in 0..1
         """The map's accumulated opacity from every candidate."""
         return self._rendered[1]
+
+    @cached_property
+    def visible(self) -> np.ndarray:  # [K, N] bool
+        """Which planes of the graph every candidate would see (V_c^vis), occlusion included."""
+        return visible_planes(self.planes.nodes, self.camera, self.world_from_camera, self.volume)
 
 
 Gain = Callable[[GainContext], np.ndarray]

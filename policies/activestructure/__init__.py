@@ -1,0 +1,30 @@
+"""ActiveStructure: the paper's planner and the rungs of its ablation (Table 3).
+
+Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phases and what ends each), `planner`
+(Eq. 15 and the loop). The planes, their quality and their surprise (Eqs. 4 to 10) come with the observation.
+"""
+
+from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
+from activestructure_gym.policies.activestructure.phases import PHASES, Phase, PhaseMachine
+from activestructure_gym.policies.activestructure.planner import (
+    ActiveStructure,
+    ActiveStructureA,
+    ActiveStructureB,
+    ActiveStructureC,
+    ActiveStructureD,
+)
+
+__all__ = [
+    "PHASES",
+    "ActiveStructure",
+    "ActiveStructureA",
+    "ActiveStructureB",
+    "ActiveStructureC",
+    "ActiveStructureD",
+    "Phase",
+    "PhaseMachine",
+    "PlaneView",
+    "Terms",
+    "Weights",
+    "information_gain",
+]

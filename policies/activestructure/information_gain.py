@@ -1,0 +1,114 @@
+"""From the Plane Scene Graph to the information gain of every candidate (Eqs. 11 to 14). Pure functions.
+
+Shapes: K candidates, P rows of planes; rows without a plane are False in every column of ``visible``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PlaneView:
+    """The planes as the observation shows them."""
+
+    visible: np.ndarray  # [K, P] bool, V_c^vis
+    quality: np.ndarray  # [P] q_i, Eq. 7
+    surprise: np.ndarray  # [P] Phi_i
+    deficit: np.ndarray  # [P] gamma_i = (1 - q_i) Phi_i, Eq. 10
+    structural: np.ndarray  # [P] bool, V_S, Eq. 5
+    area: np.ndarray  # [P] m^2
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What a phase, or a rung of the ablation, makes of the terms."""
+
+    structural: float = 1.0  # alpha_i of planes in V_S, Eq. 13
+    objects: float = 1.0  # alpha_i of planes in V_O, Eq. 13
+    coupling: float = 1.0  # omega, Eqs. 1 and 14
+    deficiency: float = 1.0  # omega_d, Eq. 13
+    max_discount: float = 0.0  # rho_max, Eq. 12
+    suppression: float = 0.0  # of views dominated by well-reconstructed structure (Sec. 3.4, phase II)
+    surprise: bool = True  # False: gamma_i is replaced by 1 - q_i (rung B of Table 3)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Every term of Eqs. 12 to 14, [K] each."""
+
+    pixel: np.ndarray  # IG_px
+    discount: np.ndarray  # rho_c in [0, rho_max]
+    structure: np.ndarray  # sum of alpha_i gamma_i over the visible planes, scaled
+    deficiency: np.ndarray  # IG_def
+    floor: np.ndarray  # visibility floor
+    suppressed: np.ndarray  # factor on the whole gain in [0, 1]; 1 outside phase II
+    total: np.ndarray  # IG, floored at 0
+
+    def row(self, index: int) -> dict[str, float]:
+        """The terms of one candidate, for a trace."""
+        return {name: float(values[index]) for name, values in vars(self).items()}
+
+
+VISIBILITY_FLOOR = 0.01  # a view of any tracked plane is worth at least this (Sec. 3.4)
+GOOD_QUALITY = 0.8  # q from which a structural plane counts as well reconstructed
+BLEND = 0.5  # eta of Eq. 11
+DISCOUNT_PLANES = 3.0  # visible planes at which the discount has reached 1 - 1/e of its cap
+
+
+def information_gain(
+    pixel: np.ndarray,  # [K] IG_px in 0..1
+    deficiency: np.ndarray,  # [K] IG_def in 0..1
+    planes: PlaneView,
+    weights: Weights,
+) -> Terms:
+    """IG = IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def) (Eqs. 12 to 14), floored at 0."""
+    rho = discount(planes, weights.max_discount)
+    structure = structural_term(planes, weights)
+    floor = np.where(planes.visible.any(axis=1), VISIBILITY_FLOOR, 0.0)
+    kept = suppression(planes, weights.suppression)
+    total = pixel * (1.0 - rho) + weights.coupling * (structure + weights.deficiency * deficiency + floor)
+    return Terms(pixel, rho, structure, deficiency, floor, kept, np.maximum(total * kept, 0.0))
+
+
+def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]
+    """First sum of Eq. 13, each plane's share of what the whole graph lacks.
+
+    gamma_i / sum gamma keeps the term in [-1, 1] whatever the number of planes and however small the product of three
+    surprises is, as IG_px and IG_def are shares too.
+    """
+    missing = planes.deficit if weights.surprise else 1.0 - planes.quality
+    present = planes.visible.any(axis=0) | (planes.area > 0)
+    missing = np.where(present, missing, 0.0)
+    alpha = np.where(planes.structural, weights.structural, weights.objects)
+    return planes.visible @ (alpha * missing) / max(float(missing.sum()), 1e-12)
+
+
+def view_surprise(planes: PlaneView) -> np.ndarray:  # [K], 0 for a view without planes
+    """Blend of mean and maximum of Phi over the visible planes (Eq. 11)."""
+    seen = np.where(planes.visible, planes.surprise, 0.0)
+    mean = seen.sum(axis=1) / np.maximum(planes.visible.sum(axis=1), 1)
+    return BLEND * mean + (1.0 - BLEND) * seen.max(axis=1, initial=0.0)  # Eq. 11
+
+
+def discount(planes: PlaneView, cap: float) -> np.ndarray:  # [K] rho_c in [0, cap]
+    """rho_c of Eq. 12: grows with the number of visible tracked planes and their quality, falls with their surprise.
+
+    cap (1 - exp(-n / 3)) (1 - Phi_c / max Phi) (mean q of the visible planes); the paper names the dependence only.
+    """
+    count = planes.visible.sum(axis=1)
+    surprise = view_surprise(planes)
+    largest = max(float(surprise.max(initial=0.0)), 1e-12)
+    quality = (planes.visible @ planes.quality) / np.maximum(count, 1)
+    return cap * (1.0 - np.exp(-count / DISCOUNT_PLANES)) * (1.0 - surprise / largest) * quality
+
+
+def suppression(planes: PlaneView, strength: float) -> np.ndarray:  # [K] factor in [1 - strength, 1]
+    """Polarity reversal at the level of a view: what share of the visible area is well-reconstructed structure."""
+    if not strength:
+        return np.ones(len(planes.visible))
+    area = planes.visible @ planes.area
+    done = planes.visible @ (planes.area * (planes.structural & (planes.quality >= GOOD_QUALITY)))
+    return 1.0 - strength * done / np.maximum(area, 1e-12)

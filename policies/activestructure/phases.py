@@ -1,0 +1,67 @@
+"""Informational polarity reversal: what each phase weighs, and which state of the reconstruction ends it (Sec. 3.4).
+
+No transition looks at the number of frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.policies.activestructure.information_gain import Terms, Weights
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One phase psi."""
+
+    name: str
+    weights: Weights
+    pool_share: float = 0.0  # of the image: a view that would show less uncovered pixels is pruned from the pool
+    deficit_share: float = np.inf  # of the graph's deficit: a view that would see this much of it stays in the pool
+    refines: bool = False  # True: keyframes are revisited instead of views being scored
+
+
+PHASES = (
+    # Structural deficit attracts. The scaffold stands when no view is left that would show much of the unknown.
+    Phase("I scaffold", Weights(structural=1.0, objects=0.3, max_discount=0.3), pool_share=0.10),
+    # The same planes suppress, objects attract; the cap of the discount rises, smaller gaps are worth a view.
+    Phase(
+        "II objects",
+        Weights(structural=-0.5, objects=1.0, max_discount=0.8, suppression=0.5),
+        pool_share=0.02,
+        deficit_share=0.10,
+    ),
+    # The keyframes that render worst are revisited, with more iterations.
+    Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
+)
+PATIENCE = 3  # decisions in a row for which the pool must stay empty: 256 candidates are a draw from a larger pool
+GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's threshold)
+
+
+def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
+    """The views still worth going to: enough uncovered pixels after the discount, or enough deficit (Eq. 12)."""
+    pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
+    return valid & (pixels | (terms.structure + terms.deficiency >= phase.deficit_share))
+
+
+class PhaseMachine:
+    """Moves to the next phase when the pool of the present one has been empty for some decisions."""
+
+    def __init__(self) -> None:
+        self.index = 0
+        self._empty = 0
+
+    @property
+    def phase(self) -> Phase:
+        """The present phase."""
+        return PHASES[self.index]
+
+    def update(self, pool: np.ndarray) -> str | None:
+        """Tell it the present pool [K] bool; returns why the phase changed, if it did."""
+        self._empty = 0 if pool.any() else self._empty + 1
+        if self._empty < PATIENCE or self.phase.refines:
+            return None
+        self.index, self._empty = self.index + 1, 0
+        return f"no view in the pool for {PATIENCE} decisions"

@@ -1,0 +1,142 @@
+"""ActiveStructure as a policy: Eq. 15, the phases, and the rungs A to E of Table 3."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, plane_columns
+from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, in_pool
+from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
+
+_REVISIT = CANDIDATE_FEATURES.index("revisit")
+
+
+def plane_view(observation: Observation) -> PlaneView:
+    """The planes of an observation; rows without a plane are invisible and have no area."""
+    mask = observation["plane_mask"].astype(bool)
+    columns = plane_columns("quality", "surprise", "deficit", "structural", "area")
+    quality, surprise, deficit, structural, area = observation["plane_features"][:, columns].astype(np.float64).T
+    return PlaneView(
+        visible=observation["candidate_planes"].astype(bool) & mask,
+        quality=np.where(mask, quality, 1.0),
+        surprise=np.where(mask, surprise, 0.0),
+        deficit=np.where(mask, deficit, 0.0),
+        structural=(structural > 0) & mask,
+        area=np.where(mask, area, 0.0),
+    )
+
+
+class StructurePolicy(Policy):
+    """T* = argmax softmax(log IG) g (Eq. 15); softmax(log IG) is IG / sum IG, so the argmax is that of IG g."""
+
+    weights: ClassVar[Weights] = Weights()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._trace: dict[str, Any] = {}
+
+    def act(self, observation: Observation) -> int:
+        """The valid row with the largest product of information gain and travel discount."""
+        terms = self.terms(observation, plane_view(observation), self.weights)
+        return self._choose(terms.total, terms, observation, {})
+
+    def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
+        """The terms of Eqs. 12 to 14; a gain the rung does not ask for counts as 0."""
+        nothing = np.zeros(len(observation["action_mask"]))
+        pixel, deficiency = (
+            self.gain(observation, name).astype(np.float64) if name in self.required_gains else nothing
+            for name in ("pixel", "deficiency")
+        )
+        return information_gain(pixel, deficiency, planes, weights)
+
+    def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
+        travel = travel_discount(observation)
+        # Where nothing is left to gain the floor leaves the choice to the distance.
+        scores = np.maximum(gain, 1e-6) * travel
+        choice = best_valid(scores, observation)
+        others = observation["action_mask"].astype(bool)
+        others[choice] = False
+        self._trace = {**more, "chosen": {**terms.row(choice), "travel": float(travel[choice])}}
+        if others.any():
+            second = int(np.argmax(np.where(others, scores, -np.inf)))
+            self._trace["runner_up"] = {"row": second, **terms.row(second), "travel": float(travel[second])}
+        return choice
+
+    def trace(self) -> dict[str, Any]:
+        """The terms of the chosen view and of the runner-up, and for the full model the phase."""
+        return self._trace
+
+
+@POLICIES.register("activestructure-a")
+class ActiveStructureA(StructurePolicy):
+    """Rung A: pixels only; chooses as `pixel_only` does."""
+
+    required_gains = ("pixel",)
+    weights = Weights(coupling=0.0)
+
+
+@POLICIES.register("activestructure-b")
+class ActiveStructureB(StructurePolicy):
+    """Rung B: A and the raw gain of the Plane Scene Graph, 1 - q_i of every visible plane."""
+
+    required_gains = ("pixel",)
+    weights = Weights(surprise=False)
+
+
+@POLICIES.register("activestructure-c")
+class ActiveStructureC(StructurePolicy):
+    """Rung C: B with the anomaly indicators, gamma_i instead of 1 - q_i and the discount of Eq. 12."""
+
+    required_gains = ("pixel",)
+    weights = Weights(max_discount=0.3)
+
+
+@POLICIES.register("activestructure-d")
+class ActiveStructureD(StructurePolicy):
+    """Rung D: C and the deficiency centres."""
+
+    required_gains = ("pixel", "deficiency")
+    weights = Weights(max_discount=0.3)
+
+
+@POLICIES.register("activestructure")
+class ActiveStructure(StructurePolicy):
+    """The full model, rung E: D with three phases and the reversal of polarity between them."""
+
+    required_gains = ("pixel", "deficiency")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._machine = PhaseMachine()
+
+    def reset(self, seed: int) -> None:
+        """Begin with phase I."""
+        super().reset(seed)
+        self._machine = PhaseMachine()
+
+    def act(self, observation: Observation) -> int:
+        """The best view of the present phase; in phase III the keyframe that renders worst."""
+        machine, planes = self._machine, plane_view(observation)
+        valid = observation["action_mask"].astype(bool)
+        terms = self.terms(observation, planes, machine.phase.weights)
+        pool = in_pool(terms, valid, machine.phase)
+        changed = machine.update(pool)
+        if changed:
+            terms = self.terms(observation, planes, machine.phase.weights)
+            pool = in_pool(terms, valid, machine.phase)
+        more = {"phase": machine.phase.name, "pool": int(pool.sum()), "changed": changed}
+        if machine.phase.refines:
+            return self._refine(terms, observation, more)
+        return self._choose(np.where(pool, terms.total, 0.0) if pool.any() else terms.total, terms, observation, more)
+
+    def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
+        """Revisit the worst rendered keyframe, unless nine tenths of them are good; then what pixels are left."""
+        revisit = (observation["candidates"][:, _REVISIT] > 0) & observation["action_mask"].astype(bool)
+        lowest = float(observation["fidelity"][0])
+        more = {**more, "fidelity": lowest}
+        if revisit.any() and lowest < GOOD_PSNR:
+            return self._choose(revisit.astype(np.float64), terms, observation, more)
+        return self._choose(terms.total, terms, observation, more)

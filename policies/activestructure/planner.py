@@ -10,6 +10,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES, plane_colum
 from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
 from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, in_pool
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
+from activestructure_gym.policies.pixel_only import PixelOnly
 
 _REVISIT = CANDIDATE_FEATURES.index("revisit")
 
@@ -29,6 +30,11 @@ def plane_view(observation: Observation) -> PlaneView:
     )
 
 
+def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
+    """The gain without the revisits: a keyframe's own view would always see the planes it founded. Phase III has them."""
+    return np.where(observation["candidates"][:, _REVISIT] > 0, 0.0, gain)
+
+
 class StructurePolicy(Policy):
     """T* = argmax softmax(log IG) g (Eq. 15); softmax(log IG) is IG / sum IG, so the argmax is that of IG g."""
 
@@ -41,7 +47,7 @@ class StructurePolicy(Policy):
     def act(self, observation: Observation) -> int:
         """The valid row with the largest product of information gain and travel discount."""
         terms = self.terms(observation, plane_view(observation), self.weights)
-        return self._choose(terms.total, terms, observation, {})
+        return self._choose(discovering(terms.total, observation), terms, observation, {})
 
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
         """The terms of Eqs. 12 to 14; a gain the rung does not ask for counts as 0."""
@@ -71,11 +77,8 @@ class StructurePolicy(Policy):
 
 
 @POLICIES.register("activestructure-a")
-class ActiveStructureA(StructurePolicy):
-    """Rung A: pixels only; chooses as `pixel_only` does."""
-
-    required_gains = ("pixel",)
-    weights = Weights(coupling=0.0)
+class ActiveStructureA(PixelOnly):
+    """Rung A: pixels only."""
 
 
 @POLICIES.register("activestructure-b")
@@ -130,7 +133,8 @@ class ActiveStructure(StructurePolicy):
         more = {"phase": machine.phase.name, "pool": int(pool.sum()), "changed": changed}
         if machine.phase.refines:
             return self._refine(terms, observation, more)
-        return self._choose(np.where(pool, terms.total, 0.0) if pool.any() else terms.total, terms, observation, more)
+        gain = np.where(pool, terms.total, 0.0) if pool.any() else terms.total
+        return self._choose(discovering(gain, observation), terms, observation, more)
 
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
         """Revisit the worst rendered keyframe, unless nine tenths of them are good; then what pixels are left."""
@@ -139,4 +143,4 @@ class ActiveStructure(StructurePolicy):
         more = {**more, "fidelity": lowest}
         if revisit.any() and lowest < GOOD_PSNR:
             return self._choose(revisit.astype(np.float64), terms, observation, more)
-        return self._choose(terms.total, terms, observation, more)
+        return self._choose(discovering(terms.total, observation), terms, observation, more)

@@ -15,5 +15,16 @@ from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.pixel import pixel
 from activestructure_gym.views.gains.structure import structure
+from activestructure_gym.views.gains.unexplained import unexplained
 
-__all__ = ["GAINS", "Gain", "GainContext", "deficiency", "evaluate_gains", "hole_area", "pixel", "structure"]
+__all__ = [
+    "GAINS",
+    "Gain",
+    "GainContext",
+    "deficiency",
+    "evaluate_gains",
+    "hole_area",
+    "pixel",
+    "structure",
+    "unexplained",
+]

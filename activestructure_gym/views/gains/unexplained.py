@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.views.gains.base import GAINS, GainContext
 from activestructure_gym.volume import FREE, OCCUPIED
 
@@ -34,7 +34,7 @@ def unexplained(context: GainContext) -> np.ndarray:  # [K] in 0..1
     return meets.mean(axis=(1, 2))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def meets_unknown(
     state: np.ndarray,  # [X, Y, Z] uint8
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)

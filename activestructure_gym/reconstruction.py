@@ -212,7 +212,10 @@ class Reconstruction:
         with self._timed("mapping"):
             self.mapper.observe(frame)
         with self._timed("planes"):
-            self.planes.update(frame, space_state=self.volume.state_at)
+            gaussians = self.mapper.map
+            self.planes.update(
+                frame, space_state=self.volume.state_at, map_points=gaussians.parameters[:3, : gaussians.count].T
+            )
         self.keyframe_indices.append(len(self.trajectory) - 1)
         return frame
 

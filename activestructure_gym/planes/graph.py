@@ -86,18 +86,27 @@ class PlaneSceneGraph:
         self.nodes: list[PlaneNode] = []  # by id
         self.keyframes = 0  # updates so far
         self._next_id = 0
-        self._assess(None)
+        self._assess(None, None)
 
-    def update(self, frame: Frame, *, space_state: SpaceState | None = None) -> GraphUpdate:
+    def update(
+        self, frame: Frame, *, space_state: SpaceState | None = None, map_points: np.ndarray | None = None
+    ) -> GraphUpdate:
         """Detect the planes of a keyframe and join them.
 
         ``space_state`` tells whether world points are unknown (0), free (1) or occupied (2); without it only planes
-        and images close a boundary (mode v).
+        and images close a boundary (mode v). ``map_points`` [M, 3] are the centres of the map's Gaussians: without
+        them only holes are deficient, not what the map covers thinly.
         """
-        return self.integrate(frame, segment_planes(frame, self.config.detection), space_state=space_state)
+        detection = segment_planes(frame, self.config.detection)
+        return self.integrate(frame, detection, space_state=space_state, map_points=map_points)
 
     def integrate(
-        self, frame: Frame, detection: PlaneDetection, *, space_state: SpaceState | None = None
+        self,
+        frame: Frame,
+        detection: PlaneDetection,
+        *,
+        space_state: SpaceState | None = None,
+        map_points: np.ndarray | None = None,
     ) -> GraphUpdate:
         """Join segments found elsewhere; `update` in two steps."""
         first_new = self._next_id
@@ -107,7 +116,7 @@ class PlaneSceneGraph:
             self._fuse(frame, detection, owner, touched)
         merged = self._merge(touched)
         self.keyframes += 1
-        self._assess(space_state)
+        self._assess(space_state, map_points)
         stays = {gone: kept for kept, gone in merged}
         ids = []
         for node_id in owner:
@@ -187,7 +196,7 @@ class PlaneSceneGraph:
                     break
         return merged
 
-    def _assess(self, space_state: SpaceState | None) -> None:
+    def _assess(self, space_state: SpaceState | None, map_points: np.ndarray | None) -> None:
         nodes, config = self.nodes, self.config
         self.normals = np.array([node.normal for node in nodes]).reshape(-1, 3)  # [N, 3]
         self.offsets = np.array([node.offset for node in nodes], dtype=np.float64)  # [N]
@@ -208,7 +217,7 @@ class PlaneSceneGraph:
             self.normals, self.centroids, self.edges, self.tree, config.surprise
         )
         self.deficit = information_deficit(self.quality.scores, self.surprise.total)  # [N] gamma, Eq. 10
-        self.deficiencies: Deficiencies = find_deficiencies(nodes, config.quality)
+        self.deficiencies: Deficiencies = find_deficiencies(nodes, config.quality, map_points=map_points)
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
         """Pairs that at least one keyframe showed both of: only those relations have been observed."""

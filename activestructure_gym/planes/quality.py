@@ -14,6 +14,7 @@ import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.sparseness import sparse_patches
 from activestructure_gym.planes.surface import SurfaceGrid
 
 QUALITY_MODES = (
@@ -45,6 +46,7 @@ class QualityConfig:
     closing_radius: int = 3  # viii: cells
     hole_tile: int = 10  # viii: cells; a larger hole gets one centre per tile (0.5 m)
     min_hole_cells: int = 4  # viii: smaller holes get no centre (they still lower the score)
+    min_sparse_cells: int = 20  # viii: seen cells of a tile without a point of the map, for it to get a centre
     min_hole_radius: float = 1.5  # viii: cells; a thin slit gets no centre either
     # True is Eq. 6 to the letter. False leaves out holes that no view can fill: cells that were looked through
     # (a window, a doorway) or that something lies on (a picture, a cupboard's back).
@@ -262,8 +264,17 @@ def assess_quality(
     return Quality(modes=modes, scores=(weights * modes).sum(axis=1))  # Eq. 7
 
 
-def find_deficiencies(nodes: Sequence[PlaneNode], config: QualityConfig | None = None) -> Deficiencies:
-    """The holes of all planes as points in the world (C_def), in the order of the planes."""
+def find_deficiencies(
+    nodes: Sequence[PlaneNode],
+    config: QualityConfig | None = None,
+    *,
+    map_points: np.ndarray | None = None,  # [M, 3] metres, world
+) -> Deficiencies:
+    """The holes of all planes as points in the world (C_def), in the order of the planes.
+
+    With ``map_points``, the centres of the map's Gaussians, also the patches that were seen but that the map covers
+    more thinly than one point per cell; those stand behind the holes.
+    """
     config = config or QualityConfig()
     centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
     for k, node in enumerate(nodes):
@@ -273,6 +284,14 @@ def find_deficiencies(nodes: Sequence[PlaneNode], config: QualityConfig | None =
             normals.append(np.repeat(node.normal[None], len(inside.holes), axis=0))
             areas.append(inside.hole_cells * node.surface.cell**2)
             owner.append(np.full(len(inside.holes), k, np.int64))
+    if map_points is not None and nodes:
+        sparse, sparse_areas, sparse_owner = sparse_patches(
+            nodes, map_points, tile=config.hole_tile, least_cells=config.min_sparse_cells
+        )
+        centres.append(sparse)
+        normals.append(np.stack([node.normal for node in nodes])[sparse_owner])
+        areas.append(sparse_areas)
+        owner.append(sparse_owner)
     return Deficiencies(
         np.concatenate(centres), np.concatenate(normals), np.concatenate(areas), np.concatenate(owner)
     )

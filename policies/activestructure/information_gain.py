@@ -69,19 +69,17 @@ def information_gain(
     structure = structural_term(planes, weights)
     floor = np.where(planes.visible.any(axis=1), VISIBILITY_FLOOR, 0.0)
     kept = suppression(planes, weights.suppression)
-    total = pixel * (1.0 - rho) + weights.coupling * (structure + weights.deficiency * deficiency + floor)
+    total = pixel * (1.0 - rho) + weights.coupling * (structure + weights.deficiency * deficiency + floor)  # Eq. 14
     return Terms(pixel, rho, structure, deficiency, floor, kept, np.maximum(total * kept, 0.0))
 
 
 def structural_term(planes: PlaneView, weights: Weights) -> np.ndarray:  # [K]
-    """First sum of Eq. 13, each plane's share of what the whole graph lacks.
+    """First sum of Eq. 13, as each plane's share of what the whole graph lacks.
 
     gamma_i / sum gamma keeps the term in [-1, 1] whatever the number of planes and however small the product of three
     surprises is, as IG_px and IG_def are shares too.
     """
     missing = planes.deficit if weights.surprise else 1.0 - planes.quality
-    present = planes.visible.any(axis=0) | (planes.area > 0)
-    missing = np.where(present, missing, 0.0)
     alpha = np.where(planes.structural, weights.structural, weights.objects)
     return planes.visible @ (alpha * missing) / max(float(missing.sum()), 1e-12)
 

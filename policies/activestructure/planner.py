@@ -31,7 +31,7 @@ def plane_view(observation: Observation) -> PlaneView:
 
 
 def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
-    """The gain without the revisits: a keyframe's own view would always see the planes it founded. Phase III has them."""
+    """The gain without the revisits: a keyframe always sees the planes it founded. They belong to phase III."""
     return np.where(observation["candidates"][:, _REVISIT] > 0, 0.0, gain)
 
 

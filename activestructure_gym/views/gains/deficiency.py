@@ -1,4 +1,4 @@
-"""How much of the known holes in planes a view would look into (IG_def of Eq. 13)."""
+"""How much of a view would show what planes are known to lack (IG_def of Eq. 13)."""
 
 from __future__ import annotations
 
@@ -10,16 +10,27 @@ from activestructure_gym.views.visibility import cosines_in_view
 
 @GAINS.register("deficiency")
 def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
-    """Share of the deficiency centres C_def inside the frustum, in range and unoccluded, weighted by cos of incidence.
+    """Share of the image that deficiency centres C_def inside the frustum take up, occlusion included.
 
-    A centre counts with the area of the hole it stands for (Sec. 3.3). Without any known hole the gain is 0.
+    A centre stands for a patch of area a; seen at distance z and under the angle theta it covers f_x f_y a cos / z^2
+    pixels. So the term counts in the same unit as the pixel gain, and goes to 0 with the last hole. From further away
+    than the map's seeds can fill a plane's cell, what a view adds falls with its sampling density.
     """
-    holes = context.planes.deficiencies
-    poses = context.world_from_camera
+    holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
     if not len(holes) or not len(poses):
         return np.zeros(len(poses))
-    cosines = cosines_in_view(holes.centres[:, None], holes.normals, context.camera, poses)[:, :, 0]  # [K, D]
+    cosines = cosines_in_view(holes.centres[:, None], holes.normals, camera, poses)[:, :, 0]  # [K, D]
     view, hole = np.nonzero(cosines)
     free = context.volume.sight_free(poses[view, :3, 3], holes.centres[hole])
-    cosines[view[~free], hole[~free]] = 0.0
-    return cosines @ holes.areas / holes.areas.sum()
+    view, hole = view[free], hole[free]
+    offset = holes.centres[hole] - poses[view, :3, 3]
+    depth = np.einsum("ij,ij->i", offset, poses[view, :3, 2])
+    share = camera.fx * camera.fy * holes.areas[hole] * cosines[view, hole] / depth**2 / (camera.width * camera.height)
+    density = np.minimum(1.0, (filling_distance(context) / depth) ** 2)
+    return np.minimum(np.bincount(view, share * density, minlength=len(poses)), 1.0)
+
+
+def filling_distance(context: GainContext) -> float:
+    """Metres from which neighbouring seeds on a facing wall are one cell of a plane's grid apart."""
+    sensor = context.mapper.keyframes[-1].camera
+    return context.planes.config.cell * sensor.fx / context.mapper.config.seed_stride

@@ -19,19 +19,23 @@ class Phase:
     name: str
     weights: Weights
     pool_share: float = 0.0  # of the image: a view that would show less uncovered pixels is pruned from the pool
-    deficit_share: float = np.inf  # of the graph's deficit: a view that would see this much of it stays in the pool
+    deficit_share: float = np.inf  # of the image: a view that would show so much of known deficiencies stays
     refines: bool = False  # True: keyframes are revisited instead of views being scored
 
 
 PHASES = (
     # Structural deficit attracts. The scaffold stands when no view is left that would show much of the unknown.
-    Phase("I scaffold", Weights(structural=1.0, objects=0.3, max_discount=0.3), pool_share=0.10),
+    Phase(
+        "I scaffold",
+        Weights(structural=0.1, objects=0.03, deficiency=0.2, max_discount=0.3),
+        pool_share=0.10,
+    ),
     # The same planes suppress, objects attract; the cap of the discount rises, smaller gaps are worth a view.
     Phase(
         "II objects",
-        Weights(structural=-0.5, objects=1.0, max_discount=0.8, suppression=0.5),
+        Weights(structural=-0.05, objects=0.1, deficiency=1.0, max_discount=0.8, suppression=0.5),
         pool_share=0.02,
-        deficit_share=0.10,
+        deficit_share=0.05,
     ),
     # The keyframes that render worst are revisited, with more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),
@@ -43,7 +47,7 @@ GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's thres
 def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
     """The views still worth going to: enough uncovered pixels after the discount, or enough deficit (Eq. 12)."""
     pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
-    return valid & (pixels | (terms.structure + terms.deficiency >= phase.deficit_share))
+    return valid & (pixels | (terms.deficiency >= phase.deficit_share))
 
 
 class PhaseMachine:

@@ -52,10 +52,11 @@ class StructurePolicy(Policy):
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
         """The terms of Eqs. 12 to 14; a gain the rung does not ask for counts as 0."""
         nothing = np.zeros(len(observation["action_mask"]))
-        pixel, deficiency = (
+        pixel, unexplained, deficiency = (
             self.gain(observation, name).astype(np.float64) if name in self.required_gains else nothing
-            for name in ("pixel", "deficiency")
+            for name in ("pixel", "unexplained", "deficiency")
         )
+        pixel = unexplained if "unexplained" in self.required_gains else pixel
         return information_gain(pixel, deficiency, planes, weights)
 
     def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
@@ -109,7 +110,7 @@ class ActiveStructureD(StructurePolicy):
 class ActiveStructure(StructurePolicy):
     """The full model, rung E: D with three phases and the reversal of polarity between them."""
 
-    required_gains = ("pixel", "deficiency")
+    required_gains = ("unexplained", "deficiency")
 
     def __init__(self) -> None:
         super().__init__()

@@ -19,8 +19,9 @@ from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.mapping import Mapper, track_pose
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
-from activestructure_gym.planes import PlaneSceneGraph, depth_noise_scale
+from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene, check_start_pose
 from activestructure_gym.sensors import Frame, RGBDSensor
 from activestructure_gym.views import CandidatePool, CandidateTable, GainContext, evaluate_gains
@@ -212,10 +213,9 @@ class Reconstruction:
         with self._timed("mapping"):
             self.mapper.observe(frame)
         with self._timed("planes"):
-            gaussians = self.mapper.map
-            self.planes.update(
-                frame, space_state=self.volume.state_at, map_points=gaussians.parameters[:3, : gaussians.count].T
-            )
+            live = self.mapper.map.parameters[:, : self.mapper.map.count]
+            points = MapPoints(live[MEAN].T, np.exp(live[LOG_SCALE].max(axis=0)))
+            self.planes.update(frame, space_state=self.volume.state_at, map_points=points)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         return frame
 

@@ -32,6 +32,7 @@ from activestructure_gym.planes.quality import (
     assess_quality,
     find_deficiencies,
 )
+from activestructure_gym.planes.sparseness import MapPoints
 from activestructure_gym.planes.surprise import (
     Surprise,
     SurpriseConfig,
@@ -54,6 +55,7 @@ __all__ = [
     "QUALITY_MODES",
     "Deficiencies",
     "GraphUpdate",
+    "MapPoints",
     "MatchingConfig",
     "PlaneArrays",
     "PlaneDetection",

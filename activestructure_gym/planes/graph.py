@@ -19,6 +19,7 @@ from activestructure_gym.planes.quality import (
     assess_quality,
     find_deficiencies,
 )
+from activestructure_gym.planes.sparseness import MapPoints
 from activestructure_gym.planes.surface import cross, observe
 from activestructure_gym.planes.surprise import Surprise, SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.topology import (
@@ -89,13 +90,13 @@ class PlaneSceneGraph:
         self._assess(None, None)
 
     def update(
-        self, frame: Frame, *, space_state: SpaceState | None = None, map_points: np.ndarray | None = None
+        self, frame: Frame, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None
     ) -> GraphUpdate:
         """Detect the planes of a keyframe and join them.
 
         ``space_state`` tells whether world points are unknown (0), free (1) or occupied (2); without it only planes
-        and images close a boundary (mode v). ``map_points`` [M, 3] are the centres of the map's Gaussians: without
-        them only holes are deficient, not what the map covers thinly.
+        and images close a boundary (mode v). ``map_points`` are the map's Gaussians: without them only holes
+        are deficient, not what the map covers too coarsely.
         """
         detection = segment_planes(frame, self.config.detection)
         return self.integrate(frame, detection, space_state=space_state, map_points=map_points)
@@ -106,7 +107,7 @@ class PlaneSceneGraph:
         detection: PlaneDetection,
         *,
         space_state: SpaceState | None = None,
-        map_points: np.ndarray | None = None,
+        map_points: MapPoints | None = None,
     ) -> GraphUpdate:
         """Join segments found elsewhere; `update` in two steps."""
         first_new = self._next_id
@@ -196,7 +197,7 @@ class PlaneSceneGraph:
                     break
         return merged
 
-    def _assess(self, space_state: SpaceState | None, map_points: np.ndarray | None) -> None:
+    def _assess(self, space_state: SpaceState | None, map_points: MapPoints | None) -> None:
         nodes, config = self.nodes, self.config
         self.normals = np.array([node.normal for node in nodes]).reshape(-1, 3)  # [N, 3]
         self.offsets = np.array([node.offset for node in nodes], dtype=np.float64)  # [N]

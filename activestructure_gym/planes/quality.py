@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.nodes import PlaneNode
-from activestructure_gym.planes.sparseness import sparse_patches
+from activestructure_gym.planes.sparseness import MapPoints, sparse_patches
 from activestructure_gym.planes.surface import SurfaceGrid
 
 QUALITY_MODES = (
@@ -46,7 +46,8 @@ class QualityConfig:
     closing_radius: int = 3  # viii: cells
     hole_tile: int = 10  # viii: cells; a larger hole gets one centre per tile (0.5 m)
     min_hole_cells: int = 4  # viii: smaller holes get no centre (they still lower the score)
-    min_sparse_cells: int = 20  # viii: seen cells of a tile without a point of the map, for it to get a centre
+    min_sparse_cells: int = 20  # viii: seen cells of a tile without a fine Gaussian near, for it to get a centre
+    coarse_size: float = 0.8  # viii: of a cell; a larger Gaussian stands for more than one (its sigma: 0.6 of a cell)
     min_hole_radius: float = 1.5  # viii: cells; a thin slit gets no centre either
     # True is Eq. 6 to the letter. False leaves out holes that no view can fill: cells that were looked through
     # (a window, a doorway) or that something lies on (a picture, a cupboard's back).
@@ -82,6 +83,7 @@ class Deficiencies:
     normals: np.ndarray  # [D, 3] of the plane, towards the side it is seen from
     areas: np.ndarray  # [D] m^2 of the part of the hole the centre stands for
     planes: np.ndarray  # [D] int64 index of the plane
+    sizes: np.ndarray  # [D] metres, of the Gaussians on a patch that is too coarse; inf in a hole, where there are none
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -265,15 +267,12 @@ def assess_quality(
 
 
 def find_deficiencies(
-    nodes: Sequence[PlaneNode],
-    config: QualityConfig | None = None,
-    *,
-    map_points: np.ndarray | None = None,  # [M, 3] metres, world
+    nodes: Sequence[PlaneNode], config: QualityConfig | None = None, *, map_points: MapPoints | None = None
 ) -> Deficiencies:
     """The holes of all planes as points in the world (C_def), in the order of the planes.
 
-    With ``map_points``, the centres of the map's Gaussians, also the patches that were seen but that the map covers
-    more thinly than one point per cell; those stand behind the holes.
+    With ``map_points`` also the patches that were seen but that the map covers too coarsely; those stand behind the
+    holes.
     """
     config = config or QualityConfig()
     centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
@@ -284,14 +283,21 @@ def find_deficiencies(
             normals.append(np.repeat(node.normal[None], len(inside.holes), axis=0))
             areas.append(inside.hole_cells * node.surface.cell**2)
             owner.append(np.full(len(inside.holes), k, np.int64))
+    sizes = [np.full(sum(map(len, areas)), np.inf)]
     if map_points is not None and nodes:
-        sparse, sparse_areas, sparse_owner = sparse_patches(
-            nodes, map_points, tile=config.hole_tile, least_cells=config.min_sparse_cells
+        sparse = sparse_patches(
+            nodes,
+            map_points,
+            tile=config.hole_tile,
+            least_cells=config.min_sparse_cells,
+            largest=config.coarse_size * nodes[0].surface.cell,
         )
-        centres.append(sparse)
-        normals.append(np.stack([node.normal for node in nodes])[sparse_owner])
-        areas.append(sparse_areas)
-        owner.append(sparse_owner)
+        centres.append(sparse.centres)
+        normals.append(np.stack([node.normal for node in nodes])[sparse.planes])
+        areas.append(sparse.areas)
+        owner.append(sparse.planes)
+        sizes.append(sparse.sizes)
     return Deficiencies(
-        np.concatenate(centres), np.concatenate(normals), np.concatenate(areas), np.concatenate(owner)
-    )
+        np.concatenate(centres), np.concatenate(normals), np.concatenate(areas), np.concatenate(owner),
+        np.concatenate(sizes),
+    )  # fmt: skip

@@ -13,24 +13,26 @@ def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
     """Share of the image that deficiency centres C_def inside the frustum take up, occlusion included.
 
     A centre stands for a patch of area a; seen at distance z and under the angle theta it covers f_x f_y a cos / z^2
-    pixels. So the term counts in the same unit as the pixel gain, and goes to 0 with the last hole. From further away
-    than the map's seeds can fill a plane's cell, what a view adds falls with its sampling density.
+    pixels. So the term counts in the same unit as the pixel gain, and goes to 0 with the last hole. A patch that the
+    map covers too coarsely counts only from where its Gaussians would be replaced by finer ones.
     """
     holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
     if not len(holes) or not len(poses):
         return np.zeros(len(poses))
     cosines = cosines_in_view(holes.centres[:, None], holes.normals, camera, poses)[:, :, 0]  # [K, D]
-    view, hole = np.nonzero(cosines)
+    offset = holes.centres[None] - poses[:, None, :3, 3]
+    depth = np.einsum("kdi,ki->kd", offset, poses[:, :3, 2])
+    view, hole = np.nonzero((cosines > 0) & (depth <= refining_distance(context, holes.sizes)))
     free = context.volume.sight_free(poses[view, :3, 3], holes.centres[hole])
     view, hole = view[free], hole[free]
-    offset = holes.centres[hole] - poses[view, :3, 3]
-    depth = np.einsum("ij,ij->i", offset, poses[view, :3, 2])
-    share = camera.fx * camera.fy * holes.areas[hole] * cosines[view, hole] / depth**2 / (camera.width * camera.height)
-    density = np.minimum(1.0, (filling_distance(context) / depth) ** 2)
-    return np.minimum(np.bincount(view, share * density, minlength=len(poses)), 1.0)
+    pixels = camera.fx * camera.fy * holes.areas[hole] * cosines[view, hole] / depth[view, hole] ** 2
+    return np.minimum(np.bincount(view, pixels, minlength=len(poses)) / (camera.width * camera.height), 1.0)
 
 
-def filling_distance(context: GainContext) -> float:
-    """Metres from which neighbouring seeds on a facing wall are one cell of a plane's grid apart."""
-    sensor = context.mapper.keyframes[-1].camera
-    return context.planes.config.cell * sensor.fx / context.mapper.config.seed_stride
+def refining_distance(context: GainContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
+    """From how far away a frame replaces Gaussians of these sizes by finer ones (`MapperConfig.coarse_ratio`)."""
+    config, sensor = context.mapper.config, context.mapper.keyframes[-1].camera
+    if config.coarse_ratio is None:
+        return np.where(np.isinf(sizes), np.inf, 0.0)
+    limit = config.coarse_ratio * config.seed_footprint * config.seed_stride  # pixels
+    return sizes * 0.5 * (sensor.fx + sensor.fy) / limit

@@ -26,7 +26,7 @@ class ReconstructionConfig:
 
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
-    revisit_rounds: int = 3  # times the mapper's iterations, on top, where a revisited keyframe is reached (Sec. 3.4)
+    revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (method.md, section 6)
     gains: tuple[str, ...] = ("pixel",)  # evaluated for every candidate, in this order
     sensor: SensorConfig = field(default_factory=SensorConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
@@ -42,8 +42,8 @@ class ReconstructionConfig:
             )
         if self.keyframe_every < 1:
             raise InputError(f"keyframe_every must be at least 1, got {self.keyframe_every}")
-        if self.revisit_rounds < 0:
-            raise InputError(f"revisit_rounds must be 0 or more, got {self.revisit_rounds}")
+        if self.revisit_rounds < 1:
+            raise InputError(f"revisit_rounds must be at least 1, got {self.revisit_rounds}")
         for name in self.gains:
             GAINS.get(name)
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
@@ -140,34 +139,13 @@ class Reconstruction:
                 self.pool.drop(int(self.candidates.ids[index]))
                 self.frames += 1
             else:
-                reached, keyframes = self._walk(poses)
+                reached, keyframes = self._walk(poses, revisits=bool(self.candidates.revisit[index]))
                 if not reached and not self.exhausted:
                     # Blocked: the volume now knows better, and the same view is not tried a second time.
                     self.pool.drop(int(self.candidates.ids[index]))
-            if reached and self.candidates.revisit[index]:
-                self._refine_here()
             self.pool.mark_visited(self.pose)
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
-
-    def _refine_here(self) -> None:
-        """More map iterations on the keyframe just taken: whoever revisits a keyframe wants it to render better."""
-        with self._timed("mapping"):
-            last = len(self.mapper.keyframes) - 1
-            self.mapper.refine(
-                self.config.revisit_rounds * self.config.mapper.iterations, keyframe_indices=self._alike(last)
-            )
-
-    def _alike(self, index: int) -> list[int]:
-        """The keyframe and the ones taken at (nearly) the same pose."""
-        pose = self.mapper.keyframes[index].world_from_camera
-        views = self.config.views
-        return [
-            k
-            for k, frame in enumerate(self.mapper.keyframes)
-            if np.linalg.norm(frame.world_from_camera[:3, 3] - pose[:3, 3]) <= views.visited_distance_m
-            and np.degrees(rotation_angle(frame.world_from_camera, pose)) <= views.visited_angle_deg
-        ]
 
     def _plan(self, goal: np.ndarray) -> np.ndarray | None:  # [T, 4, 4]
         motion = self.config.motion
@@ -182,8 +160,11 @@ class Reconstruction:
             )
             return None if path is None else interpolate(path, self.pose, goal, motion)
 
-    def _walk(self, poses: np.ndarray) -> tuple[bool, list[Frame]]:
-        """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached."""
+    def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
+        """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached.
+
+        Where the goal is a keyframe's own pose, its frame is mapped with more iterations.
+        """
         keyframes: list[Frame] = []
         index, end = 0, len(poses)  # poses[:end] is free as far as the volume knows
         while index < end and not self.exhausted:
@@ -193,7 +174,8 @@ class Reconstruction:
             self.frames += 1
             index += 1
             if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
-                keyframes.append(self._keyframe())
+                rounds = self.config.revisit_rounds if revisits and index == len(poses) else 1
+                keyframes.append(self._keyframe(rounds * self.config.mapper.iterations))
                 with self._timed("planning"):
                     blocked = first_blocked(
                         self.volume, poses[index:end], self.config.motion.min_clearance, start=self.pose
@@ -201,7 +183,7 @@ class Reconstruction:
                 end = end if blocked is None else index + blocked
         return index == len(poses), keyframes
 
-    def _keyframe(self) -> Frame:
+    def _keyframe(self, iterations: int | None = None) -> Frame:
         with self._timed("sensor"):
             frame = self.sensor.capture(self.pose)
         sensor = self.config.sensor
@@ -211,7 +193,7 @@ class Reconstruction:
         with self._timed("volume"):
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with self._timed("mapping"):
-            self.mapper.observe(frame)
+            self.mapper.observe(frame, iterations=iterations)
         with self._timed("planes"):
             live = self.mapper.map.parameters[:, : self.mapper.map.count]
             points = MapPoints(live[MEAN].T, np.exp(live[LOG_SCALE].max(axis=0)))

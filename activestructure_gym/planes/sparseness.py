@@ -23,7 +23,7 @@ class MapPoints:
     """What the Plane Scene Graph knows of the map: where its Gaussians are and how large."""
 
     means: np.ndarray  # [M, 3] metres, world
-    sizes: np.ndarray  # [M] metres, largest standard deviation
+    sizes: np.ndarray  # [M] metres, middle one of the three standard deviations: the short one in the plane of a disk
 
 
 @dataclass(frozen=True)

@@ -49,15 +49,15 @@ def test_planes_of_a_furnished_room_are_found(furnished_room, furnished_views, n
         furnished_room, furnished_views[:views], noise=noise, size=size
     )
     # The dossier's prototype found 46 of 49 (0.94) and was right in 46 of 47 (0.98), at 0.07 deg and 1.5 mm.
-    assert found >= 0.94 * total and total > 30
+    assert found >= 0.97 * total and total > 30
     assert right >= 0.97 * segments
-    assert angle < 0.07 and offset < 0.0015
+    assert angle < 0.07 and offset < 0.0018  # medians over more planes: the small and far ones are among them
 
 
 def test_double_noise_costs_little(furnished_room, furnished_views):
     found, total, right, segments, *_ = score(furnished_room, furnished_views, noise=2.0, size=(160, 90))
-    assert found >= 0.88 * total
-    assert right >= 0.90 * segments
+    assert found >= 0.95 * total
+    assert right >= 0.94 * segments
 
 
 def test_a_tilted_board_is_measured(rectangles):
@@ -69,7 +69,7 @@ def test_a_tilted_board_is_measured(rectangles):
     frame, part = scene.shoot((0, 0, 1), (1, 0, 0))
     (segment,) = detect_planes(frame, PlaneDetectionConfig(depth_noise_scale=0.25))
     normal = np.array([-np.cos(a), np.sin(a), 0.0])  # towards the camera
-    assert np.degrees(np.arccos(segment.normal @ normal)) < 0.02
+    assert np.degrees(np.arccos(min(1.0, segment.normal @ normal))) < 0.02
     assert segment.offset == pytest.approx(-normal @ centre, abs=1e-3)
     assert segment.area == pytest.approx(1.44, rel=0.02)  # the rim is one pixel of 2.5 cm wide
     points = transform_points(frame.world_from_camera, frame.camera.backproject(frame.depth)[part == 0])

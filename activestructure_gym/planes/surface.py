@@ -124,7 +124,7 @@ class SurfaceGrid:
         self.low = np.array(grown_low, np.int64)
 
     def _forget(self) -> None:
-        for name in ("_cells", "area", "centroid", "near"):
+        for name in ("_cells", "_measured", "_points", "area", "centroid", "near"):
             self.__dict__.pop(name, None)
         self.memo.clear()
 
@@ -142,6 +142,23 @@ class SurfaceGrid:
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
         rows, columns = np.nonzero(self.seen)
         return rows, columns
+
+    @cached_property
+    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
+        rows, columns = np.nonzero((self.seen > 0) & (self.hits > 0))
+        return rows, columns
+
+    @cached_property
+    def _points(self) -> np.ndarray:  # [K, 3] world
+        rows, columns = self._measured if self.measured_count else self._cells
+        points = self.cell_centres(rows, columns)
+        points.setflags(write=False)  # everybody gets this one
+        return points
+
+    @property
+    def measured_count(self) -> int:
+        """Seen cells with at least one measured point."""
+        return len(self._measured[0])
 
     @cached_property
     def area(self) -> float:
@@ -162,14 +179,14 @@ class SurfaceGrid:
         return cv2.dilate(self.seen, _NEAR) if self.seen.size else self.seen
 
     def points(self, count: int | None = None) -> np.ndarray:  # [K, 3] world
-        """Centres of the seen cells with at least one measured point; ``count`` of them, evenly spread in row order."""
-        rows, columns = np.nonzero(self.seen.astype(bool) & (self.hits > 0))
-        if not len(rows):
-            rows, columns = self._cells
-        if count is not None and len(rows) > count:
-            pick = (np.arange(count) + 0.5) * len(rows) / count
-            rows, columns = rows[pick.astype(np.int64)], columns[pick.astype(np.int64)]
-        return self.cell_centres(rows, columns)
+        """Centres of the seen cells with at least one measured point; ``count`` of them, evenly spread in row order.
+
+        Without a count the array is kept and read-only.
+        """
+        points = self._points
+        if count is not None and len(points) > count:
+            return points[((np.arange(count) + 0.5) * len(points) / count).astype(np.int64)]
+        return points
 
     def contains(self, points: np.ndarray, *, reach: int = 0) -> np.ndarray:  # [K, 3] world -> [K] bool
         """Whether the points' feet on the plane fall on seen cells, or within ``reach`` cells of one."""

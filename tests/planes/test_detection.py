@@ -101,6 +101,20 @@ def test_a_wall_behind_a_pillar_is_one_segment(rectangles):
     assert len(np.unique(labels[labels >= 0])) == 1
 
 
+def test_a_far_wall_is_one_segment_in_noise(rectangles):
+    """At 5 m a block is as wide as the noise is thick; only the blocks around it tell how it stands."""
+    rng = np.random.default_rng(4)
+    scene = rectangles().add((5.2, -4, 0), (0, 8, 0), (0, 0, 3))
+    shares = {}
+    for degrees in (2.5, 90.0):  # 90: never look around
+        config = PlaneDetectionConfig(depth_noise_scale=1.0, window_tilt_deg=degrees)
+        frames = [scene.shoot((0, 0, 1.5), (1, 0.1 * k, 0), noise=1.0, rng=rng) for k in range(4)]
+        largest = [(segment_planes(frame, config).labels[part == 0] == 0).mean() for frame, part in frames]
+        shares[degrees] = np.mean(largest)
+    assert shares[2.5] > 0.9
+    assert shares[90.0] < 0.8
+
+
 def test_a_picture_stays_apart_from_its_wall(rectangles):
     scene = rectangles().add((2, -3, 0), (0, 6, 0), (0, 0, 3)).add((1.97, -0.5, 1.1), (0, 1, 0), (0, 0, 0.8))
     frame, part = scene.shoot((0, 0, 1.5), (1, 0, 0))

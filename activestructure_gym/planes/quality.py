@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.nodes import PlaneNode
-from activestructure_gym.planes.surface import SurfaceGrid
+from activestructure_gym.planes.surface import SurfaceGrid, nonzero
 
 QUALITY_MODES = (
     "coverage",  # i
@@ -140,7 +140,7 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     padded = np.pad(missing[top : some_rows[-1] + 1, left : some_columns[-1] + 1], 1).astype(np.uint8)
     count, labels = cv2.connectedComponents(padded, connectivity=8)
     depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
-    rows, columns = np.nonzero(padded)
+    rows, columns = nonzero(padded > 0)
     label = np.asarray(labels, dtype=np.int64)[rows, columns]
     widest = np.zeros(count)
     np.maximum.at(widest, label, depth[rows, columns])

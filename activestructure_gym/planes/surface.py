@@ -140,13 +140,11 @@ class SurfaceGrid:
 
     @cached_property
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
-        rows, columns = np.nonzero(self.seen)
-        return rows, columns
+        return nonzero(self.seen > 0)
 
     @cached_property
     def _measured(self) -> tuple[np.ndarray, np.ndarray]:
-        rows, columns = np.nonzero((self.seen > 0) & (self.hits > 0))
-        return rows, columns
+        return nonzero((self.seen > 0) & (self.hits > 0))
 
     @cached_property
     def _points(self) -> np.ndarray:  # [K, 3] world
@@ -205,6 +203,12 @@ class SurfaceGrid:
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product of two vectors [3]; numpy's own takes 30 times as long for one pair."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] bool -> rows [K], columns [K]
+    """`numpy.nonzero` of two dimensions, several times as fast for large masks: it goes through the flat index."""
+    rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1] or 1)
+    return rows, columns
 
 
 def _disc(radius: int) -> np.ndarray:

@@ -25,27 +25,36 @@ class PlaneDetectionConfig:
     depth_noise_scale: float = 0.25
     max_depth: float = 6.0  # metres; beyond it a Kinect-type sensor cannot tell a plane from its neighbour
     max_incidence_deg: float = 80.0  # between ray and normal; closer to edge-on neither normal nor extent is known
-    block_columns: int = 40  # blocks across the image at noise scale 1; divided by sqrt(depth_noise_scale) ...
-    max_block_columns: int = 54  # ... and never more than this
+    block_columns: int = 54  # blocks across the image; above noise scale 1 divided by sqrt(depth_noise_scale)
     min_block: int = 3  # pixels, edge of the smallest block
     block_sigma: float = 1.6  # a block is planar below block_sigma * sigma + block_tolerance
     block_tolerance: float = 0.002  # metres
     block_valid_share: float = 0.9  # of the block's pixels must have a return
     link_angle_deg: float = 12.0  # between the normals of blocks that join
-    link_sigma: float = 2.0  # of distance between a block's centroid and the other's plane
-    link_tolerance: float = 0.01  # metres
-    min_pixel_share: float = 0.006  # of the image; smaller segments are dropped
+    link_sigma: float = 2.4  # of distance between a block's centroid and the other's plane
+    link_tolerance: float = 0.004  # metres
+    # Where noise tilts a block's plane by more (standard deviation, degrees), the 3 x 3 blocks around it give its
+    # plane, provided that enough of their pixels are there and lie on one.
+    window_tilt_deg: float = 2.5
+    window_share: float = 0.5
+    window_sigma: float = 1.4
+    window_tolerance: float = 0.001  # metres
+    min_pixel_share: float = 0.005  # of the image; smaller segments are dropped
     segment_sigma: float = 2.0  # a segment is rejected above segment_sigma * sigma + segment_tolerance rms
     segment_tolerance: float = 0.006  # metres
     pixel_sigma: float = 3.0  # a pixel joins below pixel_sigma * sigma + pixel_tolerance
     pixel_tolerance: float = 0.004  # metres
     explained_share: float = 0.6  # of a segment's pixels that larger planes explain: above it the segment is noise
     explained_sigma: float = 2.0
-    explained_tolerance: float = 0.004  # metres
+    explained_tolerance: float = 0.002  # metres
     merge_angle_deg: float = 4.0  # coplanar segments of one image become one
     merge_sigma: float = 1.0  # of the smaller one's centroid to the larger one's plane
-    merge_tolerance: float = 0.01  # metres
+    merge_tolerance: float = 0.005  # metres
     merge_back: float = 3.0  # times as much from the larger one's centroid: a small piece's tilt acts on a long lever
+    # Noise tilts a slat by more than that; up to this angle its points must be near, by their root mean square.
+    merge_wide_angle_deg: float = 15.0
+    merge_wide_sigma: float = 1.5  # of their rms distance to the larger one's plane
+    merge_wide_tolerance: float = 0.002  # metres
     merge_reach: float = 4.0  # metres between the centroids (the graph's relaxed threshold)
     max_points: int = 256  # kept per segment
 
@@ -54,8 +63,8 @@ class PlaneDetectionConfig:
             raise ValueError(f"depth_noise_scale must be 0 or more, got {self.depth_noise_scale}")
         if not self.max_depth > 0:
             raise ValueError(f"max_depth must be above 0 metres, got {self.max_depth}")
-        if self.block_columns < 1 or self.max_block_columns < 1 or self.min_block < 2:
-            raise ValueError("block_columns and max_block_columns must be at least 1, min_block at least 2")
+        if self.block_columns < 1 or self.min_block < 2:
+            raise ValueError("block_columns must be at least 1, min_block at least 2")
         if not 0 < self.block_valid_share <= 1:
             raise ValueError(f"block_valid_share must lie in (0, 1], got {self.block_valid_share}")
         if not 0 <= self.min_pixel_share < 1:
@@ -107,8 +116,8 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
 
-    # Noise tilts a small block's plane: a noisier sensor needs larger ones, a better one sees narrower planes.
-    columns = min(config.block_columns / max(config.depth_noise_scale, 1e-6) ** 0.5, config.max_block_columns)
+    # Noise tilts a small block's plane: a much noisier sensor needs larger ones.
+    columns = config.block_columns / max(config.depth_noise_scale, 1.0) ** 0.5
     size = max(config.min_block, int(camera.width / columns + 0.5))
     if min(depth.shape) < size:
         return nothing
@@ -130,21 +139,6 @@ def _noise(z: np.ndarray, scale: float) -> np.ndarray:
     return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
 
 
-def _fit(
-    moments: np.ndarray,  # [S, 10]
-) -> tuple[np.ndarray, np.ndarray]:  # planes [S, 5] (n, d > 0, rms), centroids [S, 3]
-    """Least-squares planes of moment vectors, in the camera frame, normals towards the camera."""
-    count = np.maximum(moments[:, 0], 1.0)
-    mean = moments[:, 1:4] / count[:, None]
-    second = moments[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3) / count[:, None, None]
-    values, vectors = np.linalg.eigh(second - mean[:, :, None] * mean[:, None, :])
-    normal = vectors[:, :, 0]
-    d = -np.einsum("ij,ij->i", normal, mean)
-    flip = np.where(d < 0, -1.0, 1.0)
-    rms = np.sqrt(np.maximum(values[:, 0], 0.0))
-    return np.column_stack([normal * flip[:, None], d * flip, rms]), mean
-
-
 def _block_regions(
     depth: np.ndarray, lens: tuple[float, float, float, float], size: int, config: PlaneDetectionConfig
 ) -> tuple[np.ndarray, np.ndarray]:  # block labels [By, Bx], planes [S, 5]
@@ -152,28 +146,32 @@ def _block_regions(
     moments = kernels.block_moments(depth, *lens, size, config.max_depth)
     shape = moments.shape[:2]
     flat = moments.reshape(-1, kernels.MOMENTS)
-    planes, mean = _fit(flat)
+    planes, mean = kernels.fit_planes(flat)
     needed = max(3.0, config.block_valid_share * size * size)
     limit = config.block_sigma * _noise(mean[:, 2], scale) + config.block_tolerance
     accepted = (flat[:, 0] >= needed) & (planes[:, 4] < limit)
     # The plane's distance from the camera over the block's: the cosine between ray and normal.
     accepted &= planes[:, 3] > np.cos(np.radians(config.max_incidence_deg)) * np.linalg.norm(mean, axis=1)
-    order = np.argsort(planes[:, 4], kind="stable")
     # Standard deviation of the fitted normal in radians: sigma * sqrt(12) / (block edge * sqrt(pixels)), for a square
     # of uniformly spread points; far blocks of a noisy sensor need it.
     edge = np.maximum(mean[:, 2], 1e-3) * size / lens[0]
-    tilt = config.link_sigma * _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
+    tilt = _noise(mean[:, 2], scale) * np.sqrt(12.0) / (edge * size)
+    unsure = accepted & (tilt > np.radians(config.window_tilt_deg))
+    if unsure.any():
+        _steady(moments, planes, mean, tilt, accepted, unsure, size * size, config)
+    # Flattest first; a plane that may be tilted starts no region while there is another.
+    order = np.lexsort((planes[:, 4], unsure))
     labels = np.full(shape, -1, np.int32)
     regions = np.zeros_like(flat)
     count = kernels.grow_regions(
         moments, planes.reshape(*shape, 5), accepted.reshape(shape), order[accepted[order]], scale,
-        np.radians(config.link_angle_deg), tilt.reshape(shape), config.link_sigma, config.link_tolerance,
-        labels, regions,
+        np.radians(config.link_angle_deg), config.link_sigma * tilt.reshape(shape), config.link_sigma,
+        config.link_tolerance, labels, regions,
     )  # fmt: skip
     if not count:
         return labels, np.zeros((0, 5))
     regions = regions[:count]
-    planes, mean = _fit(regions)
+    planes, mean = kernels.fit_planes(regions)
     # Blocks miss the rim of a plane: the pixels there come back in the refinement, so half the pixels suffice here.
     keep = regions[:, 0] >= 0.5 * config.min_pixel_share * depth.size
     keep &= planes[:, 4] < config.segment_sigma * _noise(mean[:, 2], scale) + config.segment_tolerance
@@ -181,7 +179,38 @@ def _block_regions(
     merged, new_label = _merge_coplanar(regions[keep], config)
     table = np.full(len(regions) + 1, -1, np.int32)
     table[np.flatnonzero(keep)] = new_label
-    return table[labels], _fit(merged)[0]
+    return table[labels], kernels.fit_planes(merged)[0]
+
+
+def _steady(
+    moments: np.ndarray,  # [By, Bx, 10]
+    planes: np.ndarray,  # [B, 5], changed
+    mean: np.ndarray,  # [B, 3]
+    tilt: np.ndarray,  # [B] radians, changed
+    accepted: np.ndarray,  # [B] bool
+    unsure: np.ndarray,  # [B] bool, changed: those that stay unsure
+    block_pixels: int,  # in a full block
+    config: PlaneDetectionConfig,
+) -> None:
+    """Give unsure blocks the normal of the 3 x 3 blocks around them where these lie on one plane.
+
+    Far away a block is as thick with noise as it is wide and its plane is arbitrary (36 degrees off at 5 m); larger
+    blocks everywhere would lose what is narrow.
+    """
+    shape = moments.shape[:2]
+    padded = np.pad(np.where(accepted.reshape(*shape, 1), moments, 0.0), ((1, 1), (1, 1), (0, 0)))
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    window = (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]).reshape(-1, kernels.MOMENTS)
+    at = np.flatnonzero(unsure & (window[:, 0] >= config.window_share * 9.0 * block_pixels))
+    fitted, centre = kernels.fit_planes(window[at])
+    limit = config.window_sigma * _noise(centre[:, 2], config.depth_noise_scale) + config.window_tolerance
+    flat = fitted[:, 4] < limit
+    at, fitted = at[flat], fitted[flat]
+    planes[at, :3] = fitted[:, :3]
+    planes[at, 3] = -np.einsum("ij,ij->i", fitted[:, :3], mean[at])  # through the block's own centroid
+    planes[at, 4] = fitted[:, 4]
+    tilt[at] /= 9.0  # three times as wide, nine times as many pixels
+    unsure[at] = False
 
 
 def _refine(
@@ -218,28 +247,61 @@ def _merge_coplanar(
     label = np.arange(len(moments))
     moments = moments.copy()
     alive = moments[:, 0] >= 3
-    cosine = np.cos(np.radians(config.merge_angle_deg))
-    planes, mean = _fit(moments)
-    while alive.sum() > 1:
-        normal, d = planes[:, :3], planes[:, 3]
-        across = np.abs(normal @ mean.T + d[:, None])  # [i, j]: centroid of j to the plane of i
-        larger = moments[:, 0, None] >= moments[None, :, 0]
-        gap = np.maximum(np.where(larger, across, across.T), np.where(larger, across.T, across) / config.merge_back)
-        z = np.maximum(mean[:, None, 2], mean[None, :, 2])
-        limit = config.merge_tolerance + config.merge_sigma * _noise(z, config.depth_noise_scale)
-        reach = np.linalg.norm(mean[:, None] - mean[None], axis=2)
-        able = (normal @ normal.T > cosine) & (gap < limit) & (reach < config.merge_reach)
-        able &= alive[:, None] & alive[None] & ~np.eye(len(moments), dtype=bool)
-        if not able.any():
+    if not alive.any():
+        return moments[alive], np.full(len(moments), -1)
+    planes, mean = kernels.fit_planes(moments)
+    gaps = _coplanar_gaps(np.arange(len(moments)), moments, planes, mean, config)
+    gaps[~alive] = gaps[:, ~alive] = np.inf
+    np.fill_diagonal(gaps, np.inf)
+    while True:
+        i, j = divmod(int(np.argmin(gaps)), len(gaps))
+        if gaps[i, j] == np.inf:
             break
-        i, j = np.unravel_index(np.argmin(np.where(able, gap, np.inf)), gap.shape)
         moments[i] += moments[j]
         alive[j] = False
         label[label == j] = i
-        fitted, centroid = _fit(moments[i : i + 1])
-        planes[i], mean[i] = fitted[0], centroid[0]
+        gaps[j] = gaps[:, j] = np.inf
+        planes[i : i + 1], mean[i : i + 1] = kernels.fit_planes(moments[i : i + 1])
+        row = _coplanar_gaps(np.array([i]), moments, planes, mean, config)[0]
+        row[~alive] = np.inf
+        row[i] = np.inf
+        gaps[i] = gaps[:, i] = row
     table = np.cumsum(alive) - 1
     return moments[alive], np.where(alive[label], table[label], -1)
+
+
+def _coplanar_gaps(
+    rows: np.ndarray,  # [R] indices
+    moments: np.ndarray,  # [S, 10]
+    planes: np.ndarray,  # [S, 5]
+    mean: np.ndarray,  # [S, 3]
+    config: PlaneDetectionConfig,
+) -> np.ndarray:  # [R, S] metres
+    """How far the smaller one's centroid is from the larger one's plane; inf where two are not one plane."""
+    scale = config.depth_noise_scale
+    count, normal, d = moments[:, 0], planes[:, :3], planes[:, 3]
+    out = np.abs(normal[rows] @ mean.T + d[rows, None])  # centroid of the column to the plane of the row
+    back = np.abs(mean[rows] @ normal.T + d[None])
+    larger = count[rows, None] >= count[None]
+    gap = np.maximum(np.where(larger, out, back), np.where(larger, back, out) / config.merge_back)
+    turn = normal[rows] @ normal.T
+    z = mean[:, 2]
+    limit = config.merge_tolerance + config.merge_sigma * _noise(np.maximum(z[rows, None], z[None]), scale)
+    able = (turn > np.cos(np.radians(config.merge_angle_deg))) & (gap < limit)
+    # Root mean square distance of all points of the smaller one to the larger one's plane, from the moments.
+    second = moments[:, 4:] / np.maximum(count, 1.0)[:, None]
+    x, y, w = normal.T
+    forms = np.stack([x * x, 2 * x * y, 2 * x * w, y * y, 2 * y * w, w * w], axis=1)
+    square = np.where(
+        larger,
+        forms[rows] @ second.T + d[rows, None] * (2.0 * (normal[rows] @ mean.T) + d[rows, None]),
+        second[rows] @ forms.T + d[None] * (2.0 * (mean[rows] @ normal.T) + d[None]),
+    )
+    smaller_z = np.where(larger, z[None], z[rows, None])
+    limit = config.merge_wide_tolerance + config.merge_wide_sigma * _noise(smaller_z, scale)
+    able |= (turn > np.cos(np.radians(config.merge_wide_angle_deg))) & (square < limit**2)
+    able &= np.linalg.norm(mean[rows, None] - mean[None], axis=2) < config.merge_reach
+    return np.where(able, gap, np.inf)
 
 
 def _keep_large(moments: np.ndarray, min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
@@ -259,7 +321,7 @@ def _lift(
     moments: np.ndarray,
     config: PlaneDetectionConfig,
 ) -> tuple[PlaneSegment, ...]:
-    planes, mean = _fit(moments)
+    planes, mean = kernels.fit_planes(moments)
     # 3 degrees: closer to edge-on a pixel's footprint says nothing about area.
     areas = kernels.segment_areas(depth, *lens, labels, planes, np.sin(np.radians(3.0)))
     rotation = frame.world_from_camera[:3, :3]

@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
 from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
-from activestructure_gym.planes.matching import MatchingConfig, match_segment, same_surface, stack_planes
+from activestructure_gym.planes.matching import MatchingConfig, match_segment, may_be_same, same_surface, stack_planes
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.quality import (
     Deficiencies,
@@ -180,18 +180,18 @@ class PlaneSceneGraph:
         """Unite nodes that have come to satisfy the coplanar mode; the older id stays."""
         merged: list[tuple[int, int]] = []
         queue = list(touched)
+        planes = stack_planes(self.nodes)
         while queue:
             node_id = queue.pop(0)
             node = next((n for n in self.nodes if n.id == node_id), None)
             if node is None:
                 continue
-            # A cheap look at all normals first: most pairs differ there.
-            others = [n for n in self.nodes if n is not node and n.normal @ node.normal > 0.9]
-            for other in others:
-                if same_surface(node, other, self.config.matching):
+            for other in [self.nodes[k] for k in may_be_same(node, planes, self.config.matching).tolist()]:
+                if other is not node and same_surface(node, other, self.config.matching):
                     kept, gone = sorted((node, other), key=lambda n: n.id)
                     kept.absorb(gone)
                     self.nodes.remove(gone)
+                    planes = stack_planes(self.nodes)
                     merged.append((kept.id, gone.id))
                     queue.append(kept.id)  # what it has become may reach further
                     break
@@ -222,13 +222,12 @@ class PlaneSceneGraph:
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
         """Pairs that at least one keyframe showed both of: only those relations have been observed."""
-        count = len(self.nodes)
-        together = np.zeros((count, count), bool)
-        bits = [node.keyframes for node in self.nodes]
-        for i in range(count):
-            for j in range(i):
-                if bits[i] & bits[j]:
-                    together[i, j] = together[j, i] = True
+        size = self.keyframes // 8 + 1  # bytes
+        packed = b"".join(node.keyframes.to_bytes(size, "little") for node in self.nodes)
+        shows = np.unpackbits(np.frombuffer(packed, np.uint8).reshape(len(self.nodes), size), axis=1)
+        shows = shows.astype(np.float32)  # [N, keyframes]; exact sums below 2^24
+        together = shows @ shows.T > 0
+        np.fill_diagonal(together, False)
         return together
 
     def arrays(self, max_planes: int) -> PlaneArrays:

@@ -64,6 +64,19 @@ def match_segment(
     return None
 
 
+def may_be_same(
+    node: PlaneNode,
+    planes: np.ndarray,  # [N, 7], see `stack_planes`
+    config: MatchingConfig,
+) -> np.ndarray:  # indices, the node's own among them
+    """Nodes that may be the same surface as this one: a look at all planes before `same_surface` looks at each."""
+    normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
+    away = np.abs(normals @ node.centroid + offsets)
+    back = np.abs(centroids @ node.normal + node.offset)
+    near = normals @ node.normal > np.cos(np.radians(config.coplanar_angle_deg)) - 1e-9
+    return np.flatnonzero(near & (np.minimum(away, back) < config.coplanar_distance + 1e-9))
+
+
 def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) -> bool:
     """Whether two nodes have come to satisfy the coplanar mode."""
     cosine = np.array(first.normal @ second.normal)

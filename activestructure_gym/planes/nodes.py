@@ -54,7 +54,7 @@ class PlaneNode:
     @property
     def point_count(self) -> int:
         """|P_i|: seen cells with at least one measured point."""
-        return int(np.count_nonzero(self.surface.seen.astype(bool) & (self.surface.hits > 0)))
+        return self.surface.measured_count
 
     @property
     def rms(self) -> float:

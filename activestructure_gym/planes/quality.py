@@ -15,7 +15,7 @@ import numpy as np
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.sparseness import MapPoints, sparse_patches
-from activestructure_gym.planes.surface import SurfaceGrid
+from activestructure_gym.planes.surface import SurfaceGrid, nonzero
 
 QUALITY_MODES = (
     "coverage",  # i
@@ -144,7 +144,7 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     padded = np.pad(missing[top : some_rows[-1] + 1, left : some_columns[-1] + 1], 1).astype(np.uint8)
     count, labels = cv2.connectedComponents(padded, connectivity=8)
     depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
-    rows, columns = np.nonzero(padded)
+    rows, columns = nonzero(padded > 0)
     label = np.asarray(labels, dtype=np.int64)[rows, columns]
     widest = np.zeros(count)
     np.maximum.at(widest, label, depth[rows, columns])
@@ -158,8 +158,8 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     np.minimum.at(first_column, label, columns)
     tile_row = (rows - first_row[label]) // config.hole_tile
     tile_column = (columns - first_column[label]) // config.hole_tile
-    _, tile = np.unique(np.stack([label, tile_row, tile_column], axis=1), axis=0, return_inverse=True)
-    tile = tile.ravel()
+    name = (label * (tile_row.max() + 1) + tile_row) * (tile_column.max() + 1) + tile_column
+    _, tile = np.unique(name, return_inverse=True)
     size = np.bincount(tile)
     mean_row, mean_column = np.bincount(tile, rows) / size, np.bincount(tile, columns) / size
     away = (rows - mean_row[tile]) ** 2 + (columns - mean_column[tile]) ** 2
@@ -190,24 +190,13 @@ def boundary_closure(
     lows = np.stack([surface.low for surface in surfaces])
     frames = np.stack([surface.frame for surface in surfaces])
     cell = surfaces[0].cell
-    buffer = np.empty((4 * int(shapes.prod(axis=1).max()) + 1, 3), np.int64)
-    sides, unclosed = np.zeros(len(nodes)), np.zeros(len(nodes))
-    probes, owner = [], []
-    steps = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])  # the kernel's directions
-    for k, surface in enumerate(surfaces):
-        sides[k], count = kernels.open_sides(
-            k, flat, near, beside, starts, shapes, lows, frames, cell, config.boundary_reach, buffer
-        )
-        unclosed[k] = count
-        if space_state is not None and count:
-            step = steps[buffer[:count, 2]]
-            # From the edge cell (one step back) outwards by the distance at which space is asked.
-            cells = buffer[:count, :2] - step + step * (config.space_step / cell)
-            probes.append(surface.cell_centres(cells[:, 0], cells[:, 1]))
-            owner.append(np.full(count, k))
-    if space_state is not None and probes:
-        known = np.asarray(space_state(np.concatenate(probes))) != SPACE_UNKNOWN
-        unclosed -= np.bincount(np.concatenate(owner)[known], minlength=len(nodes))
+    sides, probes, owner = kernels.open_sides(
+        flat, near, beside, starts, shapes, lows, frames, cell, config.boundary_reach, config.space_step
+    )
+    unclosed = np.bincount(owner, minlength=len(nodes)).astype(np.float64)
+    if space_state is not None and len(probes):
+        known = np.asarray(space_state(probes)) != SPACE_UNKNOWN
+        unclosed -= np.bincount(owner[known], minlength=len(nodes))
     return np.where(sides > 0, 1.0 - unclosed / np.maximum(sides, 1.0), 0.0)
 
 

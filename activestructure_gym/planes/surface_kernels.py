@@ -153,56 +153,68 @@ def look_up_cells(
 
 
 @kernel
-def open_sides(index, seen, near, beside, starts, shapes, lows, grids, cell, reach, probes):
-    """Sides of node ``index``'s boundary cells, counted, and those that nothing known closes.
+def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, step):
+    """Sides of all nodes' boundary cells, counted, and those that nothing known closes.
 
     A side is a seen cell with an unseen neighbour in one of four directions. It is closed when the image showed
     what lies there (``beside``), or when another plane passes within ``reach`` metres of the centre of that neighbour
     (``near`` = seen, dilated by the reach). The flat arrays hold all grids, node k at ``starts[k]``; ``lows`` [N, 2]
     is the cell index of each array's first entry.
 
-    Writes for every open side its direction and the cell into ``probes`` [M, 3] (row, column, 0..3) and returns
-    (sides, open sides).
+    Returns the sides [N] float64, and for every open side the world point ``step`` metres outwards of the cell's
+    centre [M, 3] and its node [M].
     """
-    rows, columns = shapes[index]
-    g = grids[index]
-    base = starts[index]
-    sides = 0
-    unclosed = 0
-    for r in range(rows):
-        for c in range(columns):
-            if not seen[base + r * columns + c]:
-                continue
-            for k in range(4):
-                rr = r + (1 if k == 0 else -1 if k == 1 else 0)
-                cc = c + (1 if k == 2 else -1 if k == 3 else 0)
-                inside = 0 <= rr < rows and 0 <= cc < columns
-                if inside and seen[base + rr * columns + cc]:
+    total = 0
+    sides = np.zeros(len(grids))
+    probes, owner = np.empty((1024, 3)), np.empty(1024, np.int64)
+    for index in range(len(grids)):
+        rows, columns = shapes[index]
+        g = grids[index]
+        base = starts[index]
+        for r in range(rows):
+            for c in range(columns):
+                if not seen[base + r * columns + c]:
                     continue
-                sides += 1
-                if inside and beside[base + rr * columns + cc] != UNKNOWN:
-                    continue
-                a = (rr + lows[index, 0] + 0.5) * cell
-                b = (cc + lows[index, 1] + 0.5) * cell
-                px = g[0] + a * g[3] + b * g[6]
-                py = g[1] + a * g[4] + b * g[7]
-                pz = g[2] + a * g[5] + b * g[8]
-                closed = False
-                for j in range(len(grids)):
-                    if j == index:
+                for k in range(4):
+                    dr = 1 if k == 0 else -1 if k == 1 else 0
+                    dc = 1 if k == 2 else -1 if k == 3 else 0
+                    rr, cc = r + dr, c + dc
+                    inside = 0 <= rr < rows and 0 <= cc < columns
+                    if inside and seen[base + rr * columns + cc]:
                         continue
-                    h = grids[j]
-                    dx, dy, dz = px - h[0], py - h[1], pz - h[2]
-                    if abs(dx * h[9] + dy * h[10] + dz * h[11]) > reach:
+                    sides[index] += 1.0
+                    if inside and beside[base + rr * columns + cc] != UNKNOWN:
                         continue
-                    jr = int(np.floor((dx * h[3] + dy * h[4] + dz * h[5]) / cell)) - lows[j, 0]
-                    jc = int(np.floor((dx * h[6] + dy * h[7] + dz * h[8]) / cell)) - lows[j, 1]
-                    if 0 <= jr < shapes[j, 0] and 0 <= jc < shapes[j, 1] and near[starts[j] + jr * shapes[j, 1] + jc]:
-                        closed = True
-                        break
-                if not closed:
-                    probes[unclosed, 0] = rr
-                    probes[unclosed, 1] = cc
-                    probes[unclosed, 2] = k
-                    unclosed += 1
-    return sides, unclosed
+                    a = (rr + lows[index, 0] + 0.5) * cell
+                    b = (cc + lows[index, 1] + 0.5) * cell
+                    px = g[0] + a * g[3] + b * g[6]
+                    py = g[1] + a * g[4] + b * g[7]
+                    pz = g[2] + a * g[5] + b * g[8]
+                    closed = False
+                    for j in range(len(grids)):
+                        if j == index:
+                            continue
+                        h = grids[j]
+                        dx, dy, dz = px - h[0], py - h[1], pz - h[2]
+                        if abs(dx * h[9] + dy * h[10] + dz * h[11]) > reach:
+                            continue
+                        jr = int(np.floor((dx * h[3] + dy * h[4] + dz * h[5]) / cell)) - lows[j, 0]
+                        jc = int(np.floor((dx * h[6] + dy * h[7] + dz * h[8]) / cell)) - lows[j, 1]
+                        if 0 <= jr < shapes[j, 0] and 0 <= jc < shapes[j, 1]:
+                            if near[starts[j] + jr * shapes[j, 1] + jc]:
+                                closed = True
+                                break
+                    if closed:
+                        continue
+                    if total == len(owner):
+                        more, names = np.empty((2 * total, 3)), np.empty(2 * total, np.int64)
+                        more[:total] = probes
+                        names[:total] = owner
+                        probes, owner = more, names
+                    a = (r + dr * (step / cell) + lows[index, 0] + 0.5) * cell
+                    b = (c + dc * (step / cell) + lows[index, 1] + 0.5) * cell
+                    for m in range(3):
+                        probes[total, m] = g[m] + (a * g[3 + m] + b * g[6 + m])
+                    owner[total] = index
+                    total += 1
+    return sides, probes[:total], owner[:total]

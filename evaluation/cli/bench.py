@@ -1,4 +1,4 @@
-"""``asg bench``: how fast the sensor and the rasteriser are here, how good maps are, what their growth costs."""
+"""``asg bench``: how fast the sensor and the rasteriser are here, what is found, how good maps are, what they cost."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 _TITLES = {
     "sensor": "speed of the sensor on this machine",
     "splatting": "speed of the rasteriser on this machine",
+    "planes": "planes found on this machine, beside those of OpenCV",
     "mapping": "quality of maps on held-out views",
     "growth": "cost of one place while the map grows elsewhere",
 }
@@ -29,6 +30,16 @@ def bench(options: Bench) -> int:
 
         measure = bench_mapping.measure_quality if options.what == "mapping" else bench_mapping.measure_growth
         rows = measure(console, scenes, quick=options.quick, out=options.out)
+    elif options.what == "planes":
+        from activestructure_gym.planes import benchmark
+        from activestructure_gym.scenes.library import load_scene
+
+        with console.status("measuring the planes"):
+            loaded = [load_scene(spec) for spec in scenes or benchmark.SCENES]
+            sizes, views, keyframes = (benchmark.SIZES[:1], 4, 8) if options.quick else (benchmark.SIZES, 20, 60)
+            rows = [row for scene in loaded for row in benchmark.detection_rows(scene, sizes=sizes, views=views)]
+            costs = [row for scene in loaded for row in benchmark.graph_rows(scene, keyframes=keyframes)]
+        print_whole(console, rows_table(costs, title="processor time of a keyframe's planes"))
     else:
         with console.status(f"measuring the {options.what}") as status:
             if options.what == "sensor":

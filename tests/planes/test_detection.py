@@ -49,15 +49,15 @@ def test_planes_of_a_furnished_room_are_found(furnished_room, furnished_views, n
         furnished_room, furnished_views[:views], noise=noise, size=size
     )
     # The dossier's prototype found 46 of 49 (0.94) and was right in 46 of 47 (0.98), at 0.07 deg and 1.5 mm.
-    assert found >= 0.94 * total and total > 30
+    assert found >= 0.97 * total and total > 30
     assert right >= 0.97 * segments
-    assert angle < 0.07 and offset < 0.0015
+    assert angle < 0.07 and offset < 0.0018  # medians over more planes: the small and far ones are among them
 
 
 def test_double_noise_costs_little(furnished_room, furnished_views):
     found, total, right, segments, *_ = score(furnished_room, furnished_views, noise=2.0, size=(160, 90))
-    assert found >= 0.88 * total
-    assert right >= 0.90 * segments
+    assert found >= 0.95 * total
+    assert right >= 0.94 * segments
 
 
 def test_a_tilted_board_is_measured(rectangles):
@@ -69,7 +69,7 @@ def test_a_tilted_board_is_measured(rectangles):
     frame, part = scene.shoot((0, 0, 1), (1, 0, 0))
     (segment,) = detect_planes(frame, PlaneDetectionConfig(depth_noise_scale=0.25))
     normal = np.array([-np.cos(a), np.sin(a), 0.0])  # towards the camera
-    assert np.degrees(np.arccos(segment.normal @ normal)) < 0.02
+    assert np.degrees(np.arccos(min(1.0, segment.normal @ normal))) < 0.02
     assert segment.offset == pytest.approx(-normal @ centre, abs=1e-3)
     assert segment.area == pytest.approx(1.44, rel=0.02)  # the rim is one pixel of 2.5 cm wide
     points = transform_points(frame.world_from_camera, frame.camera.backproject(frame.depth)[part == 0])
@@ -99,6 +99,20 @@ def test_a_wall_behind_a_pillar_is_one_segment(rectangles):
     detection = segment_planes(frame)
     labels = detection.labels[part == 0]
     assert len(np.unique(labels[labels >= 0])) == 1
+
+
+def test_a_far_wall_is_one_segment_in_noise(rectangles):
+    """At 5 m a block is as wide as the noise is thick; only the blocks around it tell how it stands."""
+    rng = np.random.default_rng(4)
+    scene = rectangles().add((5.2, -4, 0), (0, 8, 0), (0, 0, 3))
+    shares = {}
+    for degrees in (2.5, 90.0):  # 90: never look around
+        config = PlaneDetectionConfig(depth_noise_scale=1.0, window_tilt_deg=degrees)
+        frames = [scene.shoot((0, 0, 1.5), (1, 0.1 * k, 0), noise=1.0, rng=rng) for k in range(4)]
+        largest = [(segment_planes(frame, config).labels[part == 0] == 0).mean() for frame, part in frames]
+        shares[degrees] = np.mean(largest)
+    assert shares[2.5] > 0.9
+    assert shares[90.0] < 0.8
 
 
 def test_a_picture_stays_apart_from_its_wall(rectangles):

@@ -199,6 +199,20 @@ def test_small_segments_found_no_node_but_join_one(rectangles):
     assert graph.nodes[0].observations == 2
 
 
+def test_planes_are_fused_by_a_moving_average(rectangles, new_graph):
+    """The same board again, turned by 4 deg about its middle: the node moves by 0.3 of it, then by 0.3 of the rest."""
+    graph = new_graph()
+    t = np.radians(4.0)
+    straight = rectangles().add((2, -0.6, 1.1), (0, 1.2, 0), (0, 0, 0.8))
+    along = 1.2 * np.array([np.sin(t), np.cos(t), 0.0])
+    turned = rectangles().add(np.array([2, 0, 1.1]) - along / 2, along, (0, 0, 0.8))
+    graph.update(straight.shoot((0, 0, 1.5), (1, 0, 0))[0])
+    for expected in (1.2, 2.04):
+        graph.update(turned.shoot((0, 0, 1.5), (1, 0, 0))[0])
+        (node,) = graph.nodes
+        assert np.degrees(np.arccos(abs(node.normal[0]))) == pytest.approx(expected, abs=0.06)
+
+
 def test_a_glimpse_does_not_turn_a_wall(rectangles, new_graph):
     """A scrap of 0.25 m^2, 7 deg off, is believed to be part of an 8 m^2 wall; the wall moves by its share."""
     wall = rectangles().add((2, -2, 0), (0, 4, 0), (0, 0, 2))

@@ -181,6 +181,16 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
     assert "160 .. 90" in out and "123" in out and "n/a" in out
 
 
+def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
+    from activestructure_gym.planes import benchmark
+
+    monkeypatch.setattr(benchmark, "detection_rows", lambda scene, **o: [{"scene": scene.name, "recall": 0.125, **o}])
+    monkeypatch.setattr(benchmark, "graph_rows", lambda scene, **o: [{"scene": scene.name, "graph_ms": 7.5, **o}])
+    assert main(["bench", "planes", "--scene", "box", "--quick"]) == 0
+    out = capsys.readouterr().out
+    assert "0.125" in out and "7.5" in out and "320" not in out
+
+
 def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys):
     from activestructure_gym.splatting import benchmark
 

@@ -80,6 +80,7 @@ def plot_phases(episodes: Sequence[tuple[str, Steps]], path: Path, *, title: str
         figsize=(10.5, 0.9 + sum(heights)), dpi=120, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.05, hspace=0.0)
     )
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
+    everything = tuple(axes)
     end = max((step["frames"] for _, steps in episodes for step in steps), default=1)
     notes: list[str] = []
     for (label, steps), own in zip(episodes, panels):
@@ -91,6 +92,10 @@ def plot_phases(episodes: Sequence[tuple[str, Steps]], path: Path, *, title: str
         notes += _draw_bands(block, bands(steps), end, first_number=len(notes) + 1)
         if len(episodes) > 1:
             block[0].set_title(label, loc="left", fontsize=11, fontweight="bold", pad=18)
+    if not gains:  # one panel per episode: comparable at a glance
+        top = max(axis.get_ylim()[1] for axis in everything)
+        for axis in everything:
+            axis.set_ylim(0, top)
     block[-1].set_xlabel("frames" + "".join(f"\n{note}" for note in notes), fontsize=10)
     figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
     with warnings.catch_warnings():  # a scene's name may hold letters the font lacks; the curves do not

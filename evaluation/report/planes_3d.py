@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from activestructure_gym.evaluation.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
@@ -41,7 +41,11 @@ def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Ima
     places = view.pixels(arrays["deficiency_centres"])
     draw_centres(by_deficit, arrays, places, _hidden(arrays, view, places, nearness))
     caption = f"seen from the {compass(view.towards)}"
-    return _reduced(by_type, caption), _reduced(by_deficit, caption)
+    pair = _reduced(by_type, caption), _reduced(by_deficit, caption)
+    # Faces that look away leave the lower part empty.
+    bottom = min(max(_lowest_row(page) for page in pair) + _MARGIN, pair[0].height)
+    by_type, by_deficit = (page.crop((0, 0, page.width, bottom)) for page in pair)
+    return by_type, by_deficit
 
 
 def compass(towards: np.ndarray) -> str:  # [3]
@@ -98,6 +102,11 @@ def _reduced(picture: Image.Image, caption: str) -> Image.Image:
     page.paste(small, ((_WIDTH - small.width) // 2, _CAPTION))
     write(page, (0, 2), caption, size=13, fill=style.FAINT_INK)
     return page
+
+
+def _lowest_row(page: Image.Image) -> int:
+    box = ImageOps.invert(page).getbbox()
+    return page.height if box is None else box[3]
 
 
 def _empty() -> Image.Image:

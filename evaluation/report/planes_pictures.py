@@ -17,6 +17,7 @@ from activestructure_gym.evaluation.store import Run
 
 Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
 
+
 def run_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
     """The graph over the plan: on the left by type, on the right by deficit."""
     page = _panels([draw_planes_plan(arrays, plan)], [_counted(arrays)], title=title, frames=True)
@@ -39,9 +40,7 @@ def compare_planes_3d(runs: Sequence[Run], *, title: str) -> Image.Image:
     return _compared(runs, lambda graph, run: draw_planes_3d(graph), title, flat=False)
 
 
-def _compared(
-    runs: Sequence[Run], draw: Callable[[GraphArrays, Run], Pair], title: str, *, flat: bool
-) -> Image.Image:
+def _compared(runs: Sequence[Run], draw: Callable[[GraphArrays, Run], Pair], title: str, *, flat: bool) -> Image.Image:
     pages = []
     for run in runs:
         if run.graph is not None:

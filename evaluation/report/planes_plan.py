@@ -55,7 +55,8 @@ def view_from_above(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> Proj
     corner = low - _AROUND * SMOOTH / scale
     size = pixel_size(high + _AROUND * SMOOTH / scale - corner, scale)
     rows = np.array([[scale, 0.0, 0.0], [0.0, -scale, 0.0]])
-    return Projection(rows, np.array([-scale * corner[0], size[1] + scale * corner[1]]), np.array([0.0, 0.0, 1.0]), size)
+    shift = np.array([-scale * corner[0], size[1] + scale * corner[1]])
+    return Projection(rows, shift, np.array([0.0, 0.0, 1.0]), size)
 
 
 def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:

@@ -11,7 +11,9 @@ from activestructure_gym.evaluation.store import Run
 
 @pytest.fixture
 def make_run(tmp_path):
-    def make(scene: str = "room", policy: str = "random", seed: int = 0, seconds: float = 10.0, **numbers) -> Run:
+    def make(
+        scene: str = "room", policy: str = "random", seed: int = 0, seconds: float = 10.0, planes: bool = False, **numbers
+    ) -> Run:
         job = Job(scene, policy, seed)
         metrics = {
             "accuracy_cm": 1.0, "completion_cm": 5.0, "completion_ratio": 80.0, "precision": 99.0, "psnr": 20.0,
@@ -36,7 +38,7 @@ def make_run(tmp_path):
         run = Run(directory, scene_label(scene), job, config, results, timing)
         run.__dict__["pictures"] = _pictures(seed)
         run.__dict__["trajectory"] = _trajectory(seed)
-        run.__dict__["graph"] = _graph()
+        run.__dict__["graph"] = _graph() if planes else None
         run.__dict__["steps"] = _steps()
         return run
 

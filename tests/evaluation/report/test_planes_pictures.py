@@ -87,7 +87,7 @@ def test_the_more_is_missing_the_darker():
 
 @pytest.mark.parametrize("draw", [compare_planes_plans, compare_planes_3d])
 def test_runs_that_kept_no_graph_are_left_out(make_run, draw):
-    runs = [make_run(policy="a"), make_run(policy="b")]
+    runs = [make_run(policy="a", planes=True), make_run(policy="b", planes=True)]
     both = draw(runs, title="title")
     runs[1].__dict__["graph"] = None
     assert draw(runs, title="title").height < both.height

@@ -12,7 +12,12 @@ from activestructure_gym.evaluation.store import Run
 @pytest.fixture
 def make_run(tmp_path):
     def make(
-        scene: str = "room", policy: str = "random", seed: int = 0, seconds: float = 10.0, planes: bool = False, **numbers
+        scene: str = "room",
+        policy: str = "random",
+        seed: int = 0,
+        seconds: float = 10.0,
+        planes: bool = False,
+        **numbers,
     ) -> Run:
         job = Job(scene, policy, seed)
         metrics = {

@@ -60,7 +60,8 @@ def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where 
     rows = []
     for step in steps:
         trace = step.get("trace") or {}
-        rows.append({name: value for name, value in trace.get("chosen", trace).items() if isinstance(value, float)})
+        chosen = trace.get("chosen") or trace
+        rows.append({name: value for name, value in chosen.items() if isinstance(value, float)})
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 
@@ -121,15 +122,17 @@ def _starts(steps: Steps) -> list[float]:
 
 
 def _series(steps: Steps, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frames and values of one number of the graph at the end of each decision."""
-    pairs = [(step["frames"], (step.get("graph") or {}).get(name)) for step in steps]
-    known = [(x, y) for x, y in pairs if y is not None]
-    return np.array([x for x, _ in known], float), np.array([y for _, y in known], float)
+    """Frames and values of one number of the graph at the end of each decision; nan, a gap, where there was none."""
+    values = [(step.get("graph") or {}).get(name) for step in steps]
+    frames = np.array([step["frames"] for step in steps], float)
+    return frames, np.array([np.nan if value is None else value for value in values], float)
 
 
 def _deficit(axis: Axes, steps: Steps) -> None:
     for kind, colour, dash in _KINDS:
-        axis.plot(*_series(steps, f"deficit_{kind}"), color=_hex(colour), linestyle=dash, label=kind)
+        axis.plot(
+            *_series(steps, f"deficit_{kind}"), color=_hex(colour), linestyle=dash, marker="o", markersize=3, label=kind
+        )
     axis.plot(*_series(steps, "deficit"), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
     axis.set_ylabel("mean deficit")
     axis.set_ylim(bottom=0)
@@ -137,7 +140,9 @@ def _deficit(axis: Axes, steps: Steps) -> None:
 
 def _quality(axis: Axes, steps: Steps) -> None:
     for kind, colour, dash in _KINDS:
-        axis.plot(*_series(steps, f"quality_{kind}"), color=_hex(colour), linestyle=dash, label=kind)
+        axis.plot(
+            *_series(steps, f"quality_{kind}"), color=_hex(colour), linestyle=dash, marker="o", markersize=3, label=kind
+        )
     axis.plot(*_series(steps, "quality"), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
     axis.set_ylabel("mean quality")
     axis.set_ylim(top=1)

@@ -34,7 +34,7 @@ def draw_graph(picture: Image.Image, arrays: GraphArrays, places: np.ndarray) ->
     for i, j in tree:
         draw.line([*places[i], *places[j]], fill=(*style.TREE, 255), width=2 * SMOOTH)
     for place, structural in zip(places, arrays["structural"]):
-        _disc(draw, *place, _NODE * SMOOTH, style.plane_colour(bool(structural)), SMOOTH)
+        _disc(draw, place[0], place[1], _NODE * SMOOTH, style.plane_colour(bool(structural)), SMOOTH)
     return Image.alpha_composite(picture.convert("RGBA"), layer).convert("RGB")
 
 
@@ -49,10 +49,11 @@ def draw_centres(
     shrunk = min(1.0, max(0.35, (_MANY / max(len(places), 1)) ** 0.5))
     for k in np.argsort(-arrays["deficiency_areas"] + 1e3 * ~hidden, kind="stable"):  # large and hidden ones first
         if hidden[k]:
-            _disc(draw, *places[k], 1.6 * SMOOTH, style.FAINT_INK, 0)
+            _disc(draw, places[k, 0], places[k, 1], 1.6 * SMOOTH, style.FAINT_INK, 0)
         else:
             radius = shrunk * _CENTRE[1] * np.sqrt(min(1.0, arrays["deficiency_areas"][k] / _TILE))
-            _disc(draw, *places[k], max(shrunk * _CENTRE[0], radius) * SMOOTH, style.PAPER, SMOOTH, ring=style.INK)
+            radius = max(shrunk * _CENTRE[0], radius) * SMOOTH
+            _disc(draw, places[k, 0], places[k, 1], radius, style.PAPER, SMOOTH, ring=style.INK)
 
 
 def type_key(*, flat: bool = False) -> list[tuple[str, Painter]]:

@@ -64,7 +64,8 @@ def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
     base = plan_base(plan, float(view.rows[0, 0])).convert("L").convert("RGB")
     upper_left = np.array([plan["plan_corner"][0], plan["plan_corner"][1] + plan["plan_extent"][1], 0.0])
     page = Image.new("RGB", view.size, style.UNKNOWN)
-    page.paste(base, tuple(int(round(side)) for side in view.pixels(upper_left)))
+    left, top = view.pixels(upper_left)
+    page.paste(base, (round(left), round(top)))
     return Image.blend(page, Image.new("RGB", view.size, style.PAPER), _FADED)
 
 
@@ -79,11 +80,11 @@ def _drawn(
         floor = height[plane] < lowest + _FLOOR_M
         _area(picture, arrays, plane, view, colour(plane), _FLOOR if floor else 0.85)
         _outline(picture, arrays, plane, view, colour(plane), 1 if floor else 2)
-    for plane in np.flatnonzero(rise <= -_LEVEL):
-        _outline(picture, arrays, int(plane), view, colour(int(plane)), 1)
+    for plane in np.flatnonzero(rise <= -_LEVEL).tolist():
+        _outline(picture, arrays, plane, view, colour(plane), 1)
     # Structural strokes last: they are what the others hang on.
-    for plane in sorted(np.flatnonzero(np.abs(rise) < _LEVEL), key=lambda k: bool(arrays["structural"][k])):
-        _stroke(picture, arrays, int(plane), view, colour(int(plane)))
+    for plane in sorted(np.flatnonzero(np.abs(rise) < _LEVEL).tolist(), key=lambda k: bool(arrays["structural"][k])):
+        _stroke(picture, arrays, plane, view, colour(plane))
     return picture
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import machine, store
 from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.plane_record import graph_arrays, graph_summary
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -62,7 +63,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
             reconstruction.mapper.map.save_npz(part / "map.npz")
             _write_ply(reconstruction, part)
             _write_record(part, job, scene, env, metrics, episode)
-            _write_pictures(part, job, truth, reconstruction, metrics)
+            _write_pictures(part, job, truth, reconstruction, metrics, episode.steps)
             seconds |= episode.seconds() | {"evaluation": episode.evaluation_seconds + time.perf_counter() - began}
             timing = {
                 "seconds": seconds,
@@ -174,6 +175,7 @@ class _Episode:
             observation, _, ended, truncated, info = env.step(action)
             step |= {"frames": info["frames"], "metres": info["metres"]}
             step |= {name: value for name, value in info.items() if _is_logged(name, value)}
+            step["graph"] = graph_summary(env.reconstruction.planes)
             self.decision_seconds.append(time.perf_counter() - self._began - self.evaluation_seconds)
             if ended or truncated or info["frames"] >= self._next_checkpoint:
                 step["checkpoint"] = self._checkpoint()
@@ -263,6 +265,8 @@ def _write_record(
         file.writelines(store.json_line(step) for step in episode.steps)
     with open(part / "trajectory.npz", "wb") as file:
         np.savez(file, **_path_arrays(reconstruction))  # type: ignore[arg-type]
+    with open(part / "graph.npz", "wb") as file:
+        np.savez_compressed(file, **graph_arrays(reconstruction.planes))  # type: ignore[arg-type]
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
@@ -274,12 +278,23 @@ def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 
 
 def _write_pictures(
-    part: Path, job: Job, truth: Truth, reconstruction: Reconstruction, metrics: dict[str, Any]
+    part: Path,
+    job: Job,
+    truth: Truth,
+    reconstruction: Reconstruction,
+    metrics: dict[str, Any],
+    steps: list[dict[str, Any]],
 ) -> None:
+    from activestructure_gym.evaluation.report.phases import plot_phases
     from activestructure_gym.evaluation.report.pictures import picture_arrays, run_plan, run_views
+    from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d, run_planes_plan
 
     arrays = picture_arrays(job.protocol, truth, reconstruction, [view["psnr"] for view in metrics["views"]])
     with open(part / "pictures.npz", "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     run_views(arrays, title=job.title).save(part / "views.png")
     run_plan(arrays, _path_arrays(reconstruction), title=job.title).save(part / "plan.png")
+    graph = graph_arrays(reconstruction.planes)
+    run_planes_plan(graph, arrays, title=job.title).save(part / "psg_plan.png")
+    run_planes_3d(graph, title=job.title).save(part / "psg_3d.png")
+    plot_phases([("", store.plain(steps))], part / "phases.png", title=job.title)

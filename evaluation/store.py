@@ -11,7 +11,8 @@ A comparison's directory::
         steps.jsonl              one line per decision
         trajectory.npz           every executed pose, keyframe indices
         map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
-        pictures.npz, *.png      rendered and true views, the plan
+        graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
+        pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
     logs/<job name>.log          what a worker wrote to its standard error
     summary.md, results.csv, *.png
 """
@@ -60,6 +61,12 @@ class Run:
     def trajectory(self) -> dict[str, np.ndarray]:
         """``world_from_camera`` [T, 4, 4] and ``keyframes`` [K], indices into it."""
         return load_arrays(self.directory / "trajectory.npz")
+
+    @cached_property
+    def graph(self) -> dict[str, np.ndarray] | None:
+        """The Plane Scene Graph, see `plane_record.graph_arrays`; None if the run kept none."""
+        path = self.directory / "graph.npz"
+        return load_arrays(path) if path.is_file() else None
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:

@@ -50,14 +50,20 @@ def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray]) -> Image.Image:
     """The picture, y up: map from above, free and occupied space, path from blue to yellow, keyframes, start, end."""
     scale = plan_scale(arrays["plan_extent"]) * _SMOOTH
+    picture = plan_base(arrays, scale)
+    _draw_path(picture, arrays, trajectory, scale)
+    draw_scale_bar(picture, scale)
+    return picture.resize((picture.width // _SMOOTH, picture.height // _SMOOTH), Image.Resampling.LANCZOS)
+
+
+def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
+    """What was known of the space, and over it the map from above, at ``scale`` pixels per metre."""
     size = pixel_size(arrays["plan_extent"], scale)
     picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
     opacity = Image.fromarray(arrays["above_alpha"], "L").resize(size, Image.Resampling.BICUBIC)
     picture.paste(above, (0, 0), opacity)
-    _draw_path(picture, arrays, trajectory, scale)
-    draw_scale_bar(picture, scale)
-    return picture.resize((size[0] // _SMOOTH, size[1] // _SMOOTH), Image.Resampling.LANCZOS)
+    return picture
 
 
 def legend() -> Image.Image:

@@ -27,3 +27,22 @@ def path_colour(share: float) -> tuple[int, int, int]:
     part = position - low
     red, green, blue = (round((1 - part) * a + part * b) for a, b in zip(stops[low], stops[low + 1]))
     return red, green, blue
+
+
+# Planes by type. The same two stand for the curves of structural and object planes.
+STRUCTURAL, OBJECT = (0, 114, 178), (230, 159, 0)
+TREE = (33, 37, 41)  # edges of the spanning forest
+EDGE = (134, 142, 150)  # the other edges
+# Deficits span three orders of magnitude: classes by half decades, each darker than the one before.
+DEFICIT_BOUNDS = (0.001, 0.003, 0.01, 0.03, 0.1)
+DEFICIT_COLOURS = ((251, 233, 198), (250, 196, 124), (240, 148, 82), (213, 89, 61), (160, 38, 78), (80, 16, 84))
+
+
+def deficit_colour(deficit: float) -> tuple[int, int, int]:
+    """The colour of a deficit's class; the more is missing, the darker."""
+    return DEFICIT_COLOURS[sum(deficit >= bound for bound in DEFICIT_BOUNDS)]
+
+
+def plane_colour(structural: bool) -> tuple[int, int, int]:
+    """Blue for planes that carry the layout, orange for all others."""
+    return STRUCTURAL if structural else OBJECT

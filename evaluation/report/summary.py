@@ -8,9 +8,18 @@ from typing import Any
 
 from activestructure_gym.evaluation.jobs import slug
 from activestructure_gym.evaluation.report.curves import plot_convergence
+from activestructure_gym.evaluation.report.phases import plot_phases
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views
+from activestructure_gym.evaluation.report.planes_pictures import compare_planes_3d, compare_planes_plans
 from activestructure_gym.evaluation.report.tables import markdown_table, runs_csv, table_rows
 from activestructure_gym.evaluation.store import Run
+
+# What stands above a picture of a scene's section, by the start of its file name.
+_LINES = {
+    "psg_plans": "Plane Scene Graphs from above: walls as strokes on the side they were seen from, deficits, holes.",
+    "psg_3d": "Plane Scene Graphs in three dimensions, without the faces that look away from the viewer.",
+    "phases": "Mean deficit of the planes over the frames paid, and the phases of policies that have them.",
+}
 
 
 def write_report(directory: Path, runs: Sequence[Run], comparison: Mapping[str, Any]) -> list[Path]:
@@ -67,6 +76,13 @@ def _scene_pictures(directory: Path, scene: str, runs: Sequence[Run], ending: st
         shown.append(next(run for run in runs if run.job.policy == policy and run.job.seed == seed))
     compare_views(shown, title=f"Held-out views of {scene}").save(paths["views"])
     compare_plans(shown, title=f"{scene} from above, seed {shown[0].job.seed}").save(paths["plans"])
+    with_graph = [run for run in shown if run.graph is not None]
+    if with_graph:
+        paths |= {name: directory / f"{name}{ending}.png" for name in _LINES}
+        compare_planes_plans(with_graph, title=f"Planes of {scene} from above").save(paths["psg_plans"])
+        compare_planes_3d(with_graph, title=f"Planes of {scene}").save(paths["psg_3d"])
+        episodes = [(f"{run.job.policy}, seed {run.job.seed}", run.steps) for run in with_graph]
+        plot_phases(episodes, paths["phases"], title=f"Deficit and phases on {scene}", gains=False)
     return paths
 
 
@@ -78,7 +94,7 @@ def _scene_section(scene: str, runs: Sequence[Run], pictures: Mapping[str, Path]
     lines = [f"## {scene}", "", f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}."]
     lines += [f"Note: {note}." for note in info["notes"]]
     for name, path in pictures.items():
-        lines += ["", f"![{name}](./{path.name})"]
+        lines += ["", *([_LINES[name], ""] if name in _LINES else []), f"![{name}](./{path.name})"]
     lines += ["", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""]
     return "\n".join(lines)
 
@@ -127,8 +143,10 @@ def _page(runs: Sequence[Run], comparison: Mapping[str, Any], sections: Sequence
             "",
             f"Preset `{job.preset}`, sensor {_sensor(runs[0])}. {_machine(runs[0])}",
             "",
-            "Every run's directory holds its configuration, numbers, decisions, path and map "
-            "(`map.ply` opens in any Gaussian splat viewer); `results.csv` has one line per run.",
+            "Every run's directory holds its configuration, numbers, decisions, path, Plane Scene Graph and map "
+            "(`map.ply` opens in any Gaussian splat viewer), and its own pictures: `views.png`, `plan.png`, "
+            "`psg_plan.png`, `psg_3d.png` and `phases.png`, the last with quality, holes and the terms of every "
+            "choice. `results.csv` has one line per run.",
             "",
         ]
     )

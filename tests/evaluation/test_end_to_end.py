@@ -64,6 +64,7 @@ def test_two_finish_and_the_third_is_named(finished, runs):
 def test_the_archive_holds_everything(finished, runs):
     _, out = finished
     files = {"summary.md", "results.csv", "convergence.png", "views.png", "plans.png", "compare.json"}
+    files |= {"psg_plans.png", "psg_3d.png", "phases.png"}
     assert files <= {path.name for path in out.iterdir()}
     for run in runs:
         config, metrics = run.config, run.metrics["metrics"]
@@ -93,6 +94,15 @@ def test_decisions_path_and_curve_agree(runs):
     step = pixel_only.steps[0]
     assert step["gains"]["pixel"] == pytest.approx(step["trace"]["pixel"])
     assert {"x", "y", "z", "path_length"} <= step["view"].keys()
+
+
+def test_the_graph_is_kept_and_drawn(runs):
+    for run in runs:
+        graph, last = run.graph, run.steps[-1]["graph"]
+        assert len(graph["ids"]) == run.steps[-1]["planes"] == last["structural"] + last["objects"]
+        assert last["deficit"] == pytest.approx(graph["deficit"].mean())
+        assert last["deficiency_area"] == pytest.approx(graph["deficiency_areas"].sum())
+        assert {"psg_plan.png", "psg_3d.png", "phases.png"} <= {path.name for path in run.directory.iterdir()}
 
 
 def test_the_map_can_be_read_without_us(runs):

@@ -11,7 +11,14 @@ from activestructure_gym.evaluation.store import Run
 
 @pytest.fixture
 def make_run(tmp_path):
-    def make(scene: str = "room", policy: str = "random", seed: int = 0, seconds: float = 10.0, **numbers) -> Run:
+    def make(
+        scene: str = "room",
+        policy: str = "random",
+        seed: int = 0,
+        seconds: float = 10.0,
+        planes: bool = False,
+        **numbers,
+    ) -> Run:
         job = Job(scene, policy, seed)
         metrics = {
             "accuracy_cm": 1.0, "completion_cm": 5.0, "completion_ratio": 80.0, "precision": 99.0, "psnr": 20.0,
@@ -36,6 +43,8 @@ def make_run(tmp_path):
         run = Run(directory, scene_label(scene), job, config, results, timing)
         run.__dict__["pictures"] = _pictures(seed)
         run.__dict__["trajectory"] = _trajectory(seed)
+        run.__dict__["graph"] = _graph() if planes else None
+        run.__dict__["steps"] = _steps()
         return run
 
     return make
@@ -65,3 +74,63 @@ def _trajectory(seed: int) -> dict[str, np.ndarray]:
     poses[:, 0, 3] = np.linspace(1.0, 4.0, 20)
     poses[:, 1, 3] = 1.0 + 0.1 * seed
     return {"world_from_camera": poses, "keyframes": np.arange(0, 20, 5)}
+
+
+@pytest.fixture
+def wall_and_floor() -> dict[str, np.ndarray]:
+    """The arrays of a graph made by hand, metres: a floor of 4 x 3 that is structural and good, and an object plane
+    that stands on it at y = 1.5, 2 long and 1 high, faces south and lacks a lot. One edge, which is the tree's, and
+    one hole in the floor."""
+    return _graph()
+
+
+def _graph() -> dict[str, np.ndarray]:
+    floor, wall = np.ones((40, 30), np.uint8), np.ones((20, 10), np.uint8)
+    floor[30:33, 3:6] = 0
+    bits = [np.packbits(floor), np.packbits(wall)]
+    return {
+        "ids": np.array([0, 3]),
+        "normals": np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+        "offsets": np.array([0.0, 1.5]),
+        "centroids": np.array([[2.0, 1.5, 0.0], [2.0, 1.5, 0.5]]),
+        "areas": np.array([11.91, 2.0]),
+        "structural": np.array([True, False]),
+        "deficit": np.array([0.0, 0.05]),
+        "edges": np.array([[0, 1]]),
+        "edge_weights": np.array([0.4]),
+        "edge_in_tree": np.array([True]),
+        "deficiency_centres": np.array([[3.15, 0.45, 0.0]]),
+        "deficiency_normals": np.array([[0.0, 0.0, 1.0]]),
+        "deficiency_areas": np.array([0.09]),
+        "deficiency_planes": np.array([0]),
+        "cell": np.array(0.1),
+        "patch_corners": np.array([[0.0, 0.0, 0.0], [1.0, 1.5, 0.0]]),
+        "patch_axes": np.array([[[1.0, 0, 0], [0, 1.0, 0]], [[1.0, 0, 0], [0, 0, 1.0]]]),
+        "patch_shapes": np.array([[40, 30], [20, 10]]),
+        "patch_starts": np.array([0, len(bits[0]), len(bits[0]) + len(bits[1])]),
+        "patch_bits": np.concatenate(bits),
+    }
+
+
+@pytest.fixture
+def no_planes() -> dict[str, np.ndarray]:
+    """The arrays of a graph without planes."""
+    from activestructure_gym.evaluation.plane_record import graph_arrays
+    from activestructure_gym.planes import PlaneSceneGraph
+
+    return graph_arrays(PlaneSceneGraph())
+
+
+def _steps() -> list[dict]:
+    graph = {"structural": 3, "objects": 2, "deficiency_centres": 4, "deficiency_area": 0.5}
+    numbers = {f"{what}{kind}": 0.3 for what in ("deficit", "quality") for kind in ("", "_structural", "_objects")}
+    return [
+        {"frames": 10 * (k + 1), "graph": graph | numbers, "trace": {"pixel": 0.5 / (k + 1), "travel": 0.4}}
+        for k in range(6)
+    ]
+
+
+@pytest.fixture
+def steps() -> list[dict]:
+    """Six decisions of ten frames each, by a policy without phases."""
+    return _steps()

@@ -11,7 +11,7 @@ def linked(summary: Path) -> list[Path]:
 
 
 def test_everything_is_written_and_linked(make_run, tmp_path):
-    runs = [make_run(scene, policy) for scene in ("room", "box?seed=2") for policy in ("a", "b")]
+    runs = [make_run(scene, policy, planes=policy == "a") for scene in ("room", "box?seed=2") for policy in ("a", "b")]
     for run in runs:
         run.directory.mkdir(parents=True)
     files = write_report(tmp_path, runs, COMPARISON)
@@ -34,6 +34,20 @@ def test_scenes_whose_names_look_alike_in_a_file_name_keep_their_own_pictures(ma
     assert len(set(names)) == len(names) and all(file.is_file() for file in files)
     assert {"plans-unnamed.png", "plans-unnamed-2.png", "plans-a-b.png", "plans-a-b-2.png"} <= set(names)
     assert not [warning for warning in recwarn if "Glyph" in str(warning.message)]
+
+
+def test_graphs_are_shown_with_a_line_each_where_runs_kept_them(make_run, tmp_path):
+    runs = [make_run(planes=True)]
+    for run in runs:
+        run.directory.mkdir(parents=True)
+    names = {"psg_plans.png", "psg_3d.png", "phases.png"}
+    files = write_report(tmp_path, runs, COMPARISON)
+    text = files[-1].read_text()
+    assert names <= {file.name for file in files} and "Plane Scene Graphs from above" in text
+    for run in runs:
+        run.__dict__["graph"] = None
+    files = write_report(tmp_path, runs, COMPARISON)
+    assert not names & {file.name for file in files} and "psg_" not in files[-1].read_text().split("## How")[0]
 
 
 def test_what_failed_is_named_and_not_counted(make_run, tmp_path):

@@ -1,0 +1,117 @@
+"""The seen surface of planes in a parallel projection: which pixels show it, and how near."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from activestructure_gym.evaluation.plane_record import GraphArrays, seen_cells
+
+_PAD = 2  # unseen cells around a grid, so that its outline closes
+_EDGE_ON = 1e-3  # of the largest possible screen area; a plane seen more steeply than this shows no pixel
+NOTHING = -1
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Parallel projection of the world onto a picture, x right and y down."""
+
+    rows: np.ndarray  # [2, 3] pixels per metre
+    shift: np.ndarray  # [2] pixels
+    towards: np.ndarray  # [3] unit, from the scene to the eye
+    size: tuple[int, int]  # width, height in pixels
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 2]
+        """Where points of the world stand in the picture."""
+        return points @ self.rows.T + self.shift
+
+    def nearness(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] metres, larger = nearer to the eye
+        """Order along the line of sight."""
+        return points @ self.towards
+
+
+def fitted(points: np.ndarray, right: np.ndarray, towards: np.ndarray, scale: float, margin: int) -> Projection:
+    """The projection that shows ``points`` [K, 3] at ``scale`` pixels per metre, with ``margin`` pixels around."""
+    down = np.cross(right, towards)
+    rows = scale * np.stack([right, down])
+    flat = points @ rows.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    width, height = (max(1, int(np.ceil(side)) + 2 * margin) for side in high - low)
+    return Projection(rows, margin - low, towards, (width, height))
+
+
+def extremes(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
+    """Centres of seen cells, per plane the first and the last of every row of its grid: nothing lies further out."""
+    cell, points = float(arrays["cell"]), [np.zeros((0, 3))]
+    for plane in range(len(arrays["ids"])):
+        seen = seen_cells(arrays, plane) > 0
+        rows = np.flatnonzero(seen.any(axis=1))
+        first, last = seen[rows].argmax(axis=1), seen.shape[1] - 1 - seen[rows, ::-1].argmax(axis=1)
+        cells = np.concatenate([np.stack([rows, ends], axis=1) for ends in (first, last)]) + 0.5
+        points.append(arrays["patch_corners"][plane] + cell * cells @ arrays["patch_axes"][plane])
+    return np.concatenate(points)
+
+
+def cover(
+    arrays: GraphArrays, plane: int, view: Projection
+) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray] | None:  # window, [h, w] bool, [h, w] metres
+    """The pixels that show a plane's seen cells: a window of the picture, which of its pixels, and their nearness.
+
+    None if the plane is seen edge-on or stands beside the picture. Outlines are those of the cells, smoothed.
+    """
+    cell, axes = float(arrays["cell"]), arrays["patch_axes"][plane]
+    grid = np.pad(seen_cells(arrays, plane), _PAD).astype(np.float32)
+    steps = view.rows @ axes.T * cell  # [2, 2] pixels per row, per column
+    if abs(np.linalg.det(steps)) < _EDGE_ON * cell**2 * np.linalg.norm(view.rows[0]) ** 2:
+        return None
+    first = arrays["patch_corners"][plane] + (0.5 - _PAD) * cell * axes.sum(axis=0)  # centre of the first cell
+    start = view.pixels(first) - 0.5
+    ends = start + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * grid.shape @ steps.T
+    low = np.maximum(np.floor(ends.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(ends.max(axis=0)).astype(int) + 1, view.size)
+    if (low >= high).any():
+        return None
+    matrix = np.column_stack([steps[:, 1], steps[:, 0], start - low])
+    size = tuple(int(side) for side in high - low)
+    shown = cv2.warpAffine(cv2.GaussianBlur(grid, (3, 3), 0.7), matrix, size, flags=cv2.INTER_LINEAR) > 0.5
+    if not shown.any():
+        shown = cv2.warpAffine(grid, matrix, size, flags=cv2.INTER_NEAREST) > 0.5
+    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    along = np.stack([x - start[0], y - start[1]], axis=-1) @ np.linalg.inv(steps).T  # [h, w, 2] cells
+    near = view.nearness(first) + along @ (cell * axes @ view.towards)
+    return (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))), shown, near
+
+
+def nearest_planes(
+    arrays: GraphArrays, view: Projection
+) -> tuple[np.ndarray, np.ndarray]:  # [H, W] int32 row of the plane or -1, [H, W] metres
+    """Which plane every pixel shows, of those that face the eye: walls between it and the rooms hide nothing."""
+    width, height = view.size
+    owner = np.full((height, width), NOTHING, np.int32)
+    nearness = np.full((height, width), -np.inf)
+    for plane in range(len(arrays["ids"])):
+        if arrays["normals"][plane] @ view.towards <= 0:
+            continue
+        found = cover(arrays, plane, view)
+        if found is None:
+            continue
+        window, shown, near = found
+        wins = shown & (near > nearness[window])
+        owner[window][wins] = plane
+        nearness[window][wins] = near[wins]
+    return owner, nearness
+
+
+def outlines(arrays: GraphArrays, plane: int, view: Projection) -> Iterator[np.ndarray]:  # [K, 2] pixels each
+    """The borders of a plane's seen surface, those of its holes included."""
+    found = cover(arrays, plane, view)
+    if found is None:
+        return
+    (rows, columns), shown, _ = found
+    lines, _ = cv2.findContours(shown.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    for line in lines:
+        if len(line) > 2:
+            yield line[:, 0].astype(np.float64) + [columns.start, rows.start]

@@ -1,0 +1,85 @@
+"""The pages that show Plane Scene Graphs: of one run, and of several under each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from PIL import Image
+
+from activestructure_gym.evaluation.plane_record import GraphArrays
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import MARGIN, tile_grid, write
+from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
+from activestructure_gym.evaluation.report.planes_key import deficit_key, type_key, with_key
+from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
+from activestructure_gym.evaluation.store import Run
+
+Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
+
+
+def run_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
+    """The graph over the plan: on the left by type, on the right by deficit."""
+    page = _panels([draw_planes_plan(arrays, plan)], [_counted(arrays)], title=title, frames=True)
+    return with_key(page, type_key(flat=True), deficit_key())
+
+
+def run_planes_3d(arrays: GraphArrays, *, title: str) -> Image.Image:
+    """The graph from two opposite corners: on the left by type, on the right by deficit."""
+    rows = [draw_planes_3d(arrays, side) for side in ((0, 1) if len(arrays["ids"]) else (0,))]
+    return with_key(_panels(rows, [_counted(arrays)], title=title), type_key(), deficit_key(depth=True))
+
+
+def compare_planes_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """Under each other, the graphs of all runs that kept theirs."""
+    return _compared(runs, lambda graph, run: draw_planes_plan(graph, run.pictures), title, flat=True)
+
+
+def compare_planes_3d(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """Under each other, the graphs of all runs that kept theirs; every one from the same side."""
+    return _compared(runs, lambda graph, run: draw_planes_3d(graph), title, flat=False)
+
+
+def _compared(runs: Sequence[Run], draw: Callable[[GraphArrays, Run], Pair], title: str, *, flat: bool) -> Image.Image:
+    pages = []
+    for run in runs:
+        if run.graph is not None:
+            name = f"{run.job.policy}, seed {run.job.seed}"
+            pages.append(_panels([draw(run.graph, run)], [_counted(run.graph)], title=name, frames=flat))
+    return with_key(_stacked(pages, title), type_key(flat=flat), deficit_key(depth=not flat))
+
+
+def _counted(arrays: GraphArrays) -> tuple[str, str]:
+    """What stands above the two panels."""
+    structural, areas = int(arrays["structural"].sum()), arrays["deficiency_areas"]
+    return (
+        f"by type: {structural} structural planes, {len(arrays['ids']) - structural} of objects",
+        f"by deficit: {len(areas)} deficiency centres for {areas.sum():.1f} m²",
+    )
+
+
+def _panels(
+    rows: Sequence[Pair],
+    labels: Sequence[tuple[str, str]],  # above the columns of the first rows
+    *,
+    title: str,
+    frames: bool = False,
+) -> Image.Image:
+    """Rows of two panels; rows may differ in height, so each is a page of its own."""
+    pages = []
+    for index, row in enumerate(rows):
+        columns = labels[index] if index < len(labels) else ()
+        pages.append(tile_grid([row], title=title if index == 0 else "", column_labels=columns, frames=frames))
+    return _stacked(pages, "")
+
+
+def _stacked(pages: Sequence[Image.Image], title: str) -> Image.Image:
+    top = MARGIN + 30 if title else 0
+    size = max(page.width for page in pages), top + sum(page.height for page in pages)
+    whole = Image.new("RGB", size, style.PAPER)
+    if title:
+        write(whole, (MARGIN, MARGIN), title, size=22, bold=True)
+    for page in pages:
+        whole.paste(page, (0, top))
+        top += page.height
+    return whole

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.planes_3d import compass, draw_planes_3d, view_of
+from activestructure_gym.evaluation.report.planes_key import SMOOTH
+from activestructure_gym.evaluation.report.planes_pictures import compare_planes_3d, compare_planes_plans, run_planes_3d
+from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan, stretches, view_from_above
+
+
+def at(picture, view, point) -> np.ndarray:
+    x, y = view.pixels(np.asarray(point, float)) / SMOOTH
+    return np.asarray(picture)[int(y), int(x)].astype(int)
+
+
+def near(pixel: np.ndarray, colour: tuple[int, int, int], tolerance: int) -> bool:
+    return bool(np.abs(pixel - np.array(colour)).max() <= tolerance)
+
+
+def test_from_above_strokes_and_areas_stand_where_the_planes_do(wall_and_floor, make_run):
+    plan = make_run().pictures
+    by_type, by_deficit = draw_planes_plan(wall_and_floor, plan)
+    view = view_from_above(wall_and_floor, plan)
+    aside = [1.4, 1.5 - 0.02, 0]  # south of the wall, the side it was seen from
+    assert near(at(by_type, view, aside), style.OBJECT, 30)
+    assert near(at(by_deficit, view, aside), style.deficit_colour(0.05), 30)
+    assert not near(at(by_type, view, [1.4, 1.6, 0]), style.OBJECT, 60)
+    floor, beside = at(by_type, view, [0.5, 2.5, 0]), at(by_type, view, [-0.2, 2.5, 0])
+    assert floor[2] - floor[0] > 40  # blue over the plan
+    assert np.ptp(beside) < 15  # nothing but the grey plan
+    assert near(at(by_deficit, view, [3.15, 0.45, 0]), style.PAPER, 10)  # the mark of the hole
+
+
+def test_in_3d_patches_have_the_colours_of_their_type_and_deficit(wall_and_floor):
+    by_type, by_deficit = draw_planes_3d(wall_and_floor)
+    view, shift = view_of(wall_and_floor, 0), np.array([(620 - view_of(wall_and_floor, 0).size[0] // SMOOTH) // 2, 20])
+    assert compass(view.towards) == "south-east"
+
+    def pixel(picture, point):
+        x, y = (view.pixels(np.asarray(point, float)) / SMOOTH + shift).astype(int)
+        return np.asarray(picture)[y, x].astype(int)
+
+    wall, floor = [1.3, 1.5, 0.8], [0.4, 0.4, 0.0]
+    orange, blue = pixel(by_type, wall), pixel(by_type, floor)
+    assert orange[0] > orange[2] + 60 and blue[2] > blue[0] + 60
+    assert near(pixel(by_deficit, wall), style.deficit_colour(0.05), 25)
+    assert near(pixel(by_deficit, floor), style.deficit_colour(0.0), 25)
+    # From the other side the wall shows its back and is left out: no dark deficit in the picture.
+    other = np.asarray(draw_planes_3d(wall_and_floor, 1)[1]).astype(int).reshape(-1, 3)
+    assert not (np.abs(other - style.deficit_colour(0.05)).max(axis=1) < 25).any()
+
+
+def test_the_tree_runs_between_centroids(wall_and_floor, make_run):
+    plan = make_run().pictures
+    wall_and_floor["centroids"] = np.array([[0.5, 0.5, 0.0], [2.0, 1.5, 0.5]])
+    view = view_from_above(wall_and_floor, plan)
+    middle = [1.25, 1.0, 0.0]
+    assert at(draw_planes_plan(wall_and_floor, plan)[0], view, middle).max() < 90
+    wall_and_floor["edge_in_tree"] = np.array([False])
+    assert at(draw_planes_plan(wall_and_floor, plan)[0], view, middle).max() > 110
+    assert near(at(draw_planes_plan(wall_and_floor, plan)[0], view, [0.5, 0.5, 0.0]), style.STRUCTURAL, 20)
+
+
+def test_a_wall_with_a_doorway_is_two_strokes(wall_and_floor):
+    wall = np.ones((20, 10), np.uint8)
+    wall[8:13] = 0
+    start = wall_and_floor["patch_starts"][1]
+    wall_and_floor["patch_bits"] = np.concatenate([wall_and_floor["patch_bits"][:start], np.packbits(wall)])
+    ends = sorted(sorted((a[0], b[0])) for a, b in stretches(wall_and_floor, 1))
+    np.testing.assert_allclose(ends, [[1.0, 1.8], [2.3, 3.0]], atol=0.051)
+
+
+def test_an_empty_graph_draws_no_plane(no_planes, make_run):
+    plan = make_run().pictures
+    for picture in draw_planes_plan(no_planes, plan):
+        pixels = np.asarray(picture).astype(int)
+        assert np.ptp(pixels, axis=2).max() < 15  # grey throughout
+    assert run_planes_3d(no_planes, title="nothing").width > 600
+
+
+def test_the_more_is_missing_the_darker():
+    deficits = [0.0, *style.DEFICIT_BOUNDS]
+    lightness = [np.dot(style.deficit_colour(deficit), (0.299, 0.587, 0.114)) for deficit in deficits]
+    assert (np.diff(lightness) < -15).all()
+    assert style.deficit_colour(1.0) == style.DEFICIT_COLOURS[-1]
+
+
+@pytest.mark.parametrize("draw", [compare_planes_plans, compare_planes_3d])
+def test_runs_that_kept_no_graph_are_left_out(make_run, draw):
+    runs = [make_run(policy="a", planes=True), make_run(policy="b", planes=True)]
+    both = draw(runs, title="title")
+    runs[1].__dict__["graph"] = None
+    assert draw(runs, title="title").height < both.height

@@ -46,7 +46,7 @@ class MapParts:
         per_chunk = kernels.CHUNK // BLOCK
         padded = np.zeros(-(-len(seen) // per_chunk) * per_chunk, dtype=bool)
         padded[: len(seen)] = seen
-        return ~padded.reshape(-1, per_chunk).any(axis=1)
+        return np.logical_not(padded.reshape(-1, per_chunk).any(axis=1))
 
     def in_view(
         self,

@@ -111,7 +111,9 @@ def true_planes(
     pixels = np.bincount(at[usable], minlength=len(face)) * ((face >= 0) & (length > 1e-12))
     parallel = np.cos(np.radians(_FACE_ANGLE_DEG))
 
-    labels, planes, seeds = np.full(len(depth), -1), [], []
+    labels = np.full(len(depth), -1)
+    planes: list[list] = []
+    seeds: list[int] = []
     while pixels.any():
         seed = int(pixels.argmax())
         normal = normals[seed]
@@ -189,7 +191,8 @@ def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
     matrix = camera.matrix.astype(np.float32)
     matrix[:2, 2] -= 0.5  # OpenCV counts from the middle of the first pixel
     shape = (camera.height, camera.width)
-    finder = cv2.RgbdNormals_create(*shape, cv2.CV_32F, matrix, 5, 50.0, cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS)
+    method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS  # type: ignore[attr-defined]
+    finder = cv2.RgbdNormals_create(*shape, cv2.CV_32F, matrix, 5, 50.0, method)  # type: ignore[attr-defined]
     block = max(4, camera.width // 40)
     # sigma(z) = 0.0012 + 0.0019 (z - 0.4)^2 as a z^2 + b z + c
     error = (0.0019, -0.00152, 0.001504) if noisy else (0.0, 0.0, 0.0)

@@ -138,7 +138,9 @@ def _floor_share(flops: float, peaks: list[float], times_ms: list[float]) -> flo
 def _measure(tasks, counts, few, repeats):
     """Per (task, thread count): milliseconds of the clock, of the processor, and the peak before each repetition."""
     keys = [(task, count) for task in tasks for count in counts]
-    wall, busy, peaks = ({key: [] for key in keys} for _ in range(3))
+    wall: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
+    busy: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
+    peaks: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
     for repeat in range(-1, repeats):
         for task, action in tasks.items():
             if repeat >= few[task]:

@@ -122,9 +122,9 @@ class ActiveStructure(StructurePolicy):
         self._machine = PhaseMachine()
 
     def act(self, observation: Observation) -> int:
-        """The best view of the present phase; in phase III the keyframe that renders worst."""
+        """The best view of the present phase; in phase III the nearest of the keyframes that render worst."""
         machine, planes = self._machine, plane_view(observation)
-        valid = observation["action_mask"].astype(bool)
+        valid = discovering(observation["action_mask"].astype(bool), observation) > 0
         terms = self.terms(observation, planes, machine.phase.weights)
         pool = in_pool(terms, valid, machine.phase)
         changed = machine.update(pool)
@@ -138,7 +138,7 @@ class ActiveStructure(StructurePolicy):
         return self._choose(discovering(gain, observation), terms, observation, more)
 
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
-        """Revisit the worst rendered keyframe, unless nine tenths of them are good; then what pixels are left."""
+        """The nearest of the worst rendered keyframes on offer; pixels again once nine tenths of all are good."""
         revisit = (observation["candidates"][:, _REVISIT] > 0) & observation["action_mask"].astype(bool)
         lowest = float(observation["fidelity"][0])
         more = {**more, "fidelity": lowest}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import POLICIES, PixelOnly, Policy, Random, travel_discount
 from activestructure_gym.policies.base import best_valid
 
@@ -22,8 +23,10 @@ def observation(rng: np.random.Generator, rows: int = 12, valid: int = 8, gains:
         "candidates": candidates,
         "candidate_gains": rng.uniform(0, 1, (rows, gains)).astype(np.float32),
         "action_mask": mask,
-        "candidate_planes": np.zeros((rows, 4), np.int8),
-        "plane_mask": np.zeros(4, np.int8),
+        "candidate_planes": rng.integers(0, 2, (rows, 4)).astype(np.int8),
+        "plane_mask": np.array([1, 1, 1, 0], np.int8),
+        "plane_features": rng.uniform(0, 1, (4, len(PLANE_FEATURES))).astype(np.float32),
+        "fidelity": np.array([20.0, 25.0], np.float32),
     }
 
 

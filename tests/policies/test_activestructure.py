@@ -1,0 +1,315 @@
+"""Eqs. 11 to 15 by hand, what ends a phase, and what the rungs of the ablation choose."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.planes import PLANE_FEATURES
+from activestructure_gym.policies import PixelOnly
+from activestructure_gym.policies.activestructure import (
+    PHASES,
+    ActiveStructure,
+    ActiveStructureA,
+    ActiveStructureB,
+    ActiveStructureC,
+    PhaseMachine,
+    PlaneView,
+    Weights,
+    information_gain,
+)
+from activestructure_gym.policies.activestructure.information_gain import (
+    GOOD_QUALITY,
+    VISIBILITY_FLOOR,
+    discount,
+    structural_term,
+    suppression,
+    view_surprise,
+)
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PATIENCE, in_pool
+
+
+def planes(visible: list, quality: list, surprise: list, structural: list, area: list | None = None) -> PlaneView:
+    q, phi = np.array(quality, float), np.array(surprise, float)
+    size = np.ones(len(q)) if area is None else np.array(area, float)
+    return PlaneView(np.array(visible, bool), q, phi, (1 - q) * phi, np.array(structural, bool), size)
+
+
+def observation(
+    gains: list,  # [K, G]
+    *,
+    frames: list | None = None,  # [K]
+    revisit: tuple[int, ...] = (),  # rows
+    visible: list | None = None,  # [K, P]
+    quality: tuple[float, ...] = (),  # [P]
+    surprise: tuple[float, ...] = (),  # [P]
+    structural: tuple[int, ...] = (),  # [P]
+    fidelity: float = 30.0,
+) -> dict[str, np.ndarray]:
+    """An observation with one candidate more than there are, and one plane more: both masked."""
+    count, known = len(gains), len(quality)
+    rows, nodes = count + 1, known + 1
+    candidates = np.zeros((rows, len(CANDIDATE_FEATURES)), np.float32)
+    candidates[:count, CANDIDATE_FEATURES.index("frames")] = [5.0] * count if frames is None else frames
+    candidates[list(revisit), CANDIDATE_FEATURES.index("revisit")] = 1.0
+    table = np.zeros((rows, np.shape(gains)[1]), np.float32)
+    table[:count] = gains
+    features = np.zeros((nodes, len(PLANE_FEATURES)), np.float32)
+    q, phi = np.array(quality), np.array(surprise)
+    columns = {"quality": q, "surprise": phi, "deficit": (1 - q) * phi, "structural": structural, "area": 1.0}
+    for name, values in columns.items():
+        features[:known, PLANE_FEATURES.index(name)] = values
+    seen = np.zeros((rows, nodes), np.int8)
+    if visible is not None:
+        seen[:count, :known] = visible
+    return {
+        "candidates": candidates,
+        "candidate_gains": table,
+        "action_mask": (np.arange(rows) < count).astype(np.int8),
+        "candidate_planes": seen,
+        "plane_mask": (np.arange(nodes) < known).astype(np.int8),
+        "plane_features": features,
+        "fidelity": np.array([fidelity, fidelity + 3.0], np.float32),
+    }
+
+
+# Three views: of planes 0 and 1, of none, of plane 2.
+THREE = planes([[1, 1, 0], [0, 0, 0], [0, 0, 1]], [0.5, 0.9, 0.2], [0.2, 0.6, 0.9], [1, 0, 0])
+
+
+def test_view_surprise_is_half_the_mean_and_half_the_maximum() -> None:
+    np.testing.assert_allclose(view_surprise(THREE), [0.5 * 0.4 + 0.5 * 0.6, 0.0, 0.9])
+
+
+def test_discount_by_hand() -> None:
+    expected = 0.3 * (1 - np.exp(-2 / 3)) * (1 - 0.5 / 0.9) * 0.7
+    np.testing.assert_allclose(discount(THREE, 0.3), [expected, 0.0, 0.0], atol=1e-12)
+
+
+def test_discount_grows_with_planes_and_quality_and_falls_with_surprise() -> None:
+    beyond = [0, 0, 0, 0, 1]  # the last view sees only the last plane, whose surprise is the largest
+    more = np.vstack([np.tril(np.ones((4, 5))), beyond])
+    equal = planes(more, [0.6] * 5, [0.1] * 4 + [0.8], [1] * 5)
+    assert (np.diff(discount(equal, 0.5)[:4]) > 0).all()
+
+    each = np.eye(5)
+    better = planes(each, [0.1, 0.3, 0.5, 0.9, 0.5], [0.1] * 4 + [0.8], [1] * 5)
+    assert (np.diff(discount(better, 0.5)[:4]) > 0).all()
+    stranger = planes(each, [0.6] * 5, [0.1, 0.3, 0.5, 0.7, 0.8], [1] * 5)
+    assert (np.diff(discount(stranger, 0.5)) < 0).all()
+
+
+def test_discount_stays_between_zero_and_its_cap(rng: np.random.Generator) -> None:
+    for cap in (0.0, 0.3, 1.0):
+        q, phi = rng.uniform(0, 1, 40), rng.uniform(0, 1, 40)
+        rho = discount(planes(rng.uniform(0, 1, (60, 40)) < 0.3, q, phi, [1] * 40), cap)
+        assert (rho >= 0).all()
+        assert (rho <= cap).all()
+    sure = planes(np.ones((1, 40)), [1.0] * 40, [0.0] * 40, [1] * 40)
+    assert discount(sure, 0.3)[0] == pytest.approx(0.3, rel=1e-4)  # many perfect planes without surprise: all of it
+
+
+def test_structural_term_is_the_share_of_what_lacks_with_alpha_by_type() -> None:
+    # gamma = 0.1, 0.06, 0.72
+    lacks = np.array([0.1, 0.06, 0.72]) / 0.88
+    np.testing.assert_allclose(structural_term(THREE, Weights()), [lacks[0] + lacks[1], 0.0, lacks[2]])
+    weights = Weights(structural=-2.0, objects=0.5)
+    np.testing.assert_allclose(
+        structural_term(THREE, weights), [-2.0 * lacks[0] + 0.5 * lacks[1], 0.0, 0.5 * lacks[2]]
+    )
+    # Without surprise 1 - q = 0.5, 0.1, 0.8 stands in for gamma.
+    np.testing.assert_allclose(structural_term(THREE, Weights(surprise=False)), [0.6 / 1.4, 0.0, 0.8 / 1.4])
+    # A share does not change when every surprise shrinks.
+    fainter = replace(THREE, deficit=1e-4 * THREE.deficit)
+    np.testing.assert_allclose(structural_term(fainter, weights), structural_term(THREE, weights))
+
+
+def test_total_by_hand() -> None:
+    weights = Weights(structural=2.0, objects=0.5, coupling=0.4, deficiency=3.0, max_discount=0.3)
+    terms = information_gain(np.array([0.5, 0.4, 0.3]), np.array([0.1, 0.2, 0.0]), THREE, weights)
+    rho = 0.3 * (1 - np.exp(-2 / 3)) * (1 - 0.5 / 0.9) * 0.7
+    expected = [
+        0.5 * (1 - rho) + 0.4 * ((2.0 * 0.1 + 0.5 * 0.06) / 0.88 + 3.0 * 0.1 + 0.01),
+        0.4 + 0.4 * 3.0 * 0.2,
+        0.3 + 0.4 * (0.5 * 0.72 / 0.88 + 0.01),
+    ]
+    np.testing.assert_allclose(terms.total, expected)
+
+
+def test_total_is_never_negative() -> None:
+    terms = information_gain(np.zeros(3), np.zeros(3), THREE, Weights(structural=-5.0, objects=-5.0))
+    assert terms.structure.min() < -1.0
+    np.testing.assert_array_equal(terms.total, 0.0)
+
+
+def test_a_view_of_any_plane_is_worth_the_floor() -> None:
+    complete = replace(THREE, deficit=np.zeros(3))
+    terms = information_gain(np.zeros(3), np.zeros(3), complete, Weights())
+    np.testing.assert_allclose(terms.total, [VISIBILITY_FLOOR, 0.0, VISIBILITY_FLOOR])
+
+
+def test_views_dominated_by_good_structure_are_suppressed() -> None:
+    views = [[1, 1], [1, 0], [0, 1], [0, 0]]
+    good = planes(views, [0.9, 0.9], [0.5, 0.5], [1, 0], area=[3.0, 1.0])
+    np.testing.assert_allclose(suppression(good, 0.5), [1 - 0.5 * 0.75, 0.5, 1.0, 1.0])
+    np.testing.assert_array_equal(suppression(good, 0.0), 1.0)
+    poor = replace(good, quality=np.array([GOOD_QUALITY - 0.01, 0.9]))
+    np.testing.assert_array_equal(suppression(poor, 0.5), 1.0)
+    pixel = np.full(4, 0.4)
+    off, on = (information_gain(pixel, np.zeros(4), good, Weights(suppression=s)).total for s in (0.0, 0.5))
+    np.testing.assert_allclose(on, off * [0.625, 0.5, 1.0, 1.0])
+
+
+def test_a_phase_ends_only_after_empty_pools_in_a_row() -> None:
+    machine, empty, full = PhaseMachine(), np.zeros(4, bool), np.array([False, True, False, False])
+    for _ in range(500):
+        assert machine.update(full) is None
+    for _ in range(20):  # an interrupted row begins again
+        for _ in range(PATIENCE - 1):
+            assert machine.update(empty) is None
+        assert machine.update(full) is None
+    assert machine.index == 0
+    for expected in (1, 2):
+        for _ in range(PATIENCE - 1):
+            assert machine.update(empty) is None
+            assert machine.index == expected - 1
+        assert str(PATIENCE) in machine.update(empty)
+        assert machine.index == expected
+    for _ in range(5 * PATIENCE):
+        assert machine.update(empty) is None
+    assert machine.phase is PHASES[2]
+
+
+def test_polarity_reverses_between_the_first_two_phases() -> None:
+    first, second = PHASES[0].weights, PHASES[1].weights
+    assert first.structural > 0 > second.structural
+    assert second.objects > 0
+    assert second.max_discount > first.max_discount
+    # Two views of as many pixels: one of nothing, one of a poor wall, the only plane.
+    wall = planes([[0], [1]], [0.1], [0.5], [1])
+    scaffold, objects = (information_gain(np.full(2, 0.4), np.zeros(2), wall, w).total for w in (first, second))
+    assert scaffold[1] > scaffold[0]
+    assert objects[1] < objects[0]
+
+
+def test_the_pool_holds_views_with_enough_pixels_or_deficit() -> None:
+    first, second = PHASES[0], PHASES[1]
+    nothing = planes(np.zeros((4, 1)), [0.5], [0.5], [1])
+    pixel = np.array([first.pool_share + 0.01, first.pool_share - 0.01, 0.0, 0.9])
+    terms = information_gain(pixel, np.array([0.0, 0.0, 1.0, 0.0]), nothing, first.weights)
+    valid = np.array([True, True, True, False])
+    np.testing.assert_array_equal(in_pool(terms, valid, first), [True, False, False, False])
+    np.testing.assert_array_equal(in_pool(terms, valid, second), [True, True, True, False])
+    # What the discount or the suppression takes away counts too.
+    lowered = replace(terms, discount=np.array([0.5, 0, 0, 0]))
+    assert not in_pool(lowered, valid, first)[0]
+    assert not in_pool(replace(terms, suppressed=np.array([0.5, 1, 1, 1])), valid, first)[0]
+
+
+def test_rung_a_chooses_as_pixel_only(rng: np.random.Generator) -> None:
+    ours, theirs = ActiveStructureA(), PixelOnly()
+    chosen = set()
+    for _ in range(50):
+        observed = observation(
+            rng.uniform(0, 1, (9, 1)), frames=rng.uniform(1, 30, 9), visible=rng.uniform(0, 1, (9, 2)) < 0.5,
+            quality=(0.1, 0.6), surprise=(0.9, 0.2), structural=(1, 0), revisit=(2,),
+        )  # fmt: skip
+        assert ours.act(observed) == theirs.act(observed)
+        chosen.add(ours.act(observed))
+    assert len(chosen) > 3
+
+
+def test_rung_b_ignores_surprise_and_rung_c_does_not() -> None:
+    def choices(quality: tuple, surprise: tuple) -> tuple[int, int]:
+        observed = observation(
+            [[0.10], [0.05]], visible=[[1, 0], [0, 1]], quality=quality, surprise=surprise, structural=(1, 1)
+        )
+        return ActiveStructureB().act(observed), ActiveStructureC().act(observed)
+
+    assert choices((0.5, 0.5), (0.1, 0.9)) == (0, 1)
+    assert choices((0.5, 0.5), (0.9, 0.1)) == (0, 0)
+    assert choices((0.9, 0.1), (0.5, 0.5)) == (1, 1)  # the planes themselves count for both
+
+
+@pytest.mark.parametrize("policy", [ActiveStructureB, ActiveStructureC, ActiveStructure])
+def test_a_revisit_is_not_chosen_while_another_view_has_something_to_gain(policy: type) -> None:
+    extra = [0.0] * (len(policy.required_gains) - 1)
+    gains = [[0.9, *extra], [0.2, *extra], [0.15, *extra]]
+    frames = [1.0, 20.0, 40.0]
+    assert policy().act(observation(gains, frames=frames)) == 0
+    assert policy().act(observation(gains, frames=frames, revisit=(0,))) == 1
+    assert policy().act(observation(gains, frames=frames, revisit=(0, 1))) == 2
+
+
+NOTHING = [[0.0, 0.0]] * 3
+
+
+def in_last_phase() -> ActiveStructure:
+    policy = ActiveStructure()
+    policy.reset(0)
+    for _ in range(2 * PATIENCE):
+        policy.act(observation(NOTHING))
+    return policy
+
+
+def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None:
+    policy = ActiveStructure()
+    policy.reset(0)
+    names = []
+    rich, poor = [[0.5, 0.0]] * 3, [[0.05, 0.0]] * 3  # poor: enough for phase II, not for phase I
+    for gains in [rich] * 40 + [poor] * (PATIENCE + 40) + [NOTHING] * (PATIENCE + 5):
+        policy.act(observation(gains))
+        names.append(policy.trace()["phase"])
+    changes = [40 + PATIENCE - 1, 40 + PATIENCE + 40 + PATIENCE - 1]
+    expected = [PHASES[sum(t >= change for change in changes)].name for t in range(len(names))]
+    assert names == expected
+
+
+def test_phase_three_revisits_until_the_keyframes_are_good() -> None:
+    policy = in_last_phase()
+    gains, frames = [[0.3, 0.0], [0.6, 0.0], [0.0, 0.0]], [5.0, 5.0, 40.0]
+    below = observation(gains, frames=frames, revisit=(2,), fidelity=GOOD_PSNR - 0.1)
+    good = observation(gains, frames=frames, revisit=(2,), fidelity=GOOD_PSNR)
+    assert [policy.act(below), policy.act(good), policy.act(below)] == [2, 1, 2]
+    # A row that is masked is no keyframe to go to.
+    below["action_mask"][2] = 0
+    assert policy.act(below) == 1
+
+
+def test_the_trace_says_what_decided() -> None:
+    policy = ActiveStructure()
+    policy.reset(0)
+    observed = observation(
+        [[0.3, 0.0], [0.6, 0.1], [0.2, 0.0]], visible=[[1], [0], [1]], quality=(0.3,), surprise=(0.4,), structural=(1,)
+    )
+    assert policy.act(observed) == 1
+    trace = policy.trace()
+    assert json.loads(json.dumps(trace)) == trace
+    assert trace["phase"] == PHASES[0].name
+    assert trace["pool"] == 3
+    assert trace["runner_up"]["row"] == 0
+    assert trace["chosen"]["pixel"] == pytest.approx(0.6)
+    assert trace["chosen"]["deficiency"] == pytest.approx(0.1)
+    assert trace["chosen"]["total"] * trace["chosen"]["travel"] > (
+        trace["runner_up"]["total"] * trace["runner_up"]["travel"]
+    )
+    late = in_last_phase()
+    late.act(observation(NOTHING, revisit=(1,)))
+    assert json.loads(json.dumps(late.trace())) == late.trace()
+    assert late.trace()["phase"] == PHASES[2].name
+
+
+def test_reset_begins_again_with_the_first_phase_and_a_pickle_does_not() -> None:
+    policy = in_last_phase()
+    observed = observation([[0.9, 0.0], [0.1, 0.0]], revisit=(1,))
+    copy = pickle.loads(pickle.dumps(policy))
+    assert copy.act(observed) == policy.act(observed) == 1
+    assert copy.trace() == policy.trace()
+    policy.reset(1)
+    assert policy.act(observed) == 0
+    assert policy.trace()["phase"] == PHASES[0].name

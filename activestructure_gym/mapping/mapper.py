@@ -17,7 +17,7 @@ from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.mapping.scans import fit_to_stay
+from activestructure_gym.mapping.scans import CHUNK, fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
@@ -92,10 +92,12 @@ class Mapper:
         iterations = self.config.iterations if iterations is None else iterations
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         replaced = self._remove_coarse(frame)
-        stride, added, dropped, new_share = self._seed(frame)
+        boxes = MapParts(self.map, **self._slack(iterations))
+        stride, added, dropped, new_share = self._seed(frame, boxes)
+        parts = None if dropped else boxes.extended(added)
         index = self._store.append(frame, new_share=new_share)
         views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
-        losses, pruned = self._optimize(views)
+        losses, pruned = self._optimize(views, parts)
         # The new keyframe itself, which has no value yet, and those that have waited longest.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
         return _report(
@@ -146,11 +148,14 @@ class Mapper:
         self._measure_psnr(self._store.stalest(len(self.keyframes) if renders is None else renders))
         return np.array(self._store.psnr, dtype=np.float64)
 
-    def _seed(self, frame: Frame) -> tuple[int, int, int, float]:
+    def _seed(self, frame: Frame, parts: MapParts) -> tuple[int, int, int, float]:
         """Insert Gaussians where the map lacks them; returns seed stride, added, dropped, share of new pixels."""
         config = self.config
         if self.map.count:
-            rendering = self.render(frame.camera, frame.world_from_camera)
+            camera, pose = frame.camera, frame.world_from_camera
+            rendering = cpu.render(
+                self.map.parameters, self.map.count, camera, pose, unseen=parts.unseen(camera, pose)
+            )
             missing = missing_pixels(
                 frame.depth,
                 rendering.depth,
@@ -238,8 +243,17 @@ class Mapper:
         poor = self._store.poor(psnr_threshold=config.global_psnr, new_share_threshold=config.global_new_share)
         return [k for k in poor if k != index]
 
-    def _optimize(self, views: Sequence[int]) -> tuple[np.ndarray, int]:
+    def _slack(self, iterations: int) -> dict[str, float]:
+        """How far a Gaussian can move, and grow, in so many steps."""
+        config = self.config
+        step = largest_adam_step(config.adam_beta1, config.adam_beta2)
+        farthest = step * iterations * config.learning_rates(self.scene_radius)
+        return {"shift": float(farthest[MEAN].max()), "growth": float(np.exp(farthest[LOG_SCALE].max()))}
+
+    def _optimize(self, views: Sequence[int], parts: MapParts | None = None) -> tuple[np.ndarray, int]:
         """One event: a step for every entry of ``views`` and the pruning that goes with it.
+
+        ``parts`` are boxes that stay valid for so many steps, if there are any yet.
 
         Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and how many Gaussians were pruned.
         """
@@ -248,21 +262,26 @@ class Mapper:
         if config.adam_reset:
             self.map.reset_moments()
         rates, epsilon = config.learning_rates(self.scene_radius), config.adam_epsilon
-        farthest = largest_adam_step(config.adam_beta1, config.adam_beta2) * len(views) * rates
-        shift, growth = float(farthest[MEAN].max()), float(np.exp(farthest[LOG_SCALE].max()))
-        pruned, parts = 0, None
+        pruned = 0
+        changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; at first nobody knows
+        fresh = True
         for step, view in enumerate(views):
             if step in config.prune_steps:
-                pruned, parts = pruned + self._prune(), None
+                pruned, parts, fresh = pruned + self._prune(changed), None, True
             if not self.map.count:
                 break
-            parts = parts or MapParts(self.map, shift=shift, growth=growth)
+            if fresh:
+                parts = parts or MapParts(self.map, **self._slack(len(views)))
+                changed, fresh = np.zeros(-(-self.map.count // CHUNK), dtype=bool), False
+            assert parts is not None
             if config.adam_reset:
                 # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
                 rates = config.learning_rates(self.scene_radius) * (root / (1.0 - config.adam_beta1 ** (step + 1)))
                 epsilon = config.adam_epsilon * root
             frame = self._store.frames[view]
+            unseen = parts.unseen(frame.camera, frame.world_from_camera)
+            changed |= True if unseen is None else ~unseen
             result = cpu.mapping_step(
                 self.map.parameters,
                 self.map.first_moment,
@@ -278,29 +297,33 @@ class Mapper:
                 beta2=config.adam_beta2,
                 epsilon=epsilon,
                 isotropic=config.isotropic,
-                unseen=parts.unseen(frame.camera, frame.world_from_camera),
+                unseen=unseen,
             )
             losses[step] = result.color, result.depth, result.ssim
         if -1 in config.prune_steps:
-            pruned += self._prune()
+            pruned += self._prune(changed)
         return losses, pruned
 
-    def _prune(self) -> int:
-        """Remove Gaussians that are transparent, too large, or were driven to values that are not finite."""
+    def _prune(self, changed: np.ndarray) -> int:
+        """Remove Gaussians that are transparent, too large, or were driven to values that are not finite.
+
+        ``changed [chunks]``: where to look; elsewhere all have passed before, and the limits only rise.
+        """
         threshold = self.config.prune_opacity
         # At coarse resolution the seeds themselves can be larger than the scene's share; they must survive.
         limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
         with np.errstate(divide="ignore"):  # thresholds of 0 and 1
             least_logit = float(np.log(threshold) - np.log1p(-threshold))
-        keep = fit_to_stay(self.map.parameters, self.map.count, least_logit, float(np.log(limit)))
+        keep = fit_to_stay(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed)
         return self.map.keep(keep)
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
-        parts = MapParts(self.map)
+        # For a few pictures making the boxes costs more than they save.
+        parts = MapParts(self.map) if len(indices) > 3 else None
         for index in indices:
             frame = self._store.frames[index]
             camera, pose = frame.camera, frame.world_from_camera
-            unseen = parts.unseen(camera, pose)
+            unseen = parts.unseen(camera, pose) if parts else None
             shown = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
             error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - _unit_rgb(frame)), dtype=np.float64))
             self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))

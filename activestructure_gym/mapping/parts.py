@@ -32,11 +32,23 @@ class MapParts:
 
     def __init__(self, gaussians: GaussianMap, *, shift: float = 0.0, growth: float = 1.0) -> None:
         self._map = gaussians
+        self._slack = np.array([-shift, -shift, -shift, shift, shift, shift]), growth
         large = gaussians.count > _WORTHWHILE * BLOCK and bool(np.isfinite([shift, growth]).all())
-        self._boxes = block_boxes(gaussians.parameters, gaussians.count) if large else None
-        if self._boxes is not None and (shift or growth != 1.0):
-            self._boxes += [-shift, -shift, -shift, shift, shift, shift, 0.0]
-            self._boxes[:, 6] *= growth
+        self._boxes = self._made(0) if large else None
+
+    def _made(self, first: int) -> np.ndarray:  # [B - first, 7]
+        """Boxes of block ``first`` and those behind it."""
+        boxes = block_boxes(self._map.parameters, self._map.count, first)
+        boxes[:, :6] += self._slack[0]
+        boxes[:, 6] *= self._slack[1]
+        return boxes
+
+    def extended(self, added: int) -> MapParts:
+        """Itself, after ``added`` Gaussians were inserted behind the others."""
+        if self._boxes is not None and added:
+            first = (self._map.count - added) // BLOCK
+            self._boxes = np.concatenate([self._boxes[:first], self._made(first)])
+        return self
 
     def unseen(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> np.ndarray | None:  # [chunks] bool
         """The rasteriser's chunks without a block that the camera could see; None for a small map."""
@@ -106,14 +118,15 @@ def may_be_seen(
 def block_boxes(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
+    first_block: int,
 ) -> np.ndarray:  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
     """One box per block of `BLOCK` columns; means that are not a number are left out, for nobody sees them."""
-    blocks = (count + BLOCK - 1) // BLOCK
+    blocks = (count + BLOCK - 1) // BLOCK - first_block
     boxes = np.empty((blocks, 7))
     # One extreme per lane first: the compiler makes vectors of comparisons, but not of sums or extremes in sequence.
     least, greatest = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
     for block in range(blocks):
-        first, stop = block * BLOCK, min(count, (block + 1) * BLOCK)
+        first, stop = (first_block + block) * BLOCK, min(count, (first_block + block + 1) * BLOCK)
         boxes[block, 6] = -np.inf
         for row in (0, 1, 2, 7, 8, 9):
             for lane in range(_LANES):

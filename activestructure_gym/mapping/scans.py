@@ -10,7 +10,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.mapping.gaussian_map import ROWS
 
-_BLOCK = 1024  # Gaussians whose sums stay in the nearest cache
+CHUNK = 1024  # Gaussians whose sums stay in the nearest cache; the rasteriser's chunk
 
 
 @kernel
@@ -19,12 +19,15 @@ def fit_to_stay(
     count: int,
     least_logit: float,
     most_log_scale: float,
+    changed: np.ndarray,  # [chunks] bool
 ) -> np.ndarray:  # [count] bool
-    """Opaque enough, small enough along every axis, and finite in all rows."""
-    keep = np.empty(count, np.bool_)
-    total = np.empty(_BLOCK, np.float32)
-    for first in range(0, count, _BLOCK):
-        length = min(_BLOCK, count - first)
+    """Opaque enough, small enough along every axis, and finite in all rows. What has not changed stays."""
+    keep = np.ones(count, np.bool_)
+    total = np.empty(CHUNK, np.float32)
+    for first in range(0, count, CHUNK):
+        if not changed[first // CHUNK]:
+            continue
+        length = min(CHUNK, count - first)
         for i in range(length):
             total[i] = np.float32(0.0)
         for row in range(ROWS):

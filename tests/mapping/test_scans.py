@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.mapping.scans import fit_to_stay, larger_in_view
+from activestructure_gym.mapping.scans import CHUNK, fit_to_stay, larger_in_view
 
 CAPACITY, COUNT = 3072, 2500  # more than one block, and not a whole number of them
 
@@ -16,6 +16,10 @@ def _parameters(rng):
     return parameters
 
 
+def _everywhere(count):
+    return np.ones(-(-count // CHUNK), dtype=bool)
+
+
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
 def test_fit_to_stay_is_three_conditions(poison):
     rng = np.random.default_rng(0)
@@ -24,15 +28,15 @@ def test_fit_to_stay_is_three_conditions(poison):
     parameters[rows, columns] = poison
     live = parameters[:, :COUNT]
     expected = (live[10] >= -0.5) & (live[7:10] <= -1.5).all(axis=0) & np.isfinite(live).all(axis=0)
-    assert np.array_equal(fit_to_stay(parameters, COUNT, -0.5, -1.5), expected)
+    assert np.array_equal(fit_to_stay(parameters, COUNT, -0.5, -1.5, _everywhere(COUNT)), expected)
     assert 100 < expected.sum() < COUNT - 100
 
 
 def test_the_limits_themselves_may_stay():
     parameters = np.zeros((14, 16), np.float32)
-    assert fit_to_stay(parameters, 3, 0.0, 0.0).tolist() == [True] * 3
-    assert not fit_to_stay(parameters, 3, np.nextafter(0.0, 1.0), 0.0).any()
-    assert not fit_to_stay(parameters, 3, 0.0, np.nextafter(0.0, -1.0)).any()
+    assert fit_to_stay(parameters, 3, 0.0, 0.0, _everywhere(3)).tolist() == [True] * 3
+    assert not fit_to_stay(parameters, 3, np.nextafter(0.0, 1.0), 0.0, _everywhere(3)).any()
+    assert not fit_to_stay(parameters, 3, 0.0, np.nextafter(0.0, -1.0), _everywhere(3)).any()
 
 
 def test_larger_in_view_is_what_projecting_says():
@@ -54,3 +58,10 @@ def test_larger_in_view_is_what_projecting_says():
     found = larger_in_view(parameters, COUNT, invert_rigid(pose)[:3].astype(np.float32), intrinsics, depth, 1.5)
     assert expected.sum() > 10
     assert (found != expected).sum() <= 1  # float32 at a pixel's border
+
+
+def test_only_chunks_that_changed_are_looked_at():
+    parameters = np.zeros((14, 3 * CHUNK), np.float32)
+    parameters[10] = -9.0  # nobody is opaque enough
+    keep = fit_to_stay(parameters, 3 * CHUNK - 5, 0.0, 1.0, np.array([False, True, False]))
+    assert keep[:CHUNK].all() and not keep[CHUNK : 2 * CHUNK].any() and keep[2 * CHUNK :].all()

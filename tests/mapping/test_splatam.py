@@ -155,7 +155,7 @@ def test_pruning_comes_twice_in_a_long_event(room_frames, monkeypatch):
     steps, pruned_at = [], []
     step, prune = cpu.mapping_step, mapper._prune
     monkeypatch.setattr(cpu, "mapping_step", lambda *args, **kwargs: steps.append(0) or step(*args, **kwargs))
-    monkeypatch.setattr(mapper, "_prune", lambda: pruned_at.append(len(steps)) or prune())
+    monkeypatch.setattr(mapper, "_prune", lambda changed: pruned_at.append(len(steps)) or prune(changed))
     mapper.refine(60)
     assert len(steps) == 60 and pruned_at == [0, 20]
 

@@ -15,7 +15,7 @@ from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.pixel import pixel
 from activestructure_gym.views.gains.structure import structure
-from activestructure_gym.views.gains.unexplained import unexplained, unseen_area
+from activestructure_gym.views.gains.unexplained import unexplained
 
 __all__ = [
     "GAINS",
@@ -27,5 +27,4 @@ __all__ = [
     "pixel",
     "structure",
     "unexplained",
-    "unseen_area",
 ]

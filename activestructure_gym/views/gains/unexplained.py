@@ -6,7 +6,6 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.views.gains.base import GAINS, GainContext
-from activestructure_gym.views.gains.hole_area import solid_angles
 from activestructure_gym.volume import FREE, OCCUPIED
 
 # Only every second pixel in both directions is marched: neighbours see the same hole.
@@ -32,29 +31,7 @@ def unexplained(context: GainContext) -> np.ndarray:  # [K] in 0..1
         float(context.max_range),
         np.ascontiguousarray(context.alpha[:, ::_STRIDE, ::_STRIDE] <= context.coverage_alpha),
     )
-    return (meets > 0.0).mean(axis=(1, 2))
-
-
-@GAINS.register("unseen_area")
-def unseen_area(context: GainContext) -> np.ndarray:  # [K] m^2
-    """Surface that a view may newly show: sum over the `unexplained` pixels of solid angle x distance^2.
-
-    What hides behind a hole lies between the first unknown voxel on the ray and where the ray must end; the middle is
-    taken.
-    """
-    camera, volume = context.camera, context.volume
-    alpha = context.alpha[:, ::_STRIDE, ::_STRIDE]
-    distance = meets_unknown(
-        volume.state,
-        volume.origin.astype(np.float64),
-        float(volume.config.voxel_size),
-        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
-        camera.rays()[::_STRIDE, ::_STRIDE].astype(np.float64),
-        float(context.max_range),
-        np.ascontiguousarray(alpha <= context.coverage_alpha),
-    )
-    area = solid_angles(camera)[::_STRIDE, ::_STRIDE] * _STRIDE**2 * distance**2
-    return ((1.0 - alpha) * area).sum(axis=(1, 2))
+    return meets.mean(axis=(1, 2))
 
 
 @kernel
@@ -66,14 +43,13 @@ def meets_unknown(
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     max_range: float,  # metres of depth
     wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
-) -> np.ndarray:  # [K, h, w] metres
-    """Where a wanted ray that meets unknown space may hit something: between there and its end. 0 for all others.
+) -> np.ndarray:  # [K, h, w] bool
+    """Whether a wanted ray meets unknown space before it ends: two steps in a row, of half a voxel each.
 
-    Unknown are two steps in a row, of half a voxel each.
     One step alone may be a corner that no ray of an earlier image went through.
     """
     count, height, width = wanted.shape
-    result = np.zeros((count, height, width))
+    result = np.zeros((count, height, width), np.bool_)
     for k in range(count):
         pose = poses[k]
         start = (pose[:3, 3] - origin) / voxel_size
@@ -88,8 +64,8 @@ def meets_unknown(
                 dy = (pose[1, 0] * ray[0] + pose[1, 1] * ray[1] + pose[1, 2] * ray[2]) * scale
                 dz = (pose[2, 0] * ray[0] + pose[2, 1] * ray[1] + pose[2, 2] * ray[2]) * scale
                 x, y, z = start[0], start[1], start[2]
-                unknown, first, last = 0, 0, 0
-                for number in range(int(max_range * length / (0.5 * voxel_size))):
+                unknown = 0
+                for _ in range(int(max_range * length / (0.5 * voxel_size))):
                     x, y, z = x + dx, y + dy, z + dz
                     i, j, m = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
                     if i < 0 or j < 0 or m < 0 or i >= state.shape[0] or j >= state.shape[1] or m >= state.shape[2]:
@@ -97,10 +73,8 @@ def meets_unknown(
                     here = state[i, j, m]
                     if here == OCCUPIED:
                         break
-                    last = number + 1
                     unknown = 0 if here == FREE else unknown + 1
-                    if unknown == 2 and first == 0:
-                        first = number
-                if first > 0:
-                    result[k, row, column] = 0.25 * voxel_size * (first + last)
+                    if unknown == 2:
+                        result[k, row, column] = True
+                        break
     return result

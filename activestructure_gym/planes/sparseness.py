@@ -13,9 +13,9 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.surface import SurfaceGrid
 
 _VOXEL = 0.7  # of a cell: a point in the same or a neighbouring voxel lies within about one cell
-_BUFFER = 4096  # tiles of one plane: 32 m x 32 m of half metres
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,21 @@ def sparse_patches(
     least_cells: int,  # concerned, for a patch to count
     largest: float,  # metres: a cell is fine where a Gaussian up to this size lies within about a cell
 ) -> SparsePatches:
-    """Patches in which seen cells have no Gaussian near that is fine enough."""
+    """Patches in which seen cells have no Gaussian near that is fine enough; in a map without any, all that was seen.
+
+    A patch without a Gaussian near is given twice the size ``largest``.
+    """
     found: list[np.ndarray] = [np.zeros((0, 7))]
-    if nodes and len(points.means):
-        size = _VOXEL * nodes[0].surface.cell
-        means = np.ascontiguousarray(points.means, dtype=np.float32)
-        low = means.min(axis=0).astype(np.float64) - 2 * size
-        shape = np.ceil((means.max(axis=0) - low) / size).astype(np.int64) + 3
-        finest = np.zeros(tuple(shape), np.float32)
-        _mark(means, np.ascontiguousarray(points.sizes, dtype=np.float32), low, size, finest)
-        buffer = np.empty((_BUFFER, 4), np.float64)
+    surfaces = [node.surface for node in nodes if node.surface.seen.size]
+    if surfaces:
+        finest, low, first, voxel = _finest_near(surfaces, points)
+        most = max(-(-surface.seen.shape[0] // tile) * -(-surface.seen.shape[1] // tile) for surface in surfaces)
+        buffer = np.empty((most, 4), np.float64)
         for k, node in enumerate(nodes):
             surface = node.surface
             count = _coarse_tiles(
-                surface.seen, surface.low, surface.frame, surface.cell, finest, low, size, largest, tile, least_cells,
-                buffer,
+                surface.seen, surface.low, surface.frame, surface.cell, finest, low, first, voxel, largest, tile,
+                least_cells, buffer,
             )  # fmt: skip
             if count:
                 own = buffer[:count]
@@ -69,18 +69,43 @@ def sparse_patches(
     return SparsePatches(table[:, :3], table[:, 3], table[:, 4], table[:, 5].astype(np.int64))
 
 
-@kernel
-def _mark(means, sizes, low, voxel, finest):
-    """Note in every voxel the size of the finest Gaussian; 0 = none."""
-    for n in range(len(means)):
-        i, j = int((means[n, 0] - low[0]) / voxel), int((means[n, 1] - low[1]) / voxel)
-        k = int((means[n, 2] - low[2]) / voxel)
-        if finest[i, j, k] == 0.0 or sizes[n] < finest[i, j, k]:
-            finest[i, j, k] = sizes[n]
+def _finest_near(
+    surfaces: Sequence[SurfaceGrid], points: MapPoints
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:  # [X, Y, Z] float32 metres, [3] metres, [3] int64, metres
+    """The finest Gaussian of every voxel and its two neighbours in z, with what `_coarse_tiles` needs to find a voxel.
+
+    Voxels are counted from the lowest Gaussian but stored only around the planes: one Gaussian that strayed far off
+    must not ask for a grid that reaches as far.
+    """
+    voxel = _VOXEL * surfaces[0].cell
+    if not len(points.means):
+        return np.zeros((1, 1, 1), np.float32), np.zeros(3), np.zeros(3, np.int64), voxel
+    means = np.ascontiguousarray(np.asarray(points.means).T, dtype=np.float32)  # [3, M]
+    low = means.min(axis=1).astype(np.float64) - 2 * voxel
+    last = np.ceil((means.max(axis=1) - low) / voxel).astype(np.int64) + 2
+    corners = np.concatenate([surface.corners for surface in surfaces])
+    first = np.clip(np.floor((corners.min(axis=0) - low) / voxel).astype(np.int64) - 1, 0, last)
+    last = np.clip(np.floor((corners.max(axis=0) - low) / voxel).astype(np.int64) + 1, first, last)
+    finest = np.zeros(tuple(last - first + 1), np.float32)
+    _mark(means, np.ascontiguousarray(points.sizes, dtype=np.float32), low, first, voxel, finest)
+    return finest, low, first, voxel
 
 
 @kernel
-def _coarse_tiles(seen, first, frame, cell, finest, low, voxel, largest, tile, least, found):
+def _mark(means, sizes, low, first, voxel, finest):
+    """Note in every voxel the size of the finest Gaussian in it, below or above it; 0 = none. ``means`` is [3, M]."""
+    for n in range(len(sizes)):
+        i = int((means[0, n] - low[0]) / voxel) - first[0]
+        j = int((means[1, n] - low[1]) / voxel) - first[1]
+        k = int((means[2, n] - low[2]) / voxel) - first[2]
+        if 0 <= i < finest.shape[0] and 0 <= j < finest.shape[1]:
+            for z in range(max(k - 1, 0), min(k + 2, finest.shape[2])):
+                if finest[i, j, z] == 0.0 or sizes[n] < finest[i, j, z]:
+                    finest[i, j, z] = sizes[n]
+
+
+@kernel
+def _coarse_tiles(seen, start, frame, cell, finest, low, first, voxel, largest, tile, least, found):
     """Mean row, mean column (array cells), number of coarse cells and mean size there, per tile; returns how many."""
     rows, columns = seen.shape
     count = 0
@@ -91,19 +116,17 @@ def _coarse_tiles(seen, first, frame, cell, finest, low, voxel, largest, tile, l
                 for column in range(left, min(left + tile, columns)):
                     if seen[row, column] == 0:
                         continue
-                    a, b = (first[0] + row + 0.5) * cell, (first[1] + column + 0.5) * cell
-                    i = int(np.floor((frame[0] + a * frame[3] + b * frame[6] - low[0]) / voxel))
-                    j = int(np.floor((frame[1] + a * frame[4] + b * frame[7] - low[1]) / voxel))
-                    k = int(np.floor((frame[2] + a * frame[5] + b * frame[8] - low[2]) / voxel))
+                    a, b = (start[0] + row + 0.5) * cell, (start[1] + column + 0.5) * cell
+                    i = int(np.floor((frame[0] + a * frame[3] + b * frame[6] - low[0]) / voxel)) - first[0]
+                    j = int(np.floor((frame[1] + a * frame[4] + b * frame[7] - low[1]) / voxel)) - first[1]
+                    k = int(np.floor((frame[2] + a * frame[5] + b * frame[8] - low[2]) / voxel)) - first[2]
                     best = 0.0
-                    if i >= 1 and j >= 1 and k >= 1:
-                        if i + 1 < finest.shape[0] and j + 1 < finest.shape[1] and k + 1 < finest.shape[2]:
-                            for x in range(i - 1, i + 2):
-                                for y in range(j - 1, j + 2):
-                                    for z in range(k - 1, k + 2):
-                                        here = finest[x, y, z]
-                                        if here > 0.0 and (best == 0.0 or here < best):
-                                            best = here
+                    if 0 <= k < finest.shape[2]:
+                        for x in range(max(i - 1, 0), min(i + 2, finest.shape[0])):
+                            for y in range(max(j - 1, 0), min(j + 2, finest.shape[1])):
+                                here = finest[x, y, k]
+                                if here > 0.0 and (best == 0.0 or here < best):
+                                    best = here
                     if best > 0.0:
                         sized += 1
                         size_sum += best
@@ -111,7 +134,7 @@ def _coarse_tiles(seen, first, frame, cell, finest, low, voxel, largest, tile, l
                         coarse += 1
                         row_sum += row
                         column_sum += column
-            if coarse >= least and count < len(found):
+            if coarse >= least:
                 found[count, 0], found[count, 1] = row_sum / coarse, column_sum / coarse
                 found[count, 2] = coarse
                 found[count, 3] = size_sum / sized if sized else 2.0 * largest

@@ -53,6 +53,11 @@ class SurfaceGrid:
         self.memo: dict[object, object] = {}  # results of others about this grid, dropped when it changes
 
     @property
+    def corners(self) -> np.ndarray:  # [4, 3] world
+        """Corners of the rectangle that the arrays cover."""
+        return self._to_world(self.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * self.seen.shape)
+
+    @property
     def frame(self) -> np.ndarray:  # [12] for the kernels
         """Origin, two axes, normal."""
         return np.concatenate([self.origin, self.axes.ravel()])
@@ -91,8 +96,7 @@ class SurfaceGrid:
         """Join another grid of the same plane. Each of our cells asks the other grid: no cell falls between."""
         if not other.seen.size:
             return
-        corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
-        ours = np.floor(self._to_cells(corners)).astype(np.int64)
+        ours = np.floor(self._to_cells(other.corners)).astype(np.int64)
         low, high = ours.min(axis=0), ours.max(axis=0) + 1
         rows, columns = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]), indexing="ij")
         centres = self._to_world(np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5)

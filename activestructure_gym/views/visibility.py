@@ -10,6 +10,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.volume.distance_field import SPARED, sight_line
 
 NEAREST_M = 0.2  # closer than this a depth sensor returns nothing (method.md 5)
 FARTHEST_M = 5.0  # distance gate (method.md 5)
@@ -32,67 +33,86 @@ def visible_planes(
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
     points = np.stack([_spread(plane.points) for plane in planes])  # [P, S, 3]
     normals = np.stack([plane.normal for plane in planes])  # [P, 3]
-    seen = cosines_in_view(points, normals, camera, world_from_camera) > 0.0
-    if volume is not None and seen.any():
-        view, plane, sample = np.nonzero(seen)
-        seen[view, plane, sample] = volume.sight_free(world_from_camera[view, :3, 3], points[plane, sample])
-    return seen.mean(axis=2) >= LEAST_SHARE
+    enough = int(np.ceil(LEAST_SHARE * SAMPLES))
+    return cosines_in_sight(points, normals, camera, world_from_camera, volume, enough=enough)[1] == enough
 
 
-def cosines_in_view(
+def cosines_in_sight(
     points: np.ndarray,  # [P, S, 3] metres, world
     normals: np.ndarray,  # [P, 3] unit, of all S points of a row
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [K, 4, 4]
-) -> np.ndarray:  # [K, P, S] float64
-    """Cosine between the normal and the line of sight; 0 outside the frustum, the distance gate or the view angle.
+    volume: VoxelVolume | None = None,  # without one nothing hides anything
+    *,
+    farthest: np.ndarray | float = np.inf,  # [P] metres of depth
+    enough: int = 1 << 30,  # points of a row; those behind them are not looked at
+) -> tuple[np.ndarray, np.ndarray]:  # [K, P, S] float64, [K, P] int64
+    """Cosine between the normal and the line of sight, and how many points of every row have one.
 
-    Occlusion is not looked at.
+    0 outside the frustum, the distance gate or the view angle, and behind an occupied voxel. A row that can no longer
+    come to ``enough`` is left, too.
     """
-    return _cosines_in_view(
-        np.ascontiguousarray(points, dtype=np.float64),
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+    if volume is None:
+        blocking, eyes, ends = np.zeros((0, 0, 0), dtype=bool), poses[:, :3, 3].copy(), points
+    else:
+        blocking, eyes, ends = volume.occupied, volume.in_voxels(poses[:, :3, 3]), volume.in_voxels(points)
+    return _cosines_in_sight(
+        points,
         np.ascontiguousarray(normals, dtype=np.float64),
-        np.ascontiguousarray(world_from_camera, dtype=np.float64),
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.width,
-        camera.height,
+        poses,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], dtype=np.float64),
+        np.full(len(points), farthest, dtype=np.float64),
+        blocking,
+        eyes,
+        ends,
+        min(enough, points.shape[1] + 1),
     )
 
 
 @kernel
-def _cosines_in_view(
-    points: np.ndarray,  # [P, S, 3] world
+def _cosines_in_sight(
+    points: np.ndarray,  # [P, S, 3] metres, world
     normals: np.ndarray,  # [P, 3]
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    width: int,
-    height: int,
-) -> np.ndarray:  # [K, P, S]
-    """Frustum, distance and view angle of every point from every candidate; asked in every step, hence compiled."""
-    cosines = np.zeros((len(poses), points.shape[0], points.shape[1]))
+    lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
+    farthest: np.ndarray,  # [P] metres of depth
+    blocking: np.ndarray,  # [X, Y, Z] bool
+    eyes: np.ndarray,  # [K, 3] voxels
+    ends: np.ndarray,  # [P, S, 3] voxels
+    enough: int,
+) -> tuple[np.ndarray, np.ndarray]:  # [K, P, S], [K, P]
+    """Cheap tests first, the line of sight last; asked in every step of every candidate, hence compiled."""
+    samples = points.shape[1]
+    cosines = np.zeros((len(poses), len(points), samples))
+    counts = np.zeros((len(poses), len(points)), np.int64)
     for k in range(len(poses)):
         pose = poses[k]
-        for p in range(points.shape[0]):
-            for s in range(points.shape[1]):
+        for p in range(len(points)):
+            found = 0
+            for s in range(samples):
+                if found == enough or (enough <= samples and found + samples - s < enough):
+                    break
                 x, y, z = points[p, s, 0] - pose[0, 3], points[p, s, 1] - pose[1, 3], points[p, s, 2] - pose[2, 3]
                 depth = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z
                 distance = np.sqrt(x * x + y * y + z * z)
-                if depth <= 0.0 or distance < NEAREST_M or distance > FARTHEST_M:
+                if depth <= 0.0 or depth > farthest[p] or distance < NEAREST_M or distance > FARTHEST_M:
                     continue
-                u = fx * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / depth + cx
-                v = fy * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / depth + cy
-                if not (0.0 <= u < width and 0.0 <= v < height):
+                u = lens[0] * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / depth + lens[2]
+                v = lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / depth + lens[3]
+                if not (0.0 <= u < lens[4] and 0.0 <= v < lens[5]):
                     continue
                 cosine = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2]) / distance
-                if cosine >= STEEPEST_COSINE:
+                if cosine < STEEPEST_COSINE:
+                    continue
+                if sight_line(
+                    blocking, eyes[k, 0], eyes[k, 1], eyes[k, 2], ends[p, s, 0], ends[p, s, 1], ends[p, s, 2], SPARED
+                ):
                     cosines[k, p, s] = cosine
-    return cosines
+                    found += 1
+            counts[k, p] = found
+    return cosines, counts
 
 
 def _spread(points: np.ndarray) -> np.ndarray:  # [N, 3] -> [SAMPLES, 3]

@@ -8,6 +8,8 @@ from activestructure_gym.compiling import kernel
 
 # Squared voxels; larger than any distance in a grid, small enough that float32 sums keep their order.
 _FAR = np.float32(1e12)
+# Voxels before the end of a line of sight that may be occupied: they hold the surface that is looked at.
+SPARED = 2.0
 
 
 def bounding_box(
@@ -139,48 +141,60 @@ def segments_above(
 
 
 @kernel
-def sight_lines(
+def sight_line(
     blocking: np.ndarray,  # [X, Y, Z] bool
-    starts: np.ndarray,  # [N, 3] in voxels; the lower corner of voxel (0, 0, 0) is (0, 0, 0)
-    ends: np.ndarray,  # [N, 3]
+    x: float,  # start, in voxels; the lower corner of voxel (0, 0, 0) is (0, 0, 0)
+    y: float,
+    z: float,
+    end_x: float,
+    end_y: float,
+    end_z: float,
     spared: float,  # in voxels: this much before the end is not looked at
+) -> bool:
+    """Whether no blocking voxel lies on the way from start to end (every voxel the line enters is looked at).
+
+    Single numbers, because a row cut out of an array in a loop is counted as a reference, twice.
+    """
+    dx, dy, dz = end_x - x, end_y - y, end_z - z
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    limit = 1.0 - spared / length if length > spared else 0.0
+    i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+    # Line parameters from one boundary of each axis to the next, and at which the first one is crossed.
+    step_x, step_y, step_z = 1.0 / abs(dx), 1.0 / abs(dy), 1.0 / abs(dz)
+    next_x = ((i + 1 if dx > 0 else i) - x) / dx if dx != 0.0 else np.inf
+    next_y = ((j + 1 if dy > 0 else j) - y) / dy if dy != 0.0 else np.inf
+    next_z = ((k + 1 if dz > 0 else k) - z) / dz if dz != 0.0 else np.inf
+    while True:
+        if next_z < min(next_x, next_y):
+            crossed = next_z
+            next_z += step_z
+            k += 1 if dz > 0 else -1
+        elif next_y < next_x:
+            crossed = next_y
+            next_y += step_y
+            j += 1 if dy > 0 else -1
+        else:
+            crossed = next_x
+            next_x += step_x
+            i += 1 if dx > 0 else -1
+        if crossed >= limit:
+            return True
+        inside = 0 <= i < blocking.shape[0] and 0 <= j < blocking.shape[1] and 0 <= k < blocking.shape[2]
+        if inside and blocking[i, j, k]:
+            return False
+
+
+@kernel
+def sight_lines(
+    blocking: np.ndarray,
+    starts: np.ndarray,  # [N, 3] in voxels
+    ends: np.ndarray,  # [N, 3]
+    spared: float,  # in voxels
 ) -> np.ndarray:  # [N] bool
-    """Whether no blocking voxel lies on the way from start to end (every voxel the line enters is looked at)."""
+    """`sight_line` for many lines."""
     clear = np.empty(len(starts), np.bool_)
-    cell = np.empty(3, np.int64)
-    step = np.empty(3, np.int64)
-    crossing = np.empty(3)  # line parameter at which the next boundary of each axis is crossed
-    spacing = np.empty(3)
     for n in range(len(starts)):
-        direction = ends[n] - starts[n]
-        length = np.sqrt((direction * direction).sum())
-        limit = 1.0 - spared / length if length > spared else 0.0
-        for a in range(3):
-            cell[a] = int(np.floor(starts[n, a]))
-            step[a] = 1 if direction[a] > 0 else -1
-            if direction[a] == 0.0:
-                crossing[a] = spacing[a] = np.inf
-            else:
-                boundary = cell[a] + 1 if direction[a] > 0 else cell[a]
-                crossing[a] = (boundary - starts[n, a]) / direction[a]
-                spacing[a] = 1.0 / abs(direction[a])
-        clear[n] = True
-        while True:
-            a = 0
-            if crossing[1] < crossing[a]:
-                a = 1
-            if crossing[2] < crossing[a]:
-                a = 2
-            if crossing[a] >= limit:
-                break
-            crossing[a] += spacing[a]
-            cell[a] += step[a]
-            inside = (
-                0 <= cell[0] < blocking.shape[0]
-                and 0 <= cell[1] < blocking.shape[1]
-                and 0 <= cell[2] < blocking.shape[2]
-            )
-            if inside and blocking[cell[0], cell[1], cell[2]]:
-                clear[n] = False
-                break
+        clear[n] = sight_line(
+            blocking, starts[n, 0], starts[n, 1], starts[n, 2], ends[n, 0], ends[n, 1], ends[n, 2], spared
+        )
     return clear

@@ -275,5 +275,14 @@ class VoxelVolume:
         """
         starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
         return distance_field.sight_lines(
-            self.state == OCCUPIED, self._grid_coordinates(starts) + 0.5, self._grid_coordinates(ends) + 0.5, 2.0
+            self.occupied, self.in_voxels(starts), self.in_voxels(ends), distance_field.SPARED
         )
+
+    @property
+    def occupied(self) -> np.ndarray:  # [X, Y, Z] bool
+        """What ends a line of sight, as `distance_field.sight_line` takes it."""
+        return self.state == OCCUPIED
+
+    def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3]
+        """Points in voxels, the lower corner of voxel (0, 0, 0) at 0."""
+        return self._grid_coordinates(points) + 0.5

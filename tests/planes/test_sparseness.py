@@ -97,5 +97,27 @@ def test_the_patches_follow_a_grid_that_grew_and_a_turned_plane() -> None:
     np.testing.assert_allclose(found.areas @ found.centres / 2.0, centres.mean(axis=0), atol=1e-6)
 
 
+def test_a_map_without_gaussians_is_sparse_wherever_a_plane_was_seen() -> None:
+    found = patches([wall(3.0), wall()], np.zeros((0, 3)), 0.03)
+    np.testing.assert_allclose(found.areas.sum(), 4.0)
+    np.testing.assert_array_equal(np.bincount(found.planes), [8, 8])
+    np.testing.assert_allclose(found.sizes, 2 * LARGEST)
+
+
+def test_no_tile_of_a_large_plane_is_lost() -> None:
+    node = wall()
+    node.surface.seen = np.ones((700, 700), np.uint8)  # 35 m x 35 m: 4900 tiles
+    found = patches([node], FAR_AWAY, 0.03)
+    assert len(found.centres) == 4900
+    np.testing.assert_allclose(found.areas.sum(), 35.0**2)
+
+
+def test_a_gaussian_that_strayed_far_off_costs_no_memory() -> None:
+    stray = np.array([[1e5, -2e5, 3e5]])
+    near = np.concatenate([on_cells(), stray])
+    assert len(patches([wall()], near, 0.03, least_cells=1).centres) == 0
+    np.testing.assert_allclose(patches([wall()], near, 0.1).areas.sum(), 2.0)
+
+
 def test_no_planes() -> None:
     assert len(patches([], on_cells(), 0.03).centres) == 0

@@ -8,6 +8,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.views import visible_planes
+from activestructure_gym.views.visibility import cosines_in_sight
 from activestructure_gym.volume import OCCUPIED, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
@@ -44,6 +45,27 @@ def test_what_is_occupied_hides_what_is_behind() -> None:
     wall = (volume.center_of(np.indices(volume.shape).transpose(1, 2, 3, 0))[..., 0] - 1.0) ** 2 < 0.05**2
     volume.state[wall] = OCCUPIED
     assert not visible_planes([plane], CAMERA, here, volume).any()
+
+
+def test_stopping_early_changes_no_answer(rng: np.random.Generator) -> None:
+    volume = VoxelVolume(np.array([[-4.0, -4, -4], [4.0, 4, 4]]), VolumeConfig())
+    volume.state[rng.random(volume.shape) < 0.02] = OCCUPIED
+    points, normals = rng.uniform(-3, 3, (40, 1, 3)) + rng.normal(0, 0.3, (40, 16, 3)), rng.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    poses = np.stack([look_along(rng.uniform(-1, 1, 3), rng.normal(size=3)) for _ in range(30)])
+    cosines, counts = cosines_in_sight(points, normals, CAMERA, poses, volume)
+    np.testing.assert_array_equal(counts, (cosines > 0).sum(axis=2))
+    assert {0, 1, 2, 3} <= set(counts.ravel().tolist())
+    for enough in (1, 2, 5, 16):
+        _, early = cosines_in_sight(points, normals, CAMERA, poses, volume, enough=enough)
+        np.testing.assert_array_equal(early == enough, counts >= enough)
+
+
+def test_nothing_beyond_the_farthest_depth_counts() -> None:
+    here = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))[None]
+    points, normals = np.array([[[2.0, 0, 0]], [[2.0, 0, 0]]]), np.tile([-1.0, 0, 0], (2, 1))
+    _, counts = cosines_in_sight(points, normals, CAMERA, here, farthest=np.array([1.9, 2.1]))
+    np.testing.assert_array_equal(counts, [[0, 1]])
 
 
 def test_empty_inputs() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.views.gains.base import GAINS, GainContext
-from activestructure_gym.views.visibility import cosines_in_view
+from activestructure_gym.views.visibility import cosines_in_sight
 
 
 @GAINS.register("deficiency")
@@ -19,13 +19,13 @@ def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
     holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
     if not len(holes) or not len(poses):
         return np.zeros(len(poses))
-    cosines = cosines_in_view(holes.centres[:, None], holes.normals, camera, poses)[:, :, 0]  # [K, D]
-    offset = holes.centres[None] - poses[:, None, :3, 3]
-    depth = np.einsum("kdi,ki->kd", offset, poses[:, :3, 2])
-    view, hole = np.nonzero((cosines > 0) & (depth <= refining_distance(context, holes.sizes)))
-    free = context.volume.sight_free(poses[view, :3, 3], holes.centres[hole])
-    view, hole = view[free], hole[free]
-    pixels = camera.fx * camera.fy * holes.areas[hole] * cosines[view, hole] / depth[view, hole] ** 2
+    cosines, _ = cosines_in_sight(
+        holes.centres[:, None], holes.normals, camera, poses, context.volume,
+        farthest=refining_distance(context, holes.sizes),
+    )  # fmt: skip
+    view, hole = np.nonzero(cosines[:, :, 0])
+    depth = ((holes.centres[hole] - poses[view, :3, 3]) * poses[view, :3, 2]).sum(axis=1)
+    pixels = camera.fx * camera.fy * holes.areas[hole] * cosines[view, hole, 0] / depth**2
     return np.minimum(np.bincount(view, pixels, minlength=len(poses)) / (camera.width * camera.height), 1.0)
 
 

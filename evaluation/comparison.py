@@ -13,7 +13,7 @@ from activestructure_gym.evaluation import machine, store
 from activestructure_gym.evaluation.engines import Listener, Outcome, get_engine
 from activestructure_gym.evaluation.engines.base import JOBS, run_directory
 from activestructure_gym.evaluation.jobs import Job, absolute_spec, scene_labels
-from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.store import Run
 from activestructure_gym.evaluation.threads import core_count
 from activestructure_gym.evaluation.warmup import warming_up
@@ -34,6 +34,7 @@ class Comparison:
     overrides: Mapping[str, Any] = field(default_factory=dict)  # of the preset's fields
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg
     protocol: StandardProtocol = field(default_factory=StandardProtocol)
+    also_protocols: Sequence[str] = ()  # every finished map is measured by these too
 
     def __post_init__(self) -> None:
         for name in ("scenes", "policies", "seeds"):
@@ -68,6 +69,7 @@ class Comparison:
                 overrides=tuple(self.overrides.items()),
                 start_pose=self.start_pose,
                 protocol=self.protocol,
+                also=tuple(self.also_protocols),
             )
             for seed in self.seeds
             for scene in self.scenes
@@ -88,7 +90,7 @@ class Comparison:
                 raise InputError(f"policy '{name}' is not a class derived from activestructure_gym.policies.Policy")
             configure(self.preset, changes | {"gains": tuple(policy.required_gains)})
         for seed in self.seeds:
-            Job(scene="", policy="", seed=seed)
+            Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
 
     def _check_scene(self, spec: str) -> Scene:
         from activestructure_gym.config import configure
@@ -104,6 +106,8 @@ class Comparison:
         if self.start_pose is not None:
             check_start_pose(scene, as_pose(self.start_pose), config.motion.body_radius)
         self.protocol.truth(scene)
+        for name in self.also_protocols:
+            get_protocol(name).truth(scene)
         return scene
 
 

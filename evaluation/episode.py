@@ -15,6 +15,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import machine, store
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.plane_record import graph_arrays, graph_summary
+from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -49,6 +50,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     began = time.perf_counter()
     scene = load_job_scene(job)
     truth = job.protocol.truth(scene)
+    others = [get_protocol(name) for name in job.also]
     policy, env = build(job, scene)
     seconds = {"loading": time.perf_counter() - began}
     try:
@@ -57,12 +59,16 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
         reconstruction = env.reconstruction
         tell(Progress("measuring", reconstruction.frames, reconstruction.frame_budget, episode.last_ratio))
         began = time.perf_counter()
-        metrics = measure(job, truth, reconstruction.mapper.map)
+        path = CameraPath.from_arrays(_path_arrays(reconstruction))
+        metrics = job.protocol.evaluate(reconstruction.mapper.map, truth, path)
         metrics |= episode_metrics(scene, reconstruction, episode)
         with store.whole_directory(directory) as part:
             reconstruction.mapper.map.save_npz(part / "map.npz")
             _write_ply(reconstruction, part)
             _write_record(part, job, scene, env, metrics, episode)
+            for other in others:
+                numbers = other.evaluate(reconstruction.mapper.map, other.truth(scene), path)
+                store.write_evaluation(part, other.parameters(), scene.content_hash, numbers)
             _write_pictures(part, job, truth, reconstruction, metrics, episode.steps)
             seconds |= episode.seconds() | {"evaluation": episode.evaluation_seconds + time.perf_counter() - began}
             timing = {
@@ -113,11 +119,6 @@ def build(job: Job, scene: Scene) -> tuple[Policy, ReconstructionEnv]:
     )
     policy.bind(env.config.gains)
     return policy, env
-
-
-def measure(job: Job, truth: Truth, gaussians: Any) -> dict[str, Any]:
-    """The protocol's numbers for a map: all that ``asg evaluate`` computes again from the run directory."""
-    return job.protocol.evaluate(gaussians, truth)
 
 
 def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Episode) -> dict[str, Any]:
@@ -270,10 +271,13 @@ def _write_record(
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """Every executed pose [T, 4, 4], and which of them were keyframes [K]."""
+    """Every executed pose [T, 4, 4], which of them were keyframes [K], and the camera; see `Run.trajectory`."""
+    camera = reconstruction.config.sensor.camera
     return {
         "world_from_camera": np.stack(reconstruction.trajectory),
         "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),
+        "intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        "image_size": np.array([camera.width, camera.height], dtype=np.int64),
     }
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.protocols.standard import StandardProtocol
+from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
 
 _HASH_DIGITS = 12
 
@@ -32,12 +32,16 @@ class Job:
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields, e.g. (("sensor.depth_noise", "kinect"),)
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed
     protocol: StandardProtocol = field(default_factory=StandardProtocol)
+    also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"a seed is a whole number from 0 on, got {self.seed}")
         if self.frame_budget is not None and self.frame_budget < 1:
             raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
+        if self.protocol.name in self.also:
+            raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
+        object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
         object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
     @cached_property
@@ -62,26 +66,25 @@ class Job:
         content = dataclasses.asdict(self)
         content["overrides"] = dict(self.overrides)
         content["protocol"] = self.protocol.parameters()
+        content["also"] = [get_protocol(name).parameters() for name in self.also]
         return content
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
         """The job that `as_dict` described."""
         values = dict(content)
-        protocol = dict(values.pop("protocol"))
-        if (protocol.pop("name"), protocol.pop("version")) != (StandardProtocol.name, StandardProtocol.version):
-            raise InputError(
-                f"the run was made with protocol '{content['protocol']['name']}' version "
-                f"{content['protocol']['version']}, this version knows '{StandardProtocol.name}' version "
-                f"{StandardProtocol.version}; run it again"
-            )
+        protocol = protocol_from(values.pop("protocol"))
+        if not isinstance(protocol, StandardProtocol):
+            raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
+        also = [protocol_from(parameters) for parameters in values.pop("also")]
         start_pose = values.pop("start_pose")
         overrides = tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in values.pop("overrides").items())
         return cls(
             **values,
             overrides=overrides,
             start_pose=None if start_pose is None else tuple(start_pose),
-            protocol=StandardProtocol(**protocol),
+            protocol=protocol,
+            also=tuple(other.name for other in also),
         )
 
 

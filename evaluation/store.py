@@ -7,9 +7,10 @@ A comparison's directory::
         .done                    the job's hash; what has no such file is not a result
         config.json              job, protocol, resolved configuration, scene, versions
         metrics.json             the numbers and the convergence curve; no clock in it
+        evaluations/NAME.json    the numbers of a further protocol, measured with the run or later
         timing.json              wall-clock seconds by stage, and the machine
         steps.jsonl              one line per decision
-        trajectory.npz           every executed pose, keyframe indices
+        trajectory.npz           every executed pose, keyframe indices, the camera
         map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
         graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
         pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
@@ -35,9 +36,10 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.jobs import Job, scene_label
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 DONE = ".done"
 COMPARISON = "compare.json"
+EVALUATIONS = "evaluations"
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,18 @@ class Run:
     timing: dict[str, Any]
 
     @cached_property
+    def protocols(self) -> dict[str, dict[str, Any]]:
+        """``parameters`` and ``metrics`` by protocol: the run's own first, then those measured on top of it."""
+        own = self.job.protocol
+        found = {own.name: {"parameters": own.parameters(), "metrics": self.metrics["metrics"]}}
+        for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
+            content = read_json(path)
+            name = content["protocol"]["name"]
+            if name != own.name:
+                found[name] = {"parameters": content["protocol"], "metrics": content["metrics"]}
+        return found
+
+    @cached_property
     def steps(self) -> list[dict[str, Any]]:
         """One entry per decision."""
         with open(self.directory / "steps.jsonl", encoding="utf-8") as lines:
@@ -59,7 +73,8 @@ class Run:
 
     @cached_property
     def trajectory(self) -> dict[str, np.ndarray]:
-        """``world_from_camera`` [T, 4, 4] and ``keyframes`` [K], indices into it."""
+        """``world_from_camera`` [T, 4, 4], ``keyframes`` [K] indices into it; the camera: ``intrinsics`` [4] (fx, fy,
+        cx, cy in pixels) and ``image_size`` [2] (width, height)."""
         return load_arrays(self.directory / "trajectory.npz")
 
     @cached_property
@@ -90,7 +105,8 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
         content = {name: read_json(directory / f"{name}.json") for name in ("config", "metrics", "timing")}
         if content["config"]["format"] != FORMAT_VERSION:
             raise InputError(
-                f"'{directory}' has the run format {content['config']['format']}, this version reads {FORMAT_VERSION}"
+                f"'{directory}' has the run format {content['config']['format']}, this version reads {FORMAT_VERSION}; "
+                "run it again"
             )
         job = Job.from_dict(content["config"]["job"])
         return Run(directory, scene or scene_label(job.scene), job, **content)
@@ -116,6 +132,15 @@ def whole_directory(directory: Path) -> Iterator[Path]:
         os.replace(part, directory)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
+    """Keep a further protocol's numbers in a run's directory; replaces those of the same protocol."""
+    path = directory / EVALUATIONS / f"{parameters['name']}.json"
+    path.parent.mkdir(exist_ok=True)
+    content = {"format": FORMAT_VERSION, "protocol": parameters, "scene": scene_hash, "metrics": metrics}
+    write_json(path, content)
+    return path
 
 
 def remove_parts(directory: Path, job_name: str | None = None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,27 @@ def free_space_views(
     key = f"views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{count}-{camera}-{supersample}"
     arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(scene, count), camera, supersample))
     return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
+
+
+def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, supersample: int) -> HeldOutViews:
+    """The scene as seen from ``poses`` [V, 4, 4] world_from_camera. Rendered once and cached by content and poses."""
+    digest = hashlib.sha256(np.ascontiguousarray(poses, dtype="<f8").tobytes()).hexdigest()[:16]
+    key = f"posed-views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{digest}-{camera}-{supersample}"
+    arrays = cached_arrays(key, lambda: _render(scene, poses, camera, supersample))
+    return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
+
+
+def roomiest_circle(scene: Scene) -> tuple[tuple[float, float, float], float]:  # centre, radius in metres
+    """A horizontal circle around the free place that is farthest from every surface, of at most 1 m radius.
+
+    Every point of it keeps the distance from surfaces that held-out views keep, or half of what there is. Raises
+    `InputError` where the scene has no free space.
+    """
+    space = scene.free_space
+    voxel = np.unravel_index(int(space.clearance.argmax()), space.clearance.shape)
+    clearance = float(space.clearance[voxel])
+    x, y, z = (float(value) for value in space.centers(np.array(voxel)))
+    return (x, y, z), min(1.0, max(clearance - _MIN_CLEARANCE, 0.5 * clearance))
 
 
 def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:

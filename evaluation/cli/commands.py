@@ -41,6 +41,8 @@ class Compare:
     """Changes of the configuration, e.g. sensor.depth_noise=kinect mapper.iterations=8."""
     views: int | None = None
     """Held-out views that PSNR and SSIM are measured on."""
+    protocols: tuple[str, ...] = ("standard",)
+    """What finished maps are measured by: standard always is, activegamer can be as well (docs/protocols.md)."""
     view_source: Literal["free_space", "recorded"] = "free_space"
     """Drawn in the scene's free space, or recorded with the scene."""
 
@@ -110,10 +112,23 @@ class Bench:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure a finished run again, from its stored map alone, and say whether the numbers are the same."""
+    """Measure finished runs again, from their stored maps alone, and say whether the numbers are the same.
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    With --map and --scene: measure a map of any origin.
+    """
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Run directories, or a comparison's directory for all of its runs."""
+    protocol: tuple[str, ...] = ()
+    """standard, activegamer, or both; those that the run was measured by if not given. New numbers are kept."""
+    map: str | None = None
+    """A map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
+    scene: str | None = None
+    """The scene of --map."""
+    poses: str | None = None
+    """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
+    out: str | None = None
+    """Write the numbers of --map to this JSON file."""
 
     def run(self) -> int:
         """See `evaluate.evaluate`."""

@@ -98,6 +98,7 @@ def _comparison(options: Compare) -> Comparison:
         overrides=parse_overrides(options.set),
         start_pose=parse_start(options.start),
         protocol=protocol,
+        also_protocols=[name for name in split_list(options.protocols) if name != protocol.name],
     )
 
 

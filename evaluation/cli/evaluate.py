@@ -1,4 +1,4 @@
-"""``asg evaluate``: the numbers of finished runs, measured again from their stored maps."""
+"""``asg evaluate``: the numbers of finished runs, measured again from their stored maps; or those of anybody's map."""
 
 from __future__ import annotations
 
@@ -9,42 +9,82 @@ from rich.console import Console
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Evaluate
+from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.store import Run
 
-_SHOWN = ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "psnr", "ssim", "depth_l1_cm")
+_SHOWN = (
+    "accuracy_cm", "completion_cm", "completion_ratio", "precision", "psnr", "ssim", "ms_ssim", "lpips", "depth_l1_cm"
+)  # fmt: skip
 
 
 def evaluate(options: Evaluate) -> int:
-    """Print stored and new numbers; 0 if all are identical to the last bit, else 1."""
+    """Print stored and new numbers; 0 if all that were stored are identical to the last bit, else 1."""
+    if options.map is not None:
+        return _evaluate_map(options)
+    if options.scene or options.poses or options.out:
+        raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
+    from activestructure_gym.evaluation.remeasure import differing, measure_again, protocols_of
+    from activestructure_gym.evaluation.store import write_evaluation
+
     console = Console(highlight=False)
     runs = _open(options.runs)
-    table = plain_table("measured again", "run", *_SHOWN, "same")
-    different = 0
+    table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
+    different, added, reasons = 0, 0, {}
     for run in runs:
-        with console.status(f"measuring {run.job.title}"):
-            numbers = measure_again(run)
-        same = all(run.metrics["metrics"][name] == value for name, value in numbers.items())
-        different += not same
-        table.add_row(run.job.title, *(_text(numbers[name]) for name in _SHOWN), "[green]✓[/]" if same else "[red]✗[/]")
+        for protocol, stored in protocols_of(run, split_list(options.protocol)):
+            with console.status(f"measuring {run.job.title} by {protocol.name}"):
+                numbers = measure_again(run, protocol)
+            wrong = differing(stored, numbers) if stored is not None else []
+            different += bool(wrong)
+            if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
+                write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
+                added += 1
+            reasons |= numbers["notes"]
+            mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
+            table.add_row(run.job.title, protocol.name, *(_text(numbers.get(name)) for name in _SHOWN), mark)
     print_whole(console, table)
+    _print_reasons(console, reasons)
+    if added:
+        console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
     if different:
         console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
         return 1
-    console.print("[green]✓[/] every number is identical to the stored one, bit for bit")
+    console.print("[green]✓[/] every stored number is identical, bit for bit")
     return 0
 
 
-def measure_again(run: Run) -> dict[str, Any]:
-    """The protocol's numbers from ``map.npz`` alone."""
-    from activestructure_gym.evaluation.episode import load_job_scene, measure
-    from activestructure_gym.evaluation.store import plain
-    from activestructure_gym.mapping import GaussianMap
+def _evaluate_map(options: Evaluate) -> int:
+    """Score a map file of any origin on a scene."""
+    from activestructure_gym.evaluation.protocols import get_protocol
+    from activestructure_gym.evaluation.remeasure import measure_file
+    from activestructure_gym.evaluation.store import write_json
 
-    scene = load_job_scene(run.job)
-    return plain(measure(run.job, run.job.protocol.truth(scene), GaussianMap.load_npz(run.directory / "map.npz")))
+    if options.runs:
+        raise InputError("give finished runs, or a map with --map FILE --scene SPEC, not both")
+    if not options.scene:
+        raise InputError("--map needs --scene: what the map is compared with")
+    assert options.map is not None
+    console = Console(highlight=False)
+    names = split_list(options.protocol) or ("standard",)
+    table = plain_table(f"{Path(options.map).name} on {options.scene}", "protocol", *_SHOWN)
+    results: dict[str, Any] = {}
+    reasons: dict[str, str] = {}
+    for name in names:
+        protocol = get_protocol(name)
+        with console.status(f"measuring by {name}"):
+            numbers = measure_file(options.map, options.scene, protocol, poses=options.poses)
+        reasons |= numbers["notes"]
+        table.add_row(name, *(_text(numbers.get(key)) for key in _SHOWN))
+        results[name] = {"parameters": protocol.parameters(), "metrics": numbers}
+    print_whole(console, table)
+    _print_reasons(console, reasons)
+    if options.out:
+        write_json(Path(options.out), {"map": options.map, "scene": options.scene, "protocols": results})
+        console.print(f"written: {options.out}")
+    return 0
 
 
 def _open(names: tuple[str, ...]) -> list[Run]:
@@ -52,7 +92,7 @@ def _open(names: tuple[str, ...]) -> list[Run]:
     from activestructure_gym.evaluation.store import COMPARISON, read_run
 
     if not names:
-        raise InputError("asg evaluate needs the directory of a comparison or of a run")
+        raise InputError("asg evaluate needs the directory of a comparison or of a run, or --map FILE --scene SPEC")
     runs: list[Run] = []
     for name in names:
         directory = Path(name)
@@ -60,6 +100,11 @@ def _open(names: tuple[str, ...]) -> list[Run]:
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(names)}")
     return runs
+
+
+def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
+    for name, reason in reasons.items():
+        console.print(f"[dim]{name}: n/a, {reason}", soft_wrap=True)
 
 
 def _text(value: float | None) -> str:

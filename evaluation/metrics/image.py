@@ -1,16 +1,19 @@
-"""PSNR, SSIM and depth error between a rendered and a true view."""
+"""PSNR, SSIM, MS-SSIM and depth error between a rendered and a true view."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# SSIM as Wang et al. (2004) define it: an 11-tap Gaussian window of 1.5 pixels, population covariance.
-_TAPS = 11
-_SIGMA = 1.5
-_C1, _C2 = 0.01**2, 0.03**2  # for values in 0..1
+from activestructure_gym.evaluation.metrics.windows import window_means
 
 # Two equal images have no finite PSNR; an 8-bit truth cannot be met better than this anyway.
 _SMALLEST_MSE = 1e-10
+
+# Wang et al. (2003), section 3.2: the exponent of each of the five scales.
+_SCALE_WEIGHTS = np.array([0.0448, 0.2856, 0.3001, 0.2363, 0.1333])
+TAPS = 11  # pixels across the window of SSIM, at every scale
+# The window must fit into the image that has been halved four times.
+MS_SSIM_SIDE = (TAPS - 1) * 2 ** (len(_SCALE_WEIGHTS) - 1) + 1  # pixels of the smaller side: 161
 
 
 def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
@@ -19,35 +22,56 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
     return float(-10.0 * np.log10(max(float(error), _SMALLEST_MSE)))
 
 
+def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
+    """Mean over the channels of each channel's PSNR, images [H, W, C]; at most 100 dB each.
+
+    Never below `psnr`, and far above it where the channels differ in their error (peers_active.md, section 4.5).
+    """
+    errors = np.mean((np.asarray(rendered, np.float64) - np.asarray(true, np.float64)) ** 2, axis=(0, 1))
+    return float(np.mean(-10.0 * np.log10(np.maximum(errors, _SMALLEST_MSE))))
+
+
 def ssim(rendered: np.ndarray, true: np.ndarray) -> float:
     """Mean structural similarity of two images [H, W, C] in 0..1, over all whole windows and the channels.
 
     Equals scikit-image's with ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1``.
     Raises ValueError below 11 x 11 pixels, where no whole window fits.
     """
-    import cv2
+    x, y = _pair(rendered, true)
+    return float(window_means(x, y)[0].mean())
 
-    x, y = np.asarray(rendered, np.float64), np.asarray(true, np.float64)
-    if x.shape != y.shape or x.ndim != 3:
-        raise ValueError(f"expected two images [H, W, C] of one shape, got {x.shape} and {y.shape}")
-    if min(x.shape[:2]) < _TAPS:
-        raise ValueError(f"SSIM needs at least {_TAPS} x {_TAPS} pixels, got {x.shape[1]} x {x.shape[0]}")
-    offset = np.arange(_TAPS) - _TAPS // 2
-    taps = np.exp(-0.5 * (offset / _SIGMA) ** 2)
-    taps /= taps.sum()
-    inside = slice(_TAPS // 2, -(_TAPS // 2))
 
-    def blurred(image: np.ndarray) -> np.ndarray:
-        return cv2.sepFilter2D(image, cv2.CV_64F, taps, taps)[inside, inside]
+def ms_ssim(rendered: np.ndarray, true: np.ndarray) -> float | None:
+    """Multi-scale structural similarity of two images [H, W, C] in 0..1; None where a side is below 161 pixels.
 
-    mean_x, mean_y = blurred(x), blurred(y)
-    variance_x = blurred(x * x) - mean_x**2
-    variance_y = blurred(y * y) - mean_y**2
-    covariance = blurred(x * y) - mean_x * mean_y
-    similarity = ((2 * mean_x * mean_y + _C1) * (2 * covariance + _C2)) / (
-        (mean_x**2 + mean_y**2 + _C1) * (variance_x + variance_y + _C2)
-    )
-    return float(similarity.mean())
+    Wang et al. (2003) as ``pytorch_msssim.ms_ssim(data_range=1)`` computes it, which the tables of SplaTAM and of
+    ActiveGAMER call SSIM: five scales, each half as wide as the last, negative terms cut off at 0.
+    """
+    return similarities(rendered, true)[1]
+
+
+def similarities(rendered: np.ndarray, true: np.ndarray) -> tuple[float, float | None]:
+    """`ssim` and `ms_ssim` together: the finest scale of the second is the first."""
+    x, y = _pair(rendered, true)
+    full, contrast = window_means(x, y)  # [C] each
+    single = float(full.mean())
+    if min(x.shape[:2]) < MS_SSIM_SIDE:
+        return single, None
+    product = np.maximum(contrast, 0.0) ** _SCALE_WEIGHTS[0]
+    for scale, weight in enumerate(_SCALE_WEIGHTS[1:], start=1):
+        x, y = halved(x), halved(y)
+        full, contrast = window_means(x, y)
+        term = full if scale == len(_SCALE_WEIGHTS) - 1 else contrast
+        product = product * np.maximum(term, 0.0) ** weight
+    return single, float(product.mean())
+
+
+def halved(image: np.ndarray) -> np.ndarray:  # [ceil(H / 2), ceil(W / 2), C]
+    """Means of 2 x 2 pixels. An odd side is first framed by a row of zeros on both ends, as pytorch_msssim does."""
+    height, width = image.shape[:2]
+    framed = np.pad(image, ((height % 2,) * 2, (width % 2,) * 2, (0, 0)))
+    framed = framed[: framed.shape[0] // 2 * 2, : framed.shape[1] // 2 * 2]
+    return 0.25 * (framed[::2, ::2] + framed[1::2, ::2] + framed[::2, 1::2] + framed[1::2, 1::2])
 
 
 def depth_l1(
@@ -63,3 +87,13 @@ def depth_l1(
     if not mask.any():
         return None
     return float(np.abs(rendered[mask].astype(np.float64) - true[mask].astype(np.float64)).mean())
+
+
+def _pair(rendered: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    x = np.ascontiguousarray(rendered, np.float64)
+    y = np.ascontiguousarray(true, np.float64)
+    if x.shape != y.shape or x.ndim != 3:
+        raise ValueError(f"expected two images [H, W, C] of one shape, got {x.shape} and {y.shape}")
+    if min(x.shape[:2]) < TAPS:
+        raise ValueError(f"SSIM needs at least {TAPS} x {TAPS} pixels, got {x.shape[1]} x {x.shape[0]}")
+    return x, y

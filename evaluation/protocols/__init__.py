@@ -1,5 +1,51 @@
 """What is measured, against what, with which constants. Every result file names its protocol and all parameters."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
+from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
 from activestructure_gym.evaluation.protocols.standard import StandardProtocol, Truth
 
-__all__ = ["StandardProtocol", "Truth"]
+# By name; the first is the one every run is measured by, others come on top of it.
+PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
+    protocol.name: protocol for protocol in (StandardProtocol, ActiveGamerProtocol)
+}
+
+
+def get_protocol(name: str) -> EvaluationProtocol:
+    """The protocol of that name with its usual constants; raises `InputError` for an unknown one."""
+    if name not in PROTOCOLS:
+        raise unknown_name("protocol", name, PROTOCOLS)
+    return PROTOCOLS[name]()
+
+
+def protocol_from(parameters: Mapping[str, Any]) -> EvaluationProtocol:
+    """The protocol that `parameters()` described; raises `InputError` if this version measures something else."""
+    values = dict(parameters)
+    name, version = values.pop("name", None), values.pop("version", None)
+    known = PROTOCOLS.get(str(name))
+    if known is None or version != known.version:
+        have = ", ".join(f"'{entry.name}' version {entry.version}" for entry in PROTOCOLS.values())
+        raise InputError(
+            f"the run was made with protocol '{name}' version {version}, this version knows {have}; run it again"
+        )
+    try:
+        return known(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+    except TypeError as error:
+        raise InputError(f"protocol '{name}' version {version} has other parameters here: {error}") from error
+
+
+__all__ = [
+    "PROTOCOLS",
+    "ActiveGamerProtocol",
+    "CameraPath",
+    "EvaluationProtocol",
+    "StandardProtocol",
+    "Truth",
+    "get_protocol",
+    "protocol_from",
+]

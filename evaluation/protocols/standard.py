@@ -15,8 +15,10 @@ from activestructure_gym.evaluation.metrics import (
     depth_l1,
     geometry_scores,
     psnr,
-    ssim,
 )
+from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarities
+from activestructure_gym.evaluation.protocols.base import CameraPath
+from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera
 
 if TYPE_CHECKING:
@@ -41,12 +43,12 @@ class StandardProtocol:
     """Geometry of the solid Gaussians against the surface that can be seen; images from views nobody planned for."""
 
     name: ClassVar[str] = "standard"
-    version: ClassVar[int] = 1  # moves whenever the same map would get another number
+    version: ClassVar[int] = 2  # moves whenever the same map would get another number
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
-    surface_samples: int = 50_000  # on the whole mesh; those that some free pose can see are the truth, about half
-    views: int = 32
+    surface_samples: int = 200_000  # on the whole mesh; those that some free pose can see are the truth, about half
+    views: int = 64
     view_width: int = 320  # pixels, whatever the sensor's size: numbers of other sizes cannot be compared
     view_height: int = 180
     view_fov_deg: float = 90.0  # horizontal
@@ -87,20 +89,25 @@ class StandardProtocol:
         views = free_space_views(scene, count=self.views, camera=self.camera, supersample=self.view_supersample)
         return Truth(surface, views)
 
-    def evaluate(self, gaussians: GaussianMap, truth: Truth) -> dict[str, Any]:
-        """All numbers of a finished map. ``views`` lists those of every view; the rest are their means."""
+    def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:
+        """All numbers of a finished map. ``views`` lists those of every view; the rest are their means.
+
+        What is not defined is None, and ``notes`` says why.
+        """
+        notes: dict[str, str] = {}
         geometry = geometry_scores(self.points(gaussians), truth.surface, threshold_m=self.threshold_m)
-        views = [self._view(gaussians, truth, index) for index in range(len(truth.views))]
-        depth_errors = [view["depth_l1_cm"] for view in views if view["depth_l1_cm"] is not None]
+        views = every_view(lambda index: self._view(gaussians, truth, index), len(truth.views))
+        if views[0]["ms_ssim"] is None:
+            notes["ms_ssim"] = f"its five scales need images of at least {MS_SSIM_SIDE} pixels on the smaller side"
         return {
             **dataclasses.asdict(geometry),
             "true_area_m2": truth.surface.area,
             "true_samples": len(truth.surface.points),
-            "psnr": _mean(view["psnr"] for view in views),
-            "ssim": _mean(view["ssim"] for view in views),
-            "depth_l1_cm": _mean(depth_errors) if depth_errors else None,
-            "view_coverage": _mean(view["coverage"] for view in views),
+            **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ssim", "ms_ssim", "lpips")},
+            "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
+            "view_coverage": mean_of_known(view["coverage"] for view in views),
             "views": views,
+            "notes": notes,
         }
 
     def checkpoint(self, gaussians: GaussianMap, truth: Truth, *, views: int, samples: int) -> dict[str, float]:
@@ -124,21 +131,24 @@ class StandardProtocol:
         """The map as seen from held-out view ``index``; black where there is none."""
         return np.clip(self._render(gaussians, truth, index).color, 0.0, 1.0)
 
-    def _render(self, gaussians: GaussianMap, truth: Truth, index: int) -> Rendering:
+    def _render(self, gaussians: GaussianMap, truth: Truth, index: int, threads: int | None = None) -> Rendering:
         from activestructure_gym.splatting import cpu
 
         pose = truth.views.world_from_camera[index]
-        return cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose)
+        return cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=threads)
 
     def _view(self, gaussians: GaussianMap, truth: Truth, index: int) -> dict[str, float | None]:
-        rendering = self._render(gaussians, truth, index)
+        rendering = self._render(gaussians, truth, index, threads=1)
         picture, true = np.clip(rendering.color, 0.0, 1.0), _unit(truth.views.rgb[index])
         covered = rendering.alpha > self.coverage_alpha
         depth = np.where(covered, rendering.depth / np.where(covered, rendering.alpha, 1.0), 0.0)
         error = depth_l1(depth, truth.views.depth[index])
+        single, multi = similarities(picture, true)
         return {
             "psnr": psnr(picture, true),
-            "ssim": ssim(picture, true),
+            "ssim": single,
+            "ms_ssim": multi,
+            "lpips": None,
             "depth_l1_cm": None if error is None else 100.0 * error,
             "coverage": float(covered.mean()),
         }

@@ -100,7 +100,7 @@ def test_the_same_map_gives_the_same_bits(wall, rng):
 
 def test_every_parameter_is_written_down():
     parameters = PROTOCOL.parameters()
-    assert parameters["name"] == "standard" and parameters["version"] == 1
+    assert parameters["name"] == "standard" and parameters["version"] == 2
     assert {field.name for field in dataclasses.fields(PROTOCOL)} <= parameters.keys()
 
 

@@ -1,0 +1,187 @@
+"""The protocol ``activegamer``: what ActiveGAMER's evaluation prints, rebuilt from its code (peers_active.md, 4).
+
+For numbers beside those of papers that used it. It cannot see floaters: read `standard` for what a map is worth.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.metrics.image import channel_psnr, similarities
+from activestructure_gym.evaluation.metrics.voxels import matched_distances, nearest_per_voxel
+from activestructure_gym.evaluation.protocols.base import CameraPath
+from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_points
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.views import HeldOutViews
+    from activestructure_gym.mapping import GaussianMap
+    from activestructure_gym.scenes import Scene
+
+# Centre in metres and radius of the circle of novel views: `generate_{Replica,MP3D}_NVS_data.py`, dossier table 4.4.
+CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
+    "office0": ((0.0, 0.0, 0.0), 1.0),
+    "office1": ((0.0, 0.0, 0.5), 0.5),
+    "office2": ((0.0, 0.0, 0.0), 1.0),
+    "office3": ((0.0, 0.0, 0.0), 1.0),
+    "office4": ((2.0, 0.0, 0.2), 1.0),
+    "room0": ((3.0, 1.0, 0.0), 1.0),
+    "room1": ((-2.0, 0.0, 0.0), 1.0),
+    "room2": ((3.0, 0.0, -1.0), 1.0),
+    "GdvgFV5R1Z5": ((-4.0, 1.0, 1.5), 1.0),
+    "gZ6f7yhEvPG": ((0.0, 0.0, 2.0), 1.0),
+    "HxpKQynjfin": ((2.0, -3.5, 1.5), 0.5),
+    "pLe4wQe7qrG": ((5.0, 0.0, 1.75), 1.0),
+    "YmJkqBEsHnH": ((0.0, -2.0, 1.75), 1.0),
+}
+_GENERATED = 180  # poses on the circle, of which
+_EVERY = 5  # this one is looked at; the first frame of the sequence is the start pose and is not
+_TOO_NEAR, _MOST_TOO_NEAR = 0.2, 0.1  # metres, share of the pixels: the original's generator stops there
+_WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
+
+
+@dataclass(frozen=True)
+class MatchedTruth:
+    """What a map of one scene is compared with."""
+
+    points: np.ndarray  # [G, 3] metres: one sample of the whole surface per voxel
+    centres: np.ndarray  # [G, 3] metres: the centres of these voxels
+    views: HeldOutViews
+
+
+@dataclass(frozen=True)
+class ActiveGamerProtocol:
+    """Means matched to the voxels of the uncropped surface; masked images from one small circle of views."""
+
+    name: ClassVar[str] = "activegamer"
+    version: ClassVar[int] = 1  # moves whenever the same map would get another number
+
+    voxel_m: float = 0.01  # metres; both point sets are thinned to one point per voxel
+    threshold_m: float = 0.05  # metres; C.R. counts distances strictly below it
+    surface_samples: int = 200_000  # on the whole mesh, seen or not, evenly
+    image_divisor: int = 1  # 1 = the original 1200 x 680; numbers of other sizes cannot be compared with papers
+    view_supersample: int = 1  # rays per pixel and axis in the true views
+    center: tuple[float, float, float] | None = None  # metres; None = the table's, or the roomiest place
+    radius: float | None = None  # metres; None = the table's, or what fits
+
+    def __post_init__(self) -> None:
+        if not self.voxel_m > 0 or not self.threshold_m > 0:
+            raise InputError(f"voxel_m and threshold_m must be above 0, got {self.voxel_m} and {self.threshold_m}")
+        if min(self.surface_samples, self.view_supersample) < 1:
+            raise InputError("surface_samples and view_supersample must be at least 1")
+        if self.image_divisor not in (1, 2, 4):
+            raise InputError(f"image_divisor must be 1, 2 or 4 (MS-SSIM needs 161 pixels), got {self.image_divisor}")
+        if (self.center is None) != (self.radius is None):
+            raise InputError("give the circle's center and its radius, or neither")
+        if self.radius is not None and not self.radius > 0:
+            raise InputError(f"the circle's radius must be above 0 metres, got {self.radius}")
+
+    def parameters(self) -> dict[str, Any]:
+        """Name, version and every constant, for the result file."""
+        return {"name": self.name, "version": self.version, **dataclasses.asdict(self)}
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The original's camera, or the same with fewer pixels."""
+        full = PinholeCamera(_WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2, _HEIGHT / 2)
+        return full.resized(_WIDTH // self.image_divisor, _HEIGHT // self.image_divisor)
+
+    def circle(self, scene: Scene) -> tuple[tuple[float, float, float], float]:
+        """Centre and radius of the views: as given, the original's for its 13 scenes, else around the roomiest place.
+
+        Raises `InputError` where the scene has no free space.
+        """
+        from activestructure_gym.evaluation.views import roomiest_circle
+
+        if self.center is not None and self.radius is not None:
+            return self.center, self.radius
+        return CIRCLES.get(scene.name) or CIRCLES.get(scene.name.replace("_", "")) or roomiest_circle(scene)
+
+    def truth(self, scene: Scene) -> MatchedTruth:
+        """The thinned surface and the views of a scene (both cached by its content)."""
+        from activestructure_gym.evaluation.views import posed_views
+
+        samples = even_samples(scene, self.surface_samples)
+        chosen, centres = nearest_per_voxel(samples, self.voxel_m)
+        centre, radius = self.circle(scene)
+        poses = circle_poses(centre, radius)
+        views = posed_views(scene, poses, camera=self.camera, supersample=self.view_supersample)
+        near = float(np.mean((views.depth > 0) & (views.depth < _TOO_NEAR)))
+        if near > _MOST_TOO_NEAR:
+            raise InputError(
+                f"scene '{scene.name}': {100 * near:.0f} % of the pixels of the views on the circle around {centre} "
+                f"with radius {radius} m are nearer than {_TOO_NEAR} m; choose another center and radius"
+            )
+        return MatchedTruth(samples[chosen], centres, views)
+
+    def evaluate(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None = None) -> dict[str, Any]:
+        """All numbers of a finished map; the map's own frame is that of the path's first pose, or the world's."""
+        start = np.eye(4) if path is None else path.start
+        means = np.asarray(gaussians.means, dtype=np.float64)
+        chosen, _ = nearest_per_voxel(transform_points(invert_rigid(start), means), self.voxel_m)
+        to_true, from_true = matched_distances(means[chosen], truth.points, truth.centres)
+        defined = len(chosen) > 0
+        views = every_view(lambda index: self._view(gaussians, truth, index), len(truth.views))
+        return {
+            "accuracy_cm": 100.0 * float(to_true.mean()) if defined else None,
+            "completion_cm": 100.0 * float(from_true.mean()) if defined else None,
+            "completion_ratio": 100.0 * float(np.mean(from_true < self.threshold_m)),
+            "true_samples": len(truth.points),
+            **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ms_ssim", "lpips")},
+            "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
+            "views": views,
+            "notes": {},
+        }
+
+    def _view(self, gaussians: GaussianMap, truth: MatchedTruth, index: int) -> dict[str, float | None]:
+        from activestructure_gym.splatting import cpu
+
+        pose = truth.views.world_from_camera[index]
+        rendering = cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=1)
+        true_depth = truth.views.depth[index]
+        mask = true_depth > 0
+        shown = rendering.color * mask[..., None]
+        true = truth.views.rgb[index] / np.float32(255.0) * mask[..., None]
+        # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
+        error = np.abs((rendering.depth - true_depth)[mask].astype(np.float64))
+        return {
+            "psnr": channel_psnr(shown, true),
+            "ms_ssim": similarities(shown, true)[1],
+            "lpips": None,
+            "depth_l1_cm": 100.0 * float(error.mean()) if len(error) else None,
+        }
+
+
+def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] metres
+    """Points of the whole surface that keep a distance from each other, by trimesh as in the original; cached."""
+    from activestructure_gym.scenes.cache import cached_arrays
+
+    def compute() -> dict[str, np.ndarray]:
+        import trimesh
+
+        mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
+        seed = int(scene.content_hash[32:40], 16)
+        points, _ = trimesh.sample.sample_surface_even(mesh, count, seed=seed)
+        return {"points": np.asarray(points, dtype=np.float32)}
+
+    key = f"even-samples-v1-{scene.content_hash[:32]}-{count}"
+    return cached_arrays(key, compute)["points"].astype(np.float64)
+
+
+def circle_indices() -> np.ndarray:  # [36]
+    """Which of the generated frames are looked at: 4, 9, ... 179 (the original evaluates every fifth, 0 ignored)."""
+    return np.arange(_EVERY - 1, _GENERATED, _EVERY)
+
+
+def circle_poses(center: tuple[float, float, float], radius: float) -> np.ndarray:  # [36, 4, 4] world_from_camera
+    """Views from a horizontal circle towards its centre, frame k at the angle 2 pi (k - 1) / 180."""
+    from activestructure_gym.geometry import look_along
+
+    angles = 2.0 * np.pi * (circle_indices() - 1) / _GENERATED
+    outwards = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    return np.stack([look_along(np.asarray(center) + radius * away, -away) for away in outwards])

@@ -196,7 +196,7 @@ class Reconstruction:
             self.mapper.observe(frame, iterations=iterations)
         with self._timed("planes"):
             live = self.mapper.map.parameters[:, : self.mapper.map.count]
-            points = MapPoints(live[MEAN].T, np.exp(np.median(live[LOG_SCALE], axis=0)))
+            points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
             self.planes.update(frame, space_state=self.volume.state_at, map_points=points)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         return frame

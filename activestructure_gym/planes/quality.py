@@ -15,7 +15,7 @@ import numpy as np
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.sparseness import MapPoints, sparse_patches
-from activestructure_gym.planes.surface import SurfaceGrid, nonzero
+from activestructure_gym.planes.surface import SurfaceGrid, stack_grids
 
 QUALITY_MODES = (
     "coverage",  # i
@@ -144,30 +144,10 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     padded = np.pad(missing[top : some_rows[-1] + 1, left : some_columns[-1] + 1], 1).astype(np.uint8)
     count, labels = cv2.connectedComponents(padded, connectivity=8)
     depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
-    rows, columns = nonzero(padded > 0)
-    label = np.asarray(labels, dtype=np.int64)[rows, columns]
-    widest = np.zeros(count)
-    np.maximum.at(widest, label, depth[rows, columns])
-    keep = widest[label] >= config.min_hole_radius
-    if not keep.any():
-        return nothing
-    rows, columns, label = rows[keep] - 1 + top, columns[keep] - 1 + left, label[keep]
-    # Tiles start at the hole's own corner: the same hole gives the same centres wherever the grid begins.
-    first_row, first_column = np.full(count, 1 << 30), np.full(count, 1 << 30)
-    np.minimum.at(first_row, label, rows)
-    np.minimum.at(first_column, label, columns)
-    tile_row = (rows - first_row[label]) // config.hole_tile
-    tile_column = (columns - first_column[label]) // config.hole_tile
-    name = (label * (tile_row.max() + 1) + tile_row) * (tile_column.max() + 1) + tile_column
-    _, tile = np.unique(name, return_inverse=True)
-    size = np.bincount(tile)
-    mean_row, mean_column = np.bincount(tile, rows) / size, np.bincount(tile, columns) / size
-    away = (rows - mean_row[tile]) ** 2 + (columns - mean_column[tile]) ** 2
-    order = np.lexsort((columns, rows, np.round(away, 6), tile))
-    _, first = np.unique(tile[order], return_index=True)
-    chosen = order[first]
-    large = size >= config.min_hole_cells
-    return np.stack([rows[chosen], columns[chosen]], axis=1)[large], size[large]
+    cells, sizes = kernels.tile_holes(
+        np.asarray(labels), np.asarray(depth), count, config.min_hole_radius, config.hole_tile, config.min_hole_cells
+    )
+    return cells + np.array([top - 1, left - 1]), sizes
 
 
 def boundary_closure(
@@ -181,18 +161,14 @@ def boundary_closure(
     if not nodes:
         return np.zeros(0)
     surfaces = [node.surface for node in nodes]
-    masks = [interior(surface, config).mask for surface in surfaces]
-    shapes = np.array([mask.shape for mask in masks], dtype=np.int64)
-    starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
-    flat = np.concatenate([mask.ravel() for mask in masks])
+    grids = stack_grids(surfaces)
+    flat = np.concatenate([interior(surface, config).mask.ravel() for surface in surfaces])
     near = np.concatenate([surface.near.ravel() for surface in surfaces])
     beside = np.concatenate([surface.beside.ravel() for surface in surfaces])
-    lows = np.stack([surface.low for surface in surfaces])
-    frames = np.stack([surface.frame for surface in surfaces])
-    cell = surfaces[0].cell
     sides, probes, owner = kernels.open_sides(
-        flat, near, beside, starts, shapes, lows, frames, cell, config.boundary_reach, config.space_step
-    )
+        flat, near, beside, grids.starts, grids.shapes, grids.lows, grids.frames,
+        surfaces[0].cell, config.boundary_reach, config.space_step,
+    )  # fmt: skip
     unclosed = np.bincount(owner, minlength=len(nodes)).astype(np.float64)
     if space_state is not None and len(probes):
         known = np.asarray(space_state(probes)) != SPACE_UNKNOWN

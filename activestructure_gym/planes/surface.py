@@ -6,6 +6,7 @@ carried with the plane, not with the world's axes, so a rigid motion of everythi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,12 +53,7 @@ class SurfaceGrid:
         self.beside = np.zeros((0, 0), np.uint8)  # [R, C] what unseen cells showed: unknown, open or covered
         self.memo: dict[object, object] = {}  # results of others about this grid, dropped when it changes
 
-    @property
-    def corners(self) -> np.ndarray:  # [4, 3] world
-        """Corners of the rectangle that the arrays cover."""
-        return self._to_world(self.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * self.seen.shape)
-
-    @property
+    @cached_property
     def frame(self) -> np.ndarray:  # [12] for the kernels
         """Origin, two axes, normal."""
         return np.concatenate([self.origin, self.axes.ravel()])
@@ -96,7 +92,8 @@ class SurfaceGrid:
         """Join another grid of the same plane. Each of our cells asks the other grid: no cell falls between."""
         if not other.seen.size:
             return
-        ours = np.floor(self._to_cells(other.corners)).astype(np.int64)
+        corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
+        ours = np.floor(self._to_cells(corners)).astype(np.int64)
         low, high = ours.min(axis=0), ours.max(axis=0) + 1
         rows, columns = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]), indexing="ij")
         centres = self._to_world(np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5)
@@ -128,7 +125,7 @@ class SurfaceGrid:
         self.low = np.array(grown_low, np.int64)
 
     def _forget(self) -> None:
-        for name in ("_cells", "_measured", "_points", "area", "centroid", "near"):
+        for name in ("frame", "_cells", "_measured", "_points", "area", "centroid", "near"):
             self.__dict__.pop(name, None)
         self.memo.clear()
 
@@ -202,6 +199,27 @@ class SurfaceGrid:
         inside = ((index >= 0) & (index < mask.shape)).all(axis=1)
         index = np.where(inside[:, None], index, 0)
         return inside & (mask[index[:, 0], index[:, 1]] > 0)
+
+
+@dataclass(frozen=True)
+class GridStack:
+    """Where the cells of several grids lie, for kernels that go through all of them; flat arrays hold them in a row."""
+
+    frames: np.ndarray  # [N, 12], see `SurfaceGrid.frame`
+    lows: np.ndarray  # [N, 2] int64 cell index of each array's first entry
+    shapes: np.ndarray  # [N, 2] int64
+    starts: np.ndarray  # [N + 1] int64, where each grid begins in a flat array
+
+
+def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
+    """The places of one grid or more."""
+    shapes = np.array([surface.seen.shape for surface in surfaces], dtype=np.int64)
+    return GridStack(
+        frames=np.array([surface.frame for surface in surfaces]),
+        lows=np.array([surface.low for surface in surfaces]),
+        shapes=shapes,
+        starts=np.concatenate([[0], np.cumsum(shapes.prod(axis=1))]),
+    )
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

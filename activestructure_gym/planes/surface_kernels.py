@@ -153,6 +153,34 @@ def look_up_cells(
 
 
 @kernel
+def _may_touch(index, other, shapes, lows, grids, cell, reach):
+    """Whether a grid's rectangle and a cell around it come within ``reach`` of the plane of another, over its cells.
+
+    False only where one of the other grid's three axes separates the two.
+    """
+    for axis in range(3):
+        q = 3 + 3 * axis
+        u, v, w = grids[other, q], grids[other, q + 1], grids[other, q + 2]
+        middle = (
+            (grids[index, 0] - grids[other, 0]) * u
+            + (grids[index, 1] - grids[other, 1]) * v
+            + (grids[index, 2] - grids[other, 2]) * w
+        )
+        lowest = highest = middle
+        for side in range(2):
+            m = 3 + 3 * side
+            along = (grids[index, m] * u + grids[index, m + 1] * v + grids[index, m + 2] * w) * cell
+            near, far = along * (lows[index, side] - 1), along * (lows[index, side] + shapes[index, side] + 1)
+            lowest, highest = lowest + min(near, far), highest + max(near, far)
+        if axis < 2:
+            if highest < lows[other, axis] * cell or lowest > (lows[other, axis] + shapes[other, axis]) * cell:
+                return False
+        elif lowest > reach or highest < -reach:
+            return False
+    return True
+
+
+@kernel
 def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, step):
     """Sides of all nodes' boundary cells, counted, and those that nothing known closes.
 
@@ -167,10 +195,16 @@ def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, ste
     total = 0
     sides = np.zeros(len(grids))
     probes, owner = np.empty((1024, 3)), np.empty(1024, np.int64)
+    others = np.empty(len(grids), np.int64)
     for index in range(len(grids)):
         rows, columns = shapes[index]
         g = grids[index]
         base = starts[index]
+        close = 0
+        for j in range(len(grids)):
+            if j != index and _may_touch(index, j, shapes, lows, grids, cell, reach):
+                others[close] = j
+                close += 1
         for r in range(rows):
             for c in range(columns):
                 if not seen[base + r * columns + c]:
@@ -191,9 +225,8 @@ def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, ste
                     py = g[1] + a * g[4] + b * g[7]
                     pz = g[2] + a * g[5] + b * g[8]
                     closed = False
-                    for j in range(len(grids)):
-                        if j == index:
-                            continue
+                    for near_by in range(close):
+                        j = others[near_by]
                         h = grids[j]
                         dx, dy, dz = px - h[0], py - h[1], pz - h[2]
                         if abs(dx * h[9] + dy * h[10] + dz * h[11]) > reach:
@@ -218,3 +251,53 @@ def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, ste
                     owner[total] = index
                     total += 1
     return sides, probes[:total], owner[:total]
+
+
+@kernel
+def tile_holes(labels, depth, count, min_radius, tile, min_cells):
+    """Cut holes into tiles, and of each take the cell nearest to the mean of the tile's cells.
+
+    ``labels`` [R, C] names the hole of every cell below ``count``, 0 = none; ``depth`` [R, C] is the distance to the
+    hole's edge in cells. Holes narrower than ``min_radius`` and tiles of fewer than ``min_cells`` cells are left out.
+    Tiles start at the hole's own corner: the same hole gives the same cells wherever the grid begins.
+
+    Returns the cells [D, 2] and the size of each one's tile [D], by hole, then by tile.
+    """
+    rows, columns = labels.shape
+    widest = np.zeros(count)
+    box = np.empty((count, 4), np.int64)  # first and last row, first and last column
+    box[:, 0], box[:, 1], box[:, 2], box[:, 3] = rows, -1, columns, -1
+    for r in range(rows):
+        for c in range(columns):
+            n = labels[r, c]
+            if n > 0:
+                widest[n] = max(widest[n], depth[r, c])
+                box[n, 0], box[n, 1] = min(box[n, 0], r), max(box[n, 1], r)
+                box[n, 2], box[n, 3] = min(box[n, 2], c), max(box[n, 3], c)
+    starts, across = np.full(count, -1), np.zeros(count, np.int64)
+    total = 0
+    for n in range(1, count):
+        if widest[n] >= min_radius:
+            starts[n], across[n] = total, (box[n, 3] - box[n, 2]) // tile + 1
+            total += across[n] * ((box[n, 1] - box[n, 0]) // tile + 1)
+    sums = np.zeros((total, 3))  # cells, rows, columns
+    best, chosen = np.full(total, np.inf), np.empty((total, 2), np.int64)
+    for turn in range(2):
+        for r in range(rows):
+            for c in range(columns):
+                n = labels[r, c]
+                if n == 0 or starts[n] < 0:
+                    continue
+                t = starts[n] + (r - box[n, 0]) // tile * across[n] + (c - box[n, 2]) // tile
+                if turn == 0:
+                    sums[t, 0] += 1.0
+                    sums[t, 1] += r
+                    sums[t, 2] += c
+                else:
+                    # Six digits: of cells as near as each other the first one, whatever the rounding.
+                    away = np.rint(((r - sums[t, 1] / sums[t, 0]) ** 2 + (c - sums[t, 2] / sums[t, 0]) ** 2) * 1e6)
+                    if away < best[t]:
+                        best[t] = away
+                        chosen[t, 0], chosen[t, 1] = r, c
+    large = sums[:, 0] >= min_cells
+    return chosen[large], sums[large, 0].astype(np.int64)

@@ -39,7 +39,7 @@ def bench(options: Bench) -> int:
             sizes, views, keyframes = (benchmark.SIZES[:1], 4, 8) if options.quick else (benchmark.SIZES, 20, 60)
             rows = [row for scene in loaded for row in benchmark.detection_rows(scene, sizes=sizes, views=views)]
             costs = [row for scene in loaded for row in benchmark.graph_rows(scene, keyframes=keyframes)]
-        print_whole(console, rows_table(costs, title="processor time of a keyframe's planes"))
+        print_whole(console, rows_table(costs, title="processor time of the planes, 256 candidates"))
     else:
         with console.status(f"measuring the {options.what}") as status:
             if options.what == "sensor":

@@ -109,4 +109,6 @@ def test_rows_of_a_scene():
         assert row["angle_deg"] < 0.3 and row["ms"] > 0
     (cost,) = benchmark.graph_rows(scene, keyframes=6, candidates=8)
     assert 3 <= cost["nodes"][1] <= 6
-    assert cost["all_ms"] > 0
+    parts = [cost[f"{name}_ms"] for name in ("update", "visibility", "structure", "deficiency")]
+    low, high = cost["sum_q1_q3"]
+    assert 0 < max(parts) <= high and low <= cost["sum_ms"] <= high

@@ -119,5 +119,12 @@ def test_a_gaussian_that_strayed_far_off_costs_no_memory() -> None:
     np.testing.assert_allclose(patches([wall()], near, 0.1).areas.sum(), 2.0)
 
 
+def test_the_size_of_a_gaussian_is_its_middle_deviation(rng: np.random.Generator) -> None:
+    means, scales = rng.normal(size=(3, 50)), rng.normal(size=(3, 50))
+    points = MapPoints.from_log_scales(means, scales)
+    np.testing.assert_array_equal(points.sizes, np.exp(np.median(scales, axis=0)))
+    np.testing.assert_array_equal(points.means, means.T)
+
+
 def test_no_planes() -> None:
     assert len(patches([], on_cells(), 0.03).centres) == 0

@@ -135,7 +135,15 @@ def _coarse_tiles(
                         k = int(np.floor((frame[2] + a * frame[5] + b * frame[8] - low[2]) / voxel)) - first[2]
                         indices[cells, 0], indices[cells, 1], indices[cells, 2] = i, j, k
                         cells += 1
-                        if not _any_fine(finest, i, j, k, largest):
+                        fine = False
+                        if 0 <= k < finest.shape[2]:
+                            if 0 <= i < finest.shape[0] and 0 <= j < finest.shape[1]:
+                                fine = 0.0 < finest[i, j, k] <= largest  # the usual case
+                            if not fine:
+                                for x in range(max(i - 1, 0), min(i + 2, finest.shape[0])):
+                                    for y in range(max(j - 1, 0), min(j + 2, finest.shape[1])):
+                                        fine = fine or 0.0 < finest[x, y, k] <= largest
+                        if not fine:
                             coarse += 1
                             row_sum += row
                             column_sum += column
@@ -156,18 +164,6 @@ def _coarse_tiles(
                 planes[count] = n
                 count += 1
     return count
-
-
-@kernel
-def _any_fine(finest, i, j, k, largest):
-    """Whether a Gaussian of the size ``largest`` or finer lies in voxel (i, j, k) or a neighbour of it."""
-    if not 0 <= k < finest.shape[2]:
-        return False
-    for x in range(max(i - 1, 0), min(i + 2, finest.shape[0])):
-        for y in range(max(j - 1, 0), min(j + 2, finest.shape[1])):
-            if 0.0 < finest[x, y, k] <= largest:
-                return True
-    return False
 
 
 @kernel

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import machine, store
-from activestructure_gym.evaluation.engines import Listener, Outcome, get_engine
+from activestructure_gym.evaluation.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.engines.base import JOBS, run_directory
+from activestructure_gym.evaluation.episode import Progress
+from activestructure_gym.evaluation.holding import LOCK, check_free
 from activestructure_gym.evaluation.jobs import Job, absolute_spec, scene_labels
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
+from activestructure_gym.evaluation.resuming import jobs_of, merged, read_record, recorded_jobs
 from activestructure_gym.evaluation.store import Run
-from activestructure_gym.evaluation.threads import core_count
 from activestructure_gym.evaluation.warmup import warming_up
 
 if TYPE_CHECKING:
@@ -43,6 +45,22 @@ class Comparison:
                 raise InputError(f"a comparison needs at least one of {name}, got none")
             object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
         object.__setattr__(self, "scenes", tuple(absolute_spec(spec) for spec in self.scenes))
+
+    @classmethod
+    def of(cls, jobs: Sequence[Job]) -> Comparison:
+        """The smallest comparison that has all of these jobs, which were made under the same conditions."""
+        first = jobs[0]
+        return cls(
+            scenes=[job.scene for job in jobs],
+            policies=[job.policy for job in jobs],
+            seeds=[job.seed for job in jobs],
+            preset=first.preset,
+            frame_budget=first.frame_budget,
+            overrides=dict(first.overrides),
+            start_pose=first.start_pose,
+            protocol=first.protocol,
+            also_protocols=first.also,
+        )
 
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
         """Check everything a job could fail on, and compute what all jobs of a scene share.
@@ -117,18 +135,23 @@ class Result:
 
     runs: list[Run]  # every finished job of the grid, those of earlier sittings included
     failed: list[Outcome]
-    skipped: int  # finished before, and not run again
+    skipped: int  # of the jobs asked for: finished before, and not run again
+    missing: int = 0  # jobs of earlier sittings that are not finished and were not asked for
 
 
 def check_output(directory: Path, *, resume: bool) -> None:
     """Refuse a directory that cannot be written, or that holds something else; raises `InputError`."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
-    if directory.is_dir() and any(directory.iterdir()):
-        if not (directory / store.COMPARISON).is_file():
+    if directory.is_dir():
+        check_free(directory)
+        if (directory / store.COMPARISON).is_file():
+            if not resume:
+                raise InputError(
+                    f"'{directory}' holds a comparison already; add --resume to go on, or choose another one"
+                )
+        elif any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
-        if not resume:
-            raise InputError(f"'{directory}' holds a comparison already; add --resume to go on, or choose another one")
     parent = directory
     while not parent.exists():
         parent = parent.parent
@@ -138,44 +161,109 @@ def check_output(directory: Path, *, resume: bool) -> None:
         raise InputError(f"the output '{directory}' cannot be written: no permission in '{parent}'")
 
 
+def _is_ours(path: Path) -> bool:
+    """Whether a comparison that was killed before it wrote its record can have left this file."""
+    return path.name == LOCK or path.name.startswith(f".{store.COMPARISON}.")
+
+
+def jobs_to_resume(directory: Path, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
+    """The jobs of a comparison that was begun, checked like those of a new one; raises `InputError`."""
+    recorded = recorded_jobs(directory)
+    if not recorded:
+        raise InputError(f"there is no comparison in '{directory}' to go on with; say what to compare, or check --out")
+    prepared = {job.name: job for job in Comparison.of(recorded).prepare(notify)}
+    # Raises for a scene that has changed.
+    merged(recorded, list(prepared.values()), directory)
+    return recorded
+
+
 def run_comparison(
     jobs: Sequence[Job],
     directory: Path,
     listener: Listener,
     *,
     engine: str = "local",
-    workers: int = 0,  # jobs at a time; 0 = one per core
+    limits: Limits | None = None,  # the usual ones
+    resume: bool = False,
     command: str = "",  # how the comparison was asked for; kept in the archive
+    held: int | None = None,  # the descriptor that `holding.hold` gave for the directory
 ) -> Result:
-    """Run the jobs that are not finished yet in ``directory``, and read all finished ones back.
+    """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 
-    Unfinished jobs are never counted, finished ones never repeated. Call `check_output` first.
+    Unfinished jobs are never counted, finished ones never repeated. Jobs of earlier sittings stay part of the
+    comparison. Raises `InputError` where the jobs cannot stand beside those, see `resuming.merged`. Call
+    `check_output` first, and hold the directory.
     """
-    run = get_engine(engine)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"the output '{directory}' cannot be made: {error.strerror}") from error
+    chosen, limits = get_engine(engine), limits or Limits()
+    recorded = recorded_jobs(directory)
+    if recorded and not resume:
+        raise InputError(f"'{directory}' holds a comparison already; add --resume to go on, or choose another one")
+    everything = merged(recorded, jobs, directory)
     store.remove_parts(directory / JOBS)
+    for path in directory.glob(f".{store.COMPARISON}.*"):
+        path.unlink(missing_ok=True)
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
-    slots = 1 if engine == "inline" else max(1, min(len(todo), workers or core_count()))
-    record = {
+    slots = chosen.slots(len(todo), limits) if todo else 1
+    record = _record(everything, read_record(directory), engine=engine, slots=slots, command=command)
+    store.write_json(directory / store.COMPARISON, record)
+    listener.begin(todo, len(jobs) - len(todo))
+    watch = _Recording(listener, directory, record)
+    if todo:
+        chosen.run(todo, directory, watch, limits, keep_open=() if held is None else (held,))
+    asked = {job.name for job in jobs}
+    missing = [
+        job for job in everything if job.name not in asked and not store.is_done(run_directory(directory, job), job)
+    ]
+    return Result(finished_runs(directory, everything), watch.failed, len(jobs) - len(todo), len(missing))
+
+
+def _record(
+    jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
+) -> dict[str, Any]:
+    """The content of ``compare.json``; the command is the first sitting's, those of later ones stand beside it."""
+    return {
         "format": store.FORMAT_VERSION,
-        "command": command,
+        "command": before["command"] if before else command,
+        "resumed": [*before.get("resumed", []), command] if before else [],
         "engine": engine,
         "workers": slots,
         "jobs": {job.name: job.as_dict() for job in jobs},
         "failed": {},
+        "attempts": dict(before.get("attempts", {})) if before else {},
         "versions": machine.versions(),
         "hardware": machine.hardware(),
     }
-    store.write_json(directory / store.COMPARISON, record)
-    outcomes = run(todo, directory, listener, slots) if todo else []
-    failed = [outcome for outcome in outcomes if not outcome.finished]
-    if failed:
-        record["failed"] = {outcome.job.title: outcome.error for outcome in failed}
-        store.write_json(directory / store.COMPARISON, record)
-    return Result(finished_runs(directory, jobs), failed, skipped=len(jobs) - len(todo))
+
+
+class _Recording:
+    """Passes everything on, and keeps in the record what failed and what took several attempts."""
+
+    def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
+        self._listener, self._directory, self._content = listener, directory, record
+        self.failed: list[Outcome] = []
+
+    def begin(self, jobs: Sequence[Job], finished: int) -> None:
+        """See `Listener`."""
+        self._listener.begin(jobs, finished)
+
+    def progress(self, job: Job, progress: Progress) -> None:
+        """See `Listener`."""
+        self._listener.progress(job, progress)
+
+    def again(self, job: Job, error: str) -> None:
+        """See `Listener`."""
+        self._listener.again(job, error)
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `Listener`."""
+        if not outcome.finished:
+            self.failed.append(outcome)
+            self._content["failed"][outcome.job.title] = outcome.error
+        if outcome.attempts > 1:
+            self._content["attempts"][outcome.job.name] = outcome.attempts
+        if not outcome.finished or outcome.attempts > 1:
+            store.write_json(self._directory / store.COMPARISON, self._content)
+        self._listener.ended(outcome)
 
 
 def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
@@ -187,8 +275,7 @@ def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
 
 def open_comparison(directory: Path) -> list[Run]:
     """All finished runs of a comparison's directory; raises `InputError` if its record cannot be read."""
-    try:
-        contents = list(store.read_json(directory / store.COMPARISON)["jobs"].values())
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
-    return finished_runs(directory, [Job.from_dict(content) for content in contents])
+    record = read_record(directory)
+    if record is None:
+        raise InputError(f"'{directory}' cannot be read as a comparison: it has no {store.COMPARISON}")
+    return finished_runs(directory, jobs_of(record, directory))

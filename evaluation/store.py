@@ -15,6 +15,7 @@ A comparison's directory::
         graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
         pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
     logs/<job name>.log          what a worker wrote to its standard error
+    .lock                        who is at work here; see `holding`
     summary.md, results.csv, *.png
 """
 
@@ -35,6 +36,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.jobs import Job, scene_label
+from activestructure_gym.evaluation.processes import is_alive, machine_mark
 
 FORMAT_VERSION = 2
 DONE = ".done"
@@ -118,18 +120,26 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
 def whole_directory(directory: Path) -> Iterator[Path]:
     """A temporary sibling to write into; it takes the name ``directory`` when the block ends without an error.
 
-    Whatever stood there before (never a finished result: callers skip those) is replaced. After an error, Ctrl-C
-    included, nothing is left behind.
+    Whatever stood there before is replaced, unless it is the same job's finished result: another process was faster,
+    and equal jobs give equal results. The content is on the disk before the name is. After an error, Ctrl-C included,
+    nothing is left behind.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
-    part = directory.with_name(f".{directory.name}.part-{os.getpid()}")
+    part = directory.with_name(f".{directory.name}.part-{machine_mark()}-{os.getpid()}")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
     try:
         yield part
+        if _same_result(part, directory):
+            return
+        _flush(part)
         if directory.exists():
             shutil.rmtree(directory)
-        os.replace(part, directory)
+        try:
+            os.replace(part, directory)
+        except OSError:
+            if not _same_result(part, directory):
+                raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
@@ -144,11 +154,14 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
 
 
 def remove_parts(directory: Path, job_name: str | None = None) -> None:
-    """Remove what killed processes left half-written in ``directory``, of one job or of all."""
+    """Remove what killed processes left half-written in ``directory``, of one job or of all.
+
+    What a living process of this machine writes is left alone.
+    """
     pattern = f".{job_name or '*'}.part-*"
     for part in directory.glob(pattern):
-        process = part.name.rpartition("-")[2]
-        if not (process.isdigit() and _alive(int(process))):
+        machine, _, process = part.name.rpartition(".part-")[2].partition("-")
+        if not (machine == machine_mark() and process.isdigit() and is_alive(int(process))):
             shutil.rmtree(part, ignore_errors=True)
 
 
@@ -197,13 +210,23 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
-def _alive(process: int) -> bool:
-    if os.name != "posix":  # there os.kill(process, 0) would end the process
-        return process == os.getpid()
+def _same_result(one: Path, other: Path) -> bool:
+    """Whether both directories are finished results of the same job."""
     try:
-        os.kill(process, 0)
-    except ProcessLookupError:
+        return (one / DONE).read_bytes() == (other / DONE).read_bytes()
+    except OSError:
         return False
-    except PermissionError:
-        return True
-    return True
+
+
+def _flush(directory: Path) -> None:
+    """Have all files of ``directory`` written to the disk: what has a name survives a power cut too."""
+    if os.name != "posix":
+        return
+    for path in (*directory.rglob("*"), directory):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        except OSError:
+            pass  # a file system that cannot promise it
+        finally:
+            os.close(descriptor)

@@ -33,9 +33,13 @@ def set_passive_waiting() -> None:
 
 def worker_environment(slots: int) -> dict[str, str]:
     """The environment for one of ``slots`` processes that run at the same time: the cores are shared out evenly."""
+    return capped_environment(core_count() // max(1, slots))
+
+
+def capped_environment(threads: int) -> dict[str, str]:
+    """The environment for a process of so many threads, at least one."""
     environment = dict(os.environ)
-    threads = str(max(1, core_count() // max(1, slots)))
-    environment.update({name: threads for name in _COUNT_VARIABLES})
+    environment.update({name: str(max(1, threads)) for name in _COUNT_VARIABLES})
     environment["OMP_WAIT_POLICY"] = "PASSIVE"
     environment["MPLBACKEND"] = "Agg"
     return environment

@@ -1,4 +1,4 @@
-"""The process behind engine ``local``: ``python -m activestructure_gym.evaluation.worker RUN_DIRECTORY``.
+"""The process behind engines ``local`` and ``ray``: ``python -m activestructure_gym.evaluation.worker RUN_DIRECTORY``.
 
 Reads the job as one line of JSON from standard input, writes progress as JSON lines to standard output and everything
 else to standard error. Ends when its standard input does: no worker outlives its supervisor.
@@ -12,12 +12,15 @@ import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from types import FrameType
 from typing import IO, NoReturn
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.threads import thread_cap
+
+_GRACE_SECONDS = 5.0  # between asking the main thread to clean up and ending without it
 
 
 def main() -> int:
@@ -57,6 +60,8 @@ def _follow_supervisor() -> None:
     while os.read(0, 4096):
         pass
     os.kill(os.getpid(), signal.SIGTERM)  # handled in the main thread, which cleans up
+    time.sleep(_GRACE_SECONDS)
+    os._exit(128 + signal.SIGTERM)  # it is busy elsewhere; nobody waits for its result
 
 
 def _unwind(signum: int, frame: FrameType | None) -> NoReturn:

@@ -30,11 +30,17 @@ class Compare:
     out: str | None = None
     """Directory for the results; runs/<date>-<time> if not given."""
     resume: Switch = False
-    """Go on with the comparison in --out: finished runs are kept and not repeated."""
-    engine: Literal["local", "inline"] = "local"
-    """local: one process per run, several at a time; inline: one after the other in this process."""
+    """Go on with the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given as
+    well are added to it; everything else stays as it was."""
+    engine: str = "local"
+    """local: one process per run, several at a time; inline: one after the other in this process; ray: on a cluster
+    (docs/grid.md)."""
     workers: int = 0
     """Runs at a time; 0 is one per core."""
+    timeout: float = 0.0
+    """Minutes after which a run is stopped and tried again; 0 is any time."""
+    retries: int = 1
+    """How often a run is tried again that was killed or ran out of time."""
     start: str | None = None
     """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
     set: tuple[str, ...] = ()

@@ -23,13 +23,16 @@ from activestructure_gym.evaluation.cli.options import (
     split_scenes,
 )
 from activestructure_gym.evaluation.cli.output import print_whole
-from activestructure_gym.evaluation.threads import core_count
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.comparison import Comparison, Result
 
 # What runs without any option: chosen to end within a minute on two cores from a cold start.
 DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16)
+
+
+# What decides how and where a comparison runs, and not what is compared.
+_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries")
 
 
 def compare(options: Compare) -> int:
@@ -40,35 +43,48 @@ def compare(options: Compare) -> int:
     console = Console(highlight=False)
     if options.resume and not options.out:
         raise InputError("--resume needs --out: the directory of the comparison to go on with")
-    if options.workers < 0:
-        raise InputError(f"--workers is the number of runs at a time, or 0 for one per core, got {options.workers}")
-    demo = not options.scenes
+    bare = options.resume and options == Compare(**{name: getattr(options, name) for name in _MANNER})
+    demo = not options.scenes and not bare
     if demo:
         options = _with_demo_defaults(options)
     directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
 
-    from activestructure_gym.evaluation.comparison import check_output, run_comparison
+    from activestructure_gym.evaluation.comparison import check_output, jobs_to_resume, run_comparison
+    from activestructure_gym.evaluation.engines import Limits, get_engine
+    from activestructure_gym.evaluation.holding import hold
 
+    limits = Limits(options.workers, options.timeout, options.retries)
+    get_engine(options.engine).check(limits)
     check_output(directory, resume=options.resume)
-    comparison = _comparison(options)
     began = time.monotonic()
+    comparison = None if bare else _comparison(options)
     with console.status("loading") as status:
-        jobs = comparison.prepare(lambda text: status.update(escape(text)))
-    _announce(console, comparison, directory, len(jobs), demo=demo)
+
+        def notify(text: str) -> None:
+            status.update(escape(text))
+
+        jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
+    if comparison:
+        _announce(console, comparison, directory, len(jobs), demo=demo)
 
     from activestructure_gym.evaluation.cli.progress import LiveProgress
 
-    workers = options.workers or core_count()
     try:
-        with LiveProgress(console, jobs, workers) as live:
-            result = run_comparison(
-                jobs, directory, live, engine=options.engine, workers=workers, command=_command_line()
-            )
+        with hold(directory) as held:
+            with LiveProgress(console) as live:
+                result = run_comparison(
+                    jobs, directory, live, engine=options.engine, limits=limits, resume=options.resume,
+                    command=_command_line(), held=held,
+                )  # fmt: skip
+            return _report(console, result, directory, time.monotonic() - began)
     except KeyboardInterrupt:
         if (directory / COMPARISON).is_file():
-            print(f"asg: stopped; finished runs are kept, go on with --out {directory} --resume", file=sys.stderr)
+            print(
+                "asg: stopped; finished runs are kept, go on with: "
+                f"asg compare --out {shlex.quote(str(directory))} --resume",
+                file=sys.stderr,
+            )
         return 130
-    return _report(console, result, directory, time.monotonic() - began)
 
 
 def _with_demo_defaults(options: Compare) -> Compare:
@@ -122,6 +138,10 @@ def _report(console: Console, result: Result, directory: Path, seconds: float) -
 
     if result.skipped:
         console.print(f"{_counted(result.skipped, 'run')} finished before and kept")
+    if result.missing:
+        console.print(
+            f"[yellow]{_counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
+        )
     if result.runs:
         with console.status("drawing"):
             files = write_report(directory, result.runs, read_json(directory / COMPARISON))

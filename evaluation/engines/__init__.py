@@ -1,19 +1,12 @@
-"""How a list of jobs is worked off. An engine is a function `run(jobs, directory, listener, workers) -> outcomes`."""
+"""How a list of jobs is worked off: in this process, in processes of this machine, or on a cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
-
 from activestructure_gym.errors import unknown_name
-from activestructure_gym.evaluation.engines.base import Listener, Outcome
-from activestructure_gym.evaluation.engines.inline import run_inline
-from activestructure_gym.evaluation.engines.local import run_local
-from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.engines import inline, local, ray_cluster
+from activestructure_gym.evaluation.engines.base import Engine, Limits, Listener, Outcome
 
-Engine = Callable[[Sequence[Job], Path, Listener, int], list[Outcome]]
-
-ENGINES: dict[str, Engine] = {"inline": run_inline, "local": run_local}
+ENGINES: dict[str, Engine] = {"inline": inline.ENGINE, "local": local.ENGINE, "ray": ray_cluster.ENGINE}
 
 
 def get_engine(name: str) -> Engine:
@@ -23,4 +16,4 @@ def get_engine(name: str) -> Engine:
     return ENGINES[name]
 
 
-__all__ = ["ENGINES", "Engine", "Listener", "Outcome", "get_engine", "run_inline", "run_local"]
+__all__ = ["ENGINES", "Engine", "Limits", "Listener", "Outcome", "get_engine"]

@@ -7,13 +7,16 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from activestructure_gym.evaluation.engines.base import LOGS, Listener, Outcome, run_directory
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.engines.base import LOGS, Engine, Limits, Listener, Outcome, run_directory
 from activestructure_gym.evaluation.episode import run_job
 from activestructure_gym.evaluation.jobs import Job
 
 
-def run_inline(jobs: Sequence[Job], directory: Path, listener: Listener, workers: int = 1) -> list[Outcome]:
-    """Run all jobs; one that fails is reported and the others go on. ``workers`` is of no use here."""
+def run_inline(
+    jobs: Sequence[Job], directory: Path, listener: Listener, limits: Limits, *, keep_open: Sequence[int] = ()
+) -> list[Outcome]:
+    """Run all jobs; one that fails is reported and the others go on. What kills a job here kills the comparison."""
     outcomes = []
     for job in jobs:
         outcome = Outcome(job)
@@ -27,3 +30,11 @@ def run_inline(jobs: Sequence[Job], directory: Path, listener: Listener, workers
         listener.ended(outcome)
         outcomes.append(outcome)
     return outcomes
+
+
+def _check(limits: Limits) -> None:
+    if limits.timeout:
+        raise InputError("engine 'inline' cannot stop a run; give --timeout with engine 'local'")
+
+
+ENGINE = Engine(run_inline, slots=lambda jobs, limits: 1, check=_check)

@@ -3,7 +3,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -87,11 +86,6 @@ def test_an_output_that_is_not_ours_is_left_alone(tmp_path):
     check_output(tmp_path, resume=True)
     with pytest.raises(InputError, match="cannot be made: '.*file' is a file"):
         check_output(file / "below", resume=False)
-
-
-def test_an_output_that_cannot_be_made():
-    with pytest.raises(InputError, match="cannot be made"):
-        module.run_comparison([], Path("/proc/no_such_place"), None)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="permission bits")

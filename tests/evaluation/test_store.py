@@ -7,6 +7,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import store
 from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.processes import machine_mark
 
 JOB = Job("box", "random", 0)
 
@@ -33,13 +34,28 @@ def test_after_an_error_nothing_is_left_and_the_old_stays(tmp_path, error):
 
 
 def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
-    dead = tmp_path / ".one.part-999999999"  # above the largest process id of Linux
-    living = tmp_path / f".one.part-{os.getpid()}"
+    here = machine_mark()
+    dead = tmp_path / f".one.part-{here}-999999999"  # above the largest process id of Linux
+    living = tmp_path / f".one.part-{here}-{os.getpid()}"
+    foreign = tmp_path / f".one.part-abcdef-{os.getpid()}"  # a machine of a cluster, whose supervisor is gone
     result = tmp_path / "one"
-    for directory in (dead, living, result):
+    for directory in (dead, living, foreign, result):
         directory.mkdir()
     store.remove_parts(tmp_path)
     assert {entry.name for entry in tmp_path.iterdir()} == {living.name, "one"}
+
+
+def test_of_two_processes_with_one_job_the_faster_one_is_kept(tmp_path):
+    target = tmp_path / "one"
+    for writer in ("first", "second"):
+        with store.whole_directory(target) as part:
+            (part / "writer").write_text(writer)
+            (part / store.DONE).write_text(JOB.hash)
+    assert (target / "writer").read_text() == "first"
+    with store.whole_directory(target) as part:
+        (part / "writer").write_text("another job")
+        (part / store.DONE).write_text("another hash")
+    assert (target / "writer").read_text() == "another job"
 
 
 def test_only_the_very_job_counts_as_done(tmp_path):

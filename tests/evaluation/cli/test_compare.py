@@ -5,7 +5,7 @@ from activestructure_gym.evaluation.cli import compare as module
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.commands import Compare
 from activestructure_gym.evaluation.comparison import Comparison, Result
-from activestructure_gym.evaluation.engines import Outcome
+from activestructure_gym.evaluation.engines import Limits, Outcome
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.store import COMPARISON
 
@@ -55,18 +55,17 @@ def test_all_options_arrive(asked):
     assert wanted.scenes == ("box", "room?seed=2") and wanted.seeds == (1, 2)
     assert dict(wanted.overrides) == {"sensor.width": 64, "views.max_candidates": 9}
     assert wanted.start_pose == (1.0, 2.0, 1.5, 90.0) and wanted.protocol.views == 5
-    assert str(directory) == "here" and options["engine"] == "inline" and options["workers"] == 3
+    assert str(directory) == "here" and options["engine"] == "inline" and options["limits"] == Limits(workers=3)
 
 
 def test_ctrl_c_says_how_to_go_on(asked, monkeypatch, capsys):
     def interrupted(jobs, directory, listener, **options):
-        directory.mkdir()
         (directory / COMPARISON).touch()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(comparison, "run_comparison", interrupted)
     assert main(["compare", "--scenes", "box", "--out", "here"]) == 130
-    assert "--out here --resume" in capsys.readouterr().err
+    assert "asg compare --out here --resume" in capsys.readouterr().err
 
 
 def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
@@ -74,3 +73,43 @@ def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
     monkeypatch.setattr(comparison, "run_comparison", lambda *arguments, **options: failed)
     assert main(["compare", "--scenes", "box", "--out", "here"]) == 1
     assert "1 run failed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("--engine lokal", "unknown engine 'lokal'; did you mean 'local'"),
+        ("--timeout -2", "--timeout is in minutes"),
+        ("--timeout nan", "--timeout is in minutes"),
+        ("--retries -1", "--retries is how often"),
+        ("--workers -1", "--workers is the number"),
+        ("--engine inline --timeout 3", "engine 'inline' cannot stop a run"),
+        ("--resume --out here", "there is no comparison in 'here' to go on with"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_leave_no_folder(words, message, monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_without_ray_its_engine_says_what_to_install(monkeypatch, tmp_path, capsys):
+    import importlib.util
+
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "ray" else found(name, *rest))
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "--engine", "ray"]) == 2
+    assert "pip install 'activestructure-gym[ray]'" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_resume_alone_goes_on_with_what_the_record_says(asked, monkeypatch, tmp_path):
+    recorded = [Job("box", "random", 7), Job("box", "pixel_only", 7)]
+    monkeypatch.setattr(comparison, "jobs_to_resume", lambda directory, notify: recorded)
+    assert main("compare --out here --resume --workers 1 --retries 4 --timeout 9".split()) == 0
+    ((jobs, _, options),) = asked  # no grid was made
+    assert jobs == recorded and options["resume"]
+    assert options["limits"] == Limits(workers=1, timeout=9.0, retries=4)

@@ -113,7 +113,7 @@ def test_a_foreign_directory_is_not_written_into(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize("option", [["--frmes", "3"], ["--frames", "many"], ["--engine", "warp"]])
+@pytest.mark.parametrize("option", [["--frmes", "3"], ["--frames", "many"], ["--retries", "some"]])
 def test_mistyped_options_end_with_two(option, capsys):
     assert main(["compare", *option]) == 2
     assert option[0] in "".join(capsys.readouterr())

@@ -28,7 +28,8 @@ def clock(monkeypatch):
 def watch(clock, *, terminal: bool) -> str:
     out = io.StringIO()
     console = Console(file=out, width=120, force_terminal=terminal, color_system=None)
-    with LiveProgress(console, JOBS, 2) as live:
+    with LiveProgress(console) as live:
+        live.begin(JOBS, 3)
         for job in JOBS:
             live.progress(job, Progress("loading"))
         for frames in (1, 51):
@@ -54,5 +55,26 @@ def test_ended_jobs_stay_with_their_fate_and_odd_names_are_shown_as_they_are(clo
     assert "✗ room · my[policy] · seed 0  RuntimeError: [lost] the way" in text
 
 
-def test_elsewhere_nothing_but_ended_jobs_is_printed(clock):
-    assert len(watch(clock, terminal=False).splitlines()) == 2
+def test_elsewhere_nothing_but_what_ended_is_printed(clock):
+    before, *ended = watch(clock, terminal=False).splitlines()
+    assert before == "3 finished before, 2 to run"
+    # One of two took 20 seconds.
+    assert len(ended) == 2 and ended[0].endswith("1/2, 0:20 left") and "left" not in ended[1]
+
+
+def test_the_time_left_does_not_count_what_was_finished_before(clock):
+    live = LiveProgress(Console(file=io.StringIO()))
+    live.begin(JOBS, 98)
+    clock.now += 10.0
+    live.ended(Outcome(JOBS[0]))
+    assert live._update_whole() == pytest.approx(10.0)
+
+
+def test_a_lost_attempt_is_told_and_counts_as_nothing_done(clock):
+    out = io.StringIO()
+    live = LiveProgress(Console(file=out, width=120))
+    live.begin(JOBS, 0)
+    live.progress(JOBS[1], Progress("exploring", 150, 201))
+    live.again(JOBS[1], "killed by signal 9")
+    assert "↻ room · my[policy] · seed 0  killed by signal 9; will be tried again" in out.getvalue()
+    assert live._update_whole() is None  # no speed is known

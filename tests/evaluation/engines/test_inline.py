@@ -1,10 +1,16 @@
-from activestructure_gym.evaluation.engines import Outcome, get_engine, inline
+from activestructure_gym.evaluation.engines import Limits, Outcome, get_engine, inline
 from activestructure_gym.evaluation.engines.base import LOGS
 from activestructure_gym.evaluation.jobs import Job
 
 
 class Silent:
     def progress(self, job, progress):
+        pass
+
+    def begin(self, jobs, finished):
+        pass
+
+    def again(self, job, error):
         pass
 
     def ended(self, outcome):
@@ -18,7 +24,7 @@ def test_a_job_that_fails_is_reported_with_its_traceback_and_the_others_go_on(tm
 
     monkeypatch.setattr(inline, "run_job", run_job)
     jobs = [Job("box", "bad", 0), Job("box", "good", 0)]
-    outcomes = get_engine("inline")(jobs, tmp_path, Silent(), 1)
+    outcomes = get_engine("inline").run(jobs, tmp_path, Silent(), Limits())
     assert outcomes == [Outcome(jobs[0], "ZeroDivisionError: the policy divided by zero"), Outcome(jobs[1])]
     (log,) = (tmp_path / LOGS).iterdir()
     assert "Traceback" in log.read_text() and "ZeroDivisionError" in log.read_text()

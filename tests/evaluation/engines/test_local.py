@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from activestructure_gym.evaluation.engines import run_local
-from activestructure_gym.evaluation.engines.base import JOBS, LOGS, run_directory
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.engines import process
+from activestructure_gym.evaluation.engines.base import JOBS, LOGS, Limits, run_directory
+from activestructure_gym.evaluation.engines.local import run_local
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.store import is_done
 from activestructure_gym.evaluation.threads import core_count
@@ -19,33 +21,35 @@ from activestructure_gym.evaluation.threads import core_count
 # Writes a finished run, after some progress and some noise.
 GOOD = """
 import json, pathlib, sys
-from activestructure_gym.evaluation.jobs import Job
-job = Job.from_dict(json.loads(sys.stdin.readline()))
+policy = json.loads(sys.stdin.readline())["policy"]
+directory = pathlib.Path(sys.argv[1])
 print(json.dumps({"stage": "exploring", "frames": 5, "frame_budget": 10}), flush=True)
 print("not json", flush=True)
-if job.policy == "crash":
+if policy == "crash":
     raise RuntimeError("the third wheel came off")
-if job.policy == "die":
+if policy == "die":
     import os, signal
     os.kill(os.getpid(), signal.SIGKILL)
-if job.policy == "forget":
+if policy == "forget":
     sys.exit(0)
-if job.policy == "slow":
+if policy == "slow":
     import time
-    (pathlib.Path(sys.argv[1]).parent / f".{job.name}.part-{__import__('os').getpid()}").mkdir(parents=True)
+    (directory.parent / f".{directory.name}.part-here-{__import__('os').getpid()}").mkdir(parents=True)
     time.sleep(60)
-directory = pathlib.Path(sys.argv[1])
 directory.mkdir(parents=True)
-(directory / ".done").write_text(job.hash)
+(directory / ".done").write_text(directory.name.rpartition("--")[2])
 """
 
 
 class Recorder:
     def __init__(self):
-        self.frames, self.outcomes = [], []
+        self.frames, self.outcomes, self.lost = [], [], []
 
     def progress(self, job, progress):
         self.frames.append((job.policy, progress.frames))
+
+    def again(self, job, error):
+        self.lost.append((job.policy, error))
 
     def ended(self, outcome):
         self.outcomes.append(outcome)
@@ -57,7 +61,7 @@ def jobs(*policies: str) -> list[Job]:
 
 def test_every_job_gets_a_process_and_tells_its_progress(tmp_path):
     listener, todo = Recorder(), jobs("a", "b", "c")
-    outcomes = run_local(todo, tmp_path, listener, 2, command=("-c", GOOD))
+    outcomes = run_local(todo, tmp_path, listener, Limits(2), command=("-c", GOOD))
     assert all(outcome.finished for outcome in outcomes)
     assert sorted(listener.frames) == [("a", 5), ("b", 5), ("c", 5)]
     assert all(is_done(run_directory(tmp_path, job), job) for job in todo)
@@ -66,7 +70,9 @@ def test_every_job_gets_a_process_and_tells_its_progress(tmp_path):
 
 def test_a_worker_that_dies_is_reported_and_the_others_go_on(tmp_path):
     listener = Recorder()
-    outcomes = run_local(jobs("crash", "a", "die", "forget", "b"), tmp_path, listener, 2, command=("-c", GOOD))
+    outcomes = run_local(
+        jobs("crash", "a", "die", "forget", "b"), tmp_path, listener, Limits(2, retries=0), command=("-c", GOOD)
+    )
     errors = {outcome.job.policy: outcome.error for outcome in outcomes}
     assert errors["a"] is None and errors["b"] is None
     assert errors["crash"] == "RuntimeError: the third wheel came off (exit code 1)"
@@ -77,24 +83,92 @@ def test_a_worker_that_dies_is_reported_and_the_others_go_on(tmp_path):
     )
 
 
+# The first attempt at a job ends as its policy says, the second one finishes.
+FRAGILE = """
+import json, os, pathlib, signal, sys, time
+policy = json.loads(sys.stdin.readline())["policy"]
+directory = pathlib.Path(sys.argv[1])
+first = directory.parent.parent / (policy + ".tried")
+tried = first.exists()
+first.touch()
+print("attempt of", policy, file=sys.stderr, flush=True)
+if policy == "late" and not tried:  # the result is whole, the process is killed before it ends
+    pass
+elif not tried:
+    if policy == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if policy == "terminated":
+        sys.exit(128 + signal.SIGTERM)
+    if policy == "deaf":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if policy in ("deaf", "hanging"):
+        time.sleep(60)
+    sys.exit(2)
+directory.mkdir(parents=True)
+(directory / ".done").write_text(directory.name.rpartition("--")[2])
+if policy == "late":
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_was_killed_is_tried_again_and_what_failed_by_itself_is_not(tmp_path):
+    listener = Recorder()
+    run_local(jobs("killed", "wrong", "terminated", "late"), tmp_path, listener, Limits(1), command=("-c", FRAGILE))
+    ended = {outcome.job.policy: (outcome.finished, outcome.attempts) for outcome in listener.outcomes}
+    assert ended == {"killed": (True, 2), "wrong": (False, 1), "terminated": (True, 2), "late": (True, 1)}
+    # The lost ones have their second turn after all others have had their first.
+    assert [outcome.job.policy for outcome in listener.outcomes] == ["wrong", "late", "killed", "terminated"]
+    assert listener.lost == [
+        ("killed", "attempt of killed (killed by signal 9)"),
+        ("terminated", "attempt of terminated (exit code 143)"),
+    ]
+    (log,) = (tmp_path / LOGS).glob("*killed*")
+    assert log.read_text() == 2 * "attempt of killed\n"
+
+
+def test_without_retries_one_attempt_is_all(tmp_path):
+    (outcome,) = run_local(jobs("killed"), tmp_path, Recorder(), Limits(retries=0), command=("-c", FRAGILE))
+    assert not outcome.finished and "killed by signal 9" in outcome.error
+
+
+def test_a_job_that_takes_too_long_is_stopped_and_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(process, "GRACE_SECONDS", 0.3)  # for the one that does not listen
+    listener, seconds = Recorder(), 2.0
+    limits = Limits(workers=2, timeout=seconds / 60)
+    outcomes = run_local(jobs("hanging", "deaf"), tmp_path, listener, limits, command=("-c", FRAGILE))
+    assert [(outcome.finished, outcome.attempts) for outcome in outcomes] == [(True, 2)] * 2
+    reason = f"stopped after {seconds / 60:g} min (--timeout)"
+    assert sorted(listener.lost) == [("deaf", reason), ("hanging", reason)]
+
+
+@pytest.mark.parametrize("wrong", [{"workers": -1}, {"timeout": -1}, {"timeout": float("nan")}, {"timeout": 1e300},
+                                   {"retries": -1}])  # fmt: skip
+def test_wrong_limits_are_one_sentence(wrong):
+    (name,) = wrong
+    with pytest.raises(InputError, match=f"--{name} is"):
+        Limits(**wrong)
+
+
 def test_workers_get_their_share_of_the_threads_and_the_callers_modules(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path / "modules"))
     (tmp_path / "modules").mkdir()
     (tmp_path / "modules" / "only_here.py").write_text("")
     script = "import only_here, os, sys; sys.exit(os.environ['OMP_NUM_THREADS'] + os.environ['OMP_WAIT_POLICY'])"
-    outcome = run_local(jobs("a"), tmp_path, Recorder(), 1, command=("-c", script))[0]
+    outcome = run_local(jobs("a"), tmp_path, Recorder(), Limits(1), command=("-c", script))[0]
     assert outcome.error == f"{core_count()}PASSIVE (exit code 1)"
 
 
 SUPERVISOR = f"""
 import sys
 from pathlib import Path
-from activestructure_gym.evaluation.engines import run_local
+from activestructure_gym.evaluation.engines.base import Limits
+from activestructure_gym.evaluation.engines.local import run_local
 from activestructure_gym.evaluation.jobs import Job
 class Quiet:
     def progress(self, job, progress): print("running", flush=True)
     def ended(self, outcome): pass
-run_local([Job("box", "slow", 0), Job("box", "slow", 1)], Path(sys.argv[1]), Quiet(), 2, command=("-c", {GOOD!r}))
+jobs = [Job("box", "slow", 0), Job("box", "slow", 1)]
+run_local(jobs, Path(sys.argv[1]), Quiet(), Limits(2), command=("-c", {GOOD!r}))
 """
 
 

@@ -109,6 +109,14 @@ def ends(process: int) -> bool:
     return False
 
 
+def test_a_cluster_out_of_reach_is_one_sentence(monkeypatch):
+    # The first test: afterwards there is a cluster.
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_ADDRESS", "nonsense")
+    with pytest.raises(InputError, match="RAY_ADDRESS=nonsense cannot be reached"):
+        get_engine("ray").slots(1, Limits())
+
+
 def test_results_logs_and_errors_are_those_of_engine_local(cluster, tmp_path):
     listener, todo = Recorder(), jobs("a", "wrong", "b", "hangs")
     outcomes = run(todo, tmp_path, listener, Limits(timeout=2 / 60))
@@ -160,12 +168,3 @@ def test_jobs_outlive_the_machine_that_ran_them(cluster, tmp_path):
     for policy in ("lost", "lost-too"):
         first, second = marks(tmp_path, policy)
         assert ends(first["process"])
-
-
-def test_a_cluster_out_of_reach_is_one_sentence(monkeypatch):
-    ray = pytest.importorskip("ray")
-    if ray.is_initialized():
-        pytest.skip("another cluster is connected")
-    monkeypatch.setenv("RAY_ADDRESS", "nonsense")
-    with pytest.raises(InputError, match="RAY_ADDRESS=nonsense cannot be reached"):
-        get_engine("ray").slots(1, Limits())

@@ -104,4 +104,8 @@ def _flat(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _words(value: Any) -> str:
-    return "not given" if value is None else json.dumps(value) if not isinstance(value, str) else value
+    if value is None:
+        return "not given"
+    if isinstance(value, list) and all(isinstance(entry, dict) for entry in value):  # protocols
+        return ", ".join(str(entry.get("name", entry)) for entry in value) or "none"
+    return value if isinstance(value, str) else json.dumps(value)

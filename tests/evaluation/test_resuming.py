@@ -97,7 +97,8 @@ def test_a_grid_may_grow_and_nothing_leaves_its_record(ran, tmp_path):
         ({"overrides": ()}, "overrides.sensor.width was 64, asked for is not given"),
         ({"overrides": (("sensor.width", 64), ("a.b", 3))}, "overrides.a.b was not given, asked for is 3"),
         ({"start_pose": (1.0, 2.0, 3.0, 4.0)}, "start_pose was not given, asked for is [1.0, 2.0, 3.0, 4.0]"),
-        ({"protocol": StandardProtocol(views=3)}, "protocol.views was 32, asked for is 3"),
+        ({"protocol": StandardProtocol(views=3)}, f"protocol.views was {JOB.protocol.views}, asked for is 3"),
+        ({"also": ("activegamer",)}, "also was none, asked for is activegamer"),
         ({"scene_hash": "b" * 64}, "scene 'box' has changed since"),
     ],
 )  # fmt: skip

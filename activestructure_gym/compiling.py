@@ -9,19 +9,25 @@ they compile or load it: one compiles, the others load what it wrote. The locks 
 and end with their process, however it ends.
 
 While something is compiled, one line on standard error says so; of several processes only the first one tells.
+
+With the first of our kernels that has to be compiled, a second process begins with those that will be needed last
+(`compile_ahead`), where there is a second core and what it compiles can be kept.
 """
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import shutil
+import subprocess
 import sys
 import time
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, TextIO
 
 from numba import njit
@@ -52,7 +58,7 @@ def kernel(function: Callable[..., Any]) -> Any:
         dispatcher = njit(**options)(function)
     if not hasattr(dispatcher, "compile"):  # NUMBA_DISABLE_JIT
         return dispatcher
-    name = f"{function.__module__}.{function.__qualname__}"
+    name = _name_of(function)
     compile_or_load = dispatcher.compile
 
     def compile_or_load_alone(signature: Any) -> Any:
@@ -69,9 +75,16 @@ def kernel(function: Callable[..., Any]) -> Any:
     return dispatcher
 
 
+def _name_of(function: Callable[..., Any]) -> str:
+    return f"{function.__module__}.{function.__qualname__}"
+
+
 @contextmanager
 def told_to(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call ``listener`` with the name of every kernel this process begins to compile, and write nothing."""
+    """Call ``listener`` with the name of every kernel this process begins to compile.
+
+    Nothing is written, and no second process is started: whoever listens has arranged how the work is shared.
+    """
     before, _VOICE.listener = _VOICE.listener, listener
     try:
         yield
@@ -96,6 +109,65 @@ def _warn_of_no_cache(reason: str) -> None:
             stacklevel=4,
         )
     _WARNED.append(reason)
+
+
+def held_elsewhere(kernel: Any) -> bool:
+    """Whether another process is just compiling or loading a kernel."""
+    name = _name_of(kernel.py_func)
+    free = _LOCKS.take(name)
+    if free:
+        _LOCKS.drop(name)
+    return not free
+
+
+@contextmanager
+def only_helper() -> Iterator[bool]:
+    """While the block runs, nobody else helps; gives False if somebody does already. Starts no helper either."""
+    free = _LOCKS.take(_HELPER) and _LOCKS.usable
+    try:
+        with told_to(lambda name: None):
+            yield free
+    finally:
+        if free:
+            _LOCKS.drop(_HELPER)
+
+
+_HELPER = "helper"  # the lock of `compile_ahead`
+_HELPED: list[bool] = []  # a process looks for help once
+
+
+def _get_help() -> None:
+    """Start `compile_ahead`, where that can help and nobody does already."""
+    if _HELPED:
+        return
+    _HELPED.append(True)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    an_interpreter = Path(sys.executable or "").name.startswith("python") and not getattr(sys, "frozen", False)
+    if cores < 2 or not an_interpreter or _WARNED or multiprocessing.parent_process() is not None:
+        return
+    if not _LOCKS.take(_HELPER) or not _LOCKS.usable:
+        return
+    _LOCKS.drop(_HELPER)
+    package = __name__.partition(".")[0]
+    # Who uses the rasteriser alone needs no more; an episode comes to the map late, and to the motion last.
+    parts = ["map", *(["motion", "sensing"] if f"{package}.volume" in sys.modules else [])]
+    path = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    with suppress(OSError):  # no more processes allowed
+        helper = subprocess.Popen(
+            [sys.executable, "-m", f"{package}.compile_ahead", str(os.getpid()), *parts],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, path))},
+            start_new_session=True,  # Ctrl-C reaches it through its parent's end
+        )
+        atexit.register(_dismiss, helper, os.getpid())
+
+
+def _dismiss(helper: subprocess.Popen[bytes], parent: int) -> None:
+    if os.getpid() == parent:  # not a fork of it
+        helper.kill()
+        helper.wait()
 
 
 class _Locks:
@@ -187,7 +259,10 @@ class _Voice(event.Listener):
         """numba begins to compile a kernel, or a function it calls."""
         if self._current is None:  # not ours
             return
-        if self.listener is not None and self._current not in self._told:
+        if self.listener is None:
+            if self._current.startswith(__name__.partition(".")[0] + "."):
+                _get_help()
+        elif self._current not in self._told:
             self.listener(self._current)
         self.tell()
 

@@ -18,8 +18,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.threads import core_count, worker_environment
@@ -116,63 +114,12 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
     )
 
 
-def plan_around_a_corner() -> np.ndarray:  # [P, 3]
-    """A path for which the straight line is not enough: in the empty box room none ever is needed."""
-    from activestructure_gym.motion import plan_path
-    from activestructure_gym.volume import VolumeConfig, VoxelVolume
-
-    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
-    corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]
-    for place in np.array(corner):
-        volume.mark_free_sphere(place, 0.5)
-    path = plan_path(
-        volume, np.array(corner[0]), np.array(corner[-1]), min_clearance=0.2, rng=np.random.default_rng(0)
-    )
-    assert path is not None
-    return path
-
-
-def compile_map() -> None:
-    """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
-    from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.mapping import Mapper, MapperConfig
-    from activestructure_gym.sensors import Frame
-
-    camera = PinholeCamera.from_size(64, 36)
-    colours = np.random.default_rng(0).integers(0, 256, (36, 64, 3), dtype=np.uint8)
-    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
-    for depth in (2.0, 1.5):
-        mapper.observe(Frame(colours, np.full((36, 64), depth, np.float32), np.eye(4), camera))
-    mapper.render_depth_alpha(camera, np.eye(4)[None])
-    mapper.keyframe_psnr()
-
-
-def compile_world() -> None:
-    """Everything of the sensor, the volume, the planes and the motion that needs no map."""
-    from activestructure_gym.motion import first_blocked, path_lengths
-    from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
-    from activestructure_gym.scenes import load_scene
-    from activestructure_gym.sensors import RGBDSensor, SensorConfig
-    from activestructure_gym.volume import VolumeConfig, VoxelVolume
-
-    scene = load_scene("box")
-    sensor = RGBDSensor(scene, SensorConfig(width=64, height=36), np.random.default_rng(0))
-    volume, planes = VoxelVolume(scene.bounds, VolumeConfig()), PlaneSceneGraph(PlaneGraphConfig())
-    poses = scene.free_space.start_poses[:3]
-    for pose in poses:
-        frame = sensor.capture(pose)
-        volume.integrate(frame)
-        planes.update(frame)
-    path_lengths(volume, poses[0, :3, 3], min_clearance=0.2).at(poses[:, :3, 3])
-    first_blocked(volume, poses[1:], 0.2, start=poses[0])
-    plan_around_a_corner()
-
-
 def main(part: str) -> None:
     """One half of the compiling; the half without the map ends with the job on standard input.
 
     Standard output says which kernel is compiled, one per line.
     """
+    from activestructure_gym.compile_ahead import compile_map, compile_motion, compile_sensing
     from activestructure_gym.compiling import told_to
     from activestructure_gym.evaluation.episode import run_job
 
@@ -182,7 +129,8 @@ def main(part: str) -> None:
         if part == "map":
             compile_map()
             return
-        compile_world()
+        compile_sensing()
+        compile_motion()
         with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
             run_job(job, Path(directory) / "run")
 

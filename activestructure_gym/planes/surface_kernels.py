@@ -241,8 +241,10 @@ def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, ste
                         continue
                     if total == len(owner):
                         more, names = np.empty((2 * total, 3)), np.empty(2 * total, np.int64)
-                        more[:total] = probes
-                        names[:total] = owner
+                        for i in range(total):  # assigning slices takes five seconds to compile
+                            for m in range(3):
+                                more[i, m] = probes[i, m]
+                            names[i] = owner[i]
                         probes, owner = more, names
                     a = (r + dr * (step / cell) + lows[index, 0] + 0.5) * cell
                     b = (c + dc * (step / cell) + lows[index, 1] + 0.5) * cell

@@ -10,7 +10,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import comparison as module
 from activestructure_gym.evaluation.comparison import Comparison, check_output, open_comparison
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.warmup import plan_around_a_corner, smallest_job, warming_up
+from activestructure_gym.evaluation.warmup import smallest_job, warming_up
 
 
 @pytest.fixture
@@ -110,11 +110,6 @@ def test_a_damaged_record_is_one_sentence(tmp_path, content):
     (tmp_path / "compare.json").write_text(content)
     with pytest.raises(InputError, match="cannot be read as a comparison"):
         open_comparison(tmp_path)
-
-
-def test_the_warm_up_needs_the_tree_of_the_path_planner():
-    path = plan_around_a_corner()
-    assert len(path) > 2  # no straight line
 
 
 def test_the_warm_up_ends_with_its_block_when_that_fails():

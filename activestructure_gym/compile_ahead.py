@@ -1,0 +1,137 @@
+"""Compiling the kernels that a first use will ask for later, in a second process while the first one is at the start.
+
+``python -m activestructure_gym.compile_ahead PARENT PART ...`` is that process: `compiling` starts it with the first
+kernel that has to be compiled. It is silent, ends when all is compiled or its parent has ended, and leaves nothing but
+the cache. Kernels are locked one by one, so whatever it is late with the parent compiles itself.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.compiling import held_elsewhere, only_helper
+
+# The parent of a first use of the rasteriser begins with `prepare` and goes on with `blend`. Meanwhile these two get
+# done; what then is left takes who has the time. `score` consists of what `prepare` does: to whom that is in the cache
+# only, all of it is new.
+_ORDER = ("compare", "unblend", "blend", "prepare", "score")
+_ONLY_AFTER = {"score": "prepare"}
+_GLANCE = 0.5  # seconds between looks at the parent
+
+
+def compile_map() -> None:
+    """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
+    from activestructure_gym.geometry import PinholeCamera
+    from activestructure_gym.mapping import Mapper, MapperConfig
+    from activestructure_gym.sensors import Frame
+
+    camera = PinholeCamera.from_size(64, 36)
+    colours = np.random.default_rng(0).integers(0, 256, (36, 64, 3), dtype=np.uint8)
+    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
+    for depth in (2.0, 1.5):
+        mapper.observe(Frame(colours, np.full((36, 64), depth, np.float32), np.eye(4), camera))
+    mapper.render_depth_alpha(camera, np.eye(4)[None])
+    mapper.keyframe_psnr()
+
+
+def compile_sensing() -> None:
+    """Everything of the sensor, the volume and the planes."""
+    from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
+    from activestructure_gym.scenes import load_scene
+    from activestructure_gym.sensors import RGBDSensor, SensorConfig
+    from activestructure_gym.volume import VolumeConfig, VoxelVolume
+
+    scene = load_scene("box")
+    sensor = RGBDSensor(scene, SensorConfig(width=64, height=36), np.random.default_rng(0))
+    volume, planes = VoxelVolume(scene.bounds, VolumeConfig()), PlaneSceneGraph(PlaneGraphConfig())
+    for pose in scene.free_space.start_poses[:3]:
+        frame = sensor.capture(pose)
+        volume.integrate(frame)
+        planes.update(frame)
+
+
+def compile_motion() -> None:
+    """Everything of the motion, in a volume whose free space is made by hand."""
+    from activestructure_gym.motion import first_blocked, path_lengths
+    from activestructure_gym.volume import VolumeConfig, VoxelVolume
+
+    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
+    path = plan_around_a_corner(volume)
+    path_lengths(volume, path[0], min_clearance=0.2).at(path)
+    poses = np.tile(np.eye(4), (len(path), 1, 1))
+    poses[:, :3, 3] = path
+    first_blocked(volume, poses[1:], 0.2, start=poses[0])
+
+
+def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
+    """A path for which the straight line is not enough: in the empty box room none ever is needed."""
+    from activestructure_gym.motion import plan_path
+
+    corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]
+    for place in np.array(corner):
+        volume.mark_free_sphere(place, 0.5)
+    path = plan_path(
+        volume, np.array(corner[0]), np.array(corner[-1]), min_clearance=0.2, rng=np.random.default_rng(0)
+    )
+    assert path is not None
+    return path
+
+
+def calls_of_the_map() -> dict[str, tuple[Any, tuple[Any, ...]]]:
+    """The kernels of the rasteriser that `compile_map` uses, by name, and the arguments of one call; none is run."""
+    from activestructure_gym.splatting.crew import CREW
+
+    calls = {}
+
+    def note(kernel: Any, arguments: tuple[Any, ...], threads: int) -> None:
+        calls[kernel.py_func.__name__] = kernel, arguments
+        arguments[0][:] = 1 << 10  # tickets: all units of work of this tiny map count as done
+
+    run, CREW.run = CREW.run, note  # type: ignore[method-assign]
+    try:
+        compile_map()
+    finally:
+        CREW.run = run  # type: ignore[method-assign]
+    return calls
+
+
+def compile_from_the_end() -> None:
+    """The kernels of the rasteriser, but for those that another process is at, or can do in less time."""
+    from numba import typeof
+
+    calls = calls_of_the_map()
+    done = set()
+    for name in _ORDER:
+        kernel, arguments = calls[name]
+        if held_elsewhere(kernel) or _ONLY_AFTER.get(name, name) not in {name, *done}:
+            continue
+        kernel.compile(tuple(typeof(argument) for argument in arguments))
+        if not kernel.stats.cache_hits:
+            done.add(name)
+
+
+PARTS = {"map": compile_from_the_end, "motion": compile_motion, "sensing": compile_sensing}
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_GLANCE)
+    os._exit(0)
+
+
+def main(parent: int, parts: list[str]) -> None:
+    """Compile the parts in their order, unless such a helper is at work already."""
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    with only_helper() as alone:
+        for part in parts if alone else ():
+            PARTS[part]()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), sys.argv[2:])

@@ -11,6 +11,7 @@ import os
 import sys
 import threading
 import time
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,22 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
     return path
 
 
+def compile_views() -> None:
+    """What gains and visibility need besides the map's pictures."""
+    from activestructure_gym.geometry import PinholeCamera
+    from activestructure_gym.views.gains.unexplained import meets_unknown_space
+    from activestructure_gym.views.visibility import cosines_in_view
+    from activestructure_gym.volume import VolumeConfig, VoxelVolume
+
+    camera = PinholeCamera.from_size(16, 9)
+    volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
+    pose, points = np.eye(4)[None], np.ones((1, 1, 3))
+    meets_unknown_space(volume, camera, pose, 2.0, np.ones((1, 9, 16), bool))
+    cosines_in_view(points, points[0], camera, pose)
+    volume.sight_free(points[0], 2.0 * points[0])
+
+
+@lru_cache(1)
 def calls_of_the_map() -> dict[str, tuple[Any, tuple[Any, ...]]]:
     """The kernels of the rasteriser that `compile_map` uses, by name, and the arguments of one call; none is run."""
     from activestructure_gym.splatting.crew import CREW
@@ -101,22 +118,37 @@ def calls_of_the_map() -> dict[str, tuple[Any, tuple[Any, ...]]]:
     return calls
 
 
-def compile_from_the_end() -> None:
-    """The kernels of the rasteriser, but for those that another process is at, or can do in less time."""
-    from numba import typeof
-
-    calls = calls_of_the_map()
+def compile_rasteriser() -> None:
+    """What a first use comes to late, and then what is left; not what another process is at, or needs less time for."""
     done = set()
     for name in _ORDER:
-        kernel, arguments = calls[name]
-        if held_elsewhere(kernel) or _ONLY_AFTER.get(name, name) not in {name, *done}:
-            continue
-        kernel.compile(tuple(typeof(argument) for argument in arguments))
-        if not kernel.stats.cache_hits:
+        if _ONLY_AFTER.get(name, name) in {name, *done} and _compile(name):
             done.add(name)
 
 
-PARTS = {"map": compile_from_the_end, "motion": compile_motion, "sensing": compile_sensing}
+def compile_score() -> None:
+    """The one kernel that a first decision needs and a first keyframe does not."""
+    _compile("score")
+
+
+def _compile(name: str) -> bool:
+    """Compile a kernel of the rasteriser, unless another process does; False if that was or had been so."""
+    from numba import typeof
+
+    kernel, arguments = calls_of_the_map()[name]
+    if held_elsewhere(kernel):
+        return False
+    kernel.compile(tuple(typeof(argument) for argument in arguments))
+    return not kernel.stats.cache_hits
+
+
+PARTS = {
+    "rasteriser": compile_rasteriser,
+    "motion": compile_motion,
+    "views": compile_views,
+    "score": compile_score,
+    "sensing": compile_sensing,
+}
 
 
 def _end_with(parent: int) -> None:

@@ -17,6 +17,7 @@ With the first of our kernels that has to be compiled, a second process begins w
 from __future__ import annotations
 
 import atexit
+import gc
 import multiprocessing
 import os
 import shutil
@@ -64,7 +65,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     def compile_or_load_alone(signature: Any) -> Any:
         # The lock between threads first, as numba itself nests it: otherwise two processes could each hold what a
         # thread of the other waits for.
-        with global_compiler_lock, _VOICE.around(name), _LOCKS.held(name):
+        with global_compiler_lock, _VOICE.around(name), _LOCKS.held(name), _uncollected():
             try:
                 return compile_or_load(signature)
             except OSError as error:  # disk full, or a quota
@@ -149,12 +150,12 @@ def _get_help() -> None:
         return
     _LOCKS.drop(_HELPER)
     package = __name__.partition(".")[0]
-    # Who uses the rasteriser alone needs no more; an episode comes to the map late, and to the motion last.
-    parts = ["map", *(["motion", "sensing"] if f"{package}.volume" in sys.modules else [])]
+    # Who uses the rasteriser alone needs no more. An episode begins with the sensor and goes on for long with planes.
+    of_episode = ["motion", "views", "score", "sensing"] if f"{package}.volume" in sys.modules else []
     path = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     with suppress(OSError):  # no more processes allowed
         helper = subprocess.Popen(
-            [sys.executable, "-m", f"{package}.compile_ahead", str(os.getpid()), *parts],
+            [sys.executable, "-m", f"{package}.compile_ahead", str(os.getpid()), "rasteriser", *of_episode],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -168,6 +169,18 @@ def _dismiss(helper: subprocess.Popen[bytes], parent: int) -> None:
     if os.getpid() == parent:  # not a fork of it
         helper.kill()
         helper.wait()
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without looking for garbage: a compiler makes millions of objects and few cycles. A twentieth of its time."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 class _Locks:

@@ -22,12 +22,14 @@ def fit_to_stay(
     changed: np.ndarray,  # [chunks] bool
 ) -> np.ndarray:  # [count] bool
     """Opaque enough, small enough along every axis, and finite in all rows. What has not changed stays."""
-    keep = np.ones(count, np.bool_)
+    keep = np.empty(count, np.bool_)
     total = np.empty(CHUNK, np.float32)
     for first in range(0, count, CHUNK):
-        if not changed[first // CHUNK]:
-            continue
         length = min(CHUNK, count - first)
+        if not changed[first // CHUNK]:
+            for i in range(length):
+                keep[first + i] = True
+            continue
         for i in range(length):
             total[i] = np.float32(0.0)
         for row in range(ROWS):
@@ -56,10 +58,11 @@ def larger_in_view(
     limit: float,  # pixels, sigma
 ) -> np.ndarray:  # [count] bool
     """On the measured surface in view, within one sigma, and appearing larger than ``limit``."""
-    found = np.zeros(count, np.bool_)
+    found = np.empty(count, np.bool_)
     m, height, width = camera_from_world, depth.shape[0], depth.shape[1]
     focal = np.float32(0.5) * (intrinsics[0] + intrinsics[1])
     for i in range(count):
+        found[i] = False
         a, b, c = parameters[0, i], parameters[1, i], parameters[2, i]
         z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
         if not z > 0.0:
@@ -69,6 +72,6 @@ def larger_in_view(
         if not (u >= 0.0 and v >= 0.0 and u < width and v < height):
             continue
         measured = depth[int(v), int(u)]
-        sigma = np.exp(max(parameters[7, i], parameters[8, i], parameters[9, i]))
+        sigma = np.exp(max(max(parameters[7, i], parameters[8, i]), parameters[9, i]))
         found[i] = measured > 0.0 and sigma * focal > limit * z and abs(z - measured) <= sigma
     return found

@@ -270,7 +270,9 @@ def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, 
                     if abs(p[0] * x + p[1] * y + p[2] * z + p[3]) < limit:
                         explained[label] += 1.0
                         break
-    return explained / np.maximum(sizes, 1)
+    for label in range(count):
+        explained[label] /= max(sizes[label], 1)
+    return explained
 
 
 @kernel

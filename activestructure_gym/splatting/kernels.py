@@ -38,7 +38,8 @@ from activestructure_gym.compiling import kernel as _entry
 
 # Only called from other kernels: Python's way in, which would be compiled along, is left out. So is counting references
 # to arrays: eight atomic additions per block of Gaussians, on cache lines that all threads share. It leaves such
-# functions unable to allocate; the few that must are `_allocating`.
+# functions unable to allocate; the few that must are `_allocating`. Where a function is called with different numbers
+# they go through np.int64: numba compiles a function anew for every literal.
 _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _inner, _inline = njit(_nrt=False, **_plain), njit(_nrt=False, forceinline=True, **_plain)
 _allocating = njit(**_plain)
@@ -754,9 +755,9 @@ def _project_block(parameters, i, view, grid, records):
     if bits(live) == 0:
         return np.int64(0)
 
-    s0, s1, s2 = (
-        _scale(parameters, capacity, i, 0), _scale(parameters, capacity, i, 1), _scale(parameters, capacity, i, 2)
-    )  # fmt: skip
+    s0 = _scale(parameters, capacity, i, np.int64(0))
+    s1 = _scale(parameters, capacity, i, np.int64(1))
+    s2 = _scale(parameters, capacity, i, np.int64(2))
     _, _, r = _rotation(parameters, capacity, i)
     a0, a1, a2 = fma(j02, view[8], j00 * view[0]), fma(j02, view[9], j00 * view[1]), fma(j02, view[10], j00 * view[2])
     b0, b1, b2 = fma(j12, view[8], j11 * view[4]), fma(j12, view[9], j11 * view[5]), fma(j12, view[10], j11 * view[6])
@@ -1318,7 +1319,7 @@ def _write_tile(tile, grid, state, width, color, depth, alpha):
 def _read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, by_layout):
     """The state of the backward loop from the pictures and the gradients by them."""
     x, y = _corner(tile, grid)
-    _open_tile(tile, grid, state, _COLORED)
+    _open_tile(tile, grid, state, np.int64(_COLORED))
     for block in range(grid[TILE_BLOCKS]):
         left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), _COLORED * block
         pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
@@ -1493,18 +1494,18 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     inverse_z = spread(F(1.0)) / z
     j00, j02, j11, j12, slope_x, slope_y = _jacobian(x, y, inverse_z, view)
     (q0, q1, q2, q3), inverse_length, r = _rotation(parameters, capacity, i)
-    s0, s1, s2 = (
-        _scale(parameters, capacity, i, 0), _scale(parameters, capacity, i, 1), _scale(parameters, capacity, i, 2)
-    )  # fmt: skip
+    s0 = _scale(parameters, capacity, i, np.int64(0))
+    s1 = _scale(parameters, capacity, i, np.int64(1))
+    s2 = _scale(parameters, capacity, i, np.int64(2))
     covariance, lens = (s00, s01, s11), (j00, j02, j11, j12)
     h0, h3, h6, x00, x02, x11, x12 = _axis_gradient(
-        (r[0], r[3], r[6]), s0, 7, covariance, lens, view, seen, gradient, pose
+        (r[0], r[3], r[6]), s0, np.int64(7), covariance, lens, view, seen, gradient, pose
     )
     h1, h4, h7, y00, y02, y11, y12 = _axis_gradient(
-        (r[1], r[4], r[7]), s1, 8, covariance, lens, view, seen, gradient, pose
+        (r[1], r[4], r[7]), s1, np.int64(8), covariance, lens, view, seen, gradient, pose
     )
     h2, h5, h8, z00, z02, z11, z12 = _axis_gradient(
-        (r[2], r[5], r[8]), s2, 9, covariance, lens, view, seen, gradient, pose
+        (r[2], r[5], r[8]), s2, np.int64(9), covariance, lens, view, seen, gradient, pose
     )
     by_j00, by_j02, by_j11, by_j12 = x00 + y00 + z00, x02 + y02 + z02, x11 + y11 + z11, x12 + y12 + z12
     h = (h0, h1, h2, h3, h4, h5, h6, h7, h8)
@@ -1970,11 +1971,11 @@ def blend(
         if keeps == 0:
             place = 0
         kept_at[2 * tile] = place if keeps != 0 else -1
-        alive = _open_tile(tile, grid, state, _COLORED)
+        alive = _open_tile(tile, grid, state, np.int64(_COLORED))
         x, y = _corner(tile, grid)
         keep = kept[place:] if keeps != 0 else state[SCRATCH - LANES :]
         kept_at[2 * tile + 1] = _forward(F(x), F(y), start, stop, alive, entries, records, view, state, keep, keeps)
-        _write_tile(tile, grid, state, _COLORED, color, depth, alpha)
+        _write_tile(tile, grid, state, np.int64(_COLORED), color, depth, alpha)
 
 
 @_entry
@@ -1994,7 +1995,7 @@ def fuse(
         start, stop = tile_start[tile], tile_start[tile + 1]
         blocks = _sort_tile(start, stop, entries, digits)
         keeps = LANES if LANES * blocks <= len(kept) else 0
-        alive = _open_tile(tile, grid, state, _COLORED)
+        alive = _open_tile(tile, grid, state, np.int64(_COLORED))
         x, y = _corner(tile, grid)
         done = _forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
         _compare_tile(tile, grid, state, factors, target, target_depth, terms, edge)
@@ -2096,7 +2097,9 @@ def score(tickets, parameters, views, grid, depth, alpha):
     """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
     chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]
     records = _scratch(max(grid[COUNT] + LANES, 1) * RECORD)
-    visible = np.zeros(chunks * (CHUNK // LANES), np.int32)
+    visible = np.empty(chunks * (CHUNK // LANES), np.int32)
+    for block in range(len(visible)):
+        visible[block] = 0
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
     tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
     digits = np.empty(DIGITS, np.int64)
@@ -2120,10 +2123,10 @@ def score(tickets, parameters, views, grid, depth, alpha):
         for tile in range(tiles):
             start, stop = tile_start[tile], tile_start[tile + 1]
             _sort_tile(start, stop, entries, digits)
-            alive = _open_tile(tile, grid, state, _SCORING)
+            alive = _open_tile(tile, grid, state, np.int64(_SCORING))
             x, y = _corner(tile, grid)
             _forward_without_color(F(x), F(y), start, stop, alive, entries, records, view, state, state, 0)
-            _write_tile(tile, grid, state, _SCORING, no_color, own_depth, own_alpha)
+            _write_tile(tile, grid, state, np.int64(_SCORING), no_color, own_depth, own_alpha)
 
 
 @_entry

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.views.gains.base import GAINS, GainContext
-from activestructure_gym.volume import FREE, OCCUPIED
+from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 # Only every second pixel in both directions is marched: neighbours see the same hole.
 _STRIDE = 2
@@ -21,17 +22,30 @@ def unexplained(context: GainContext) -> np.ndarray:  # [K] in 0..1
     it was looked through, the volume knows it to be free, and the view leaves the pool ("coupling pool dynamics to
     reconstruction state", Sec. 3.4).
     """
-    camera, volume = context.camera, context.volume
-    meets = meets_unknown(
+    uncovered = context.alpha <= context.coverage_alpha
+    meets = meets_unknown_space(
+        context.volume, context.camera, context.world_from_camera, context.max_range, uncovered
+    )
+    return meets.mean(axis=(1, 2))
+
+
+def meets_unknown_space(
+    volume: VoxelVolume,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [K, 4, 4]
+    max_range: float,  # metres of depth
+    wanted: np.ndarray,  # [K, H, W] bool
+) -> np.ndarray:  # [K, H / 2, W / 2] bool
+    """`meets_unknown` for every second pixel in both directions."""
+    return meets_unknown(
         volume.state,
         volume.origin.astype(np.float64),
         float(volume.config.voxel_size),
-        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
+        np.ascontiguousarray(world_from_camera, dtype=np.float64),
         camera.rays()[::_STRIDE, ::_STRIDE].astype(np.float64),
-        float(context.max_range),
-        np.ascontiguousarray(context.alpha[:, ::_STRIDE, ::_STRIDE] <= context.coverage_alpha),
+        float(max_range),
+        np.ascontiguousarray(wanted[:, ::_STRIDE, ::_STRIDE]),
     )
-    return meets.mean(axis=(1, 2))
 
 
 @kernel
@@ -52,7 +66,9 @@ def meets_unknown(
     result = np.zeros((count, height, width), np.bool_)
     for k in range(count):
         pose = poses[k]
-        start = (pose[:3, 3] - origin) / voxel_size
+        start_x = (pose[0, 3] - origin[0]) / voxel_size
+        start_y = (pose[1, 3] - origin[1]) / voxel_size
+        start_z = (pose[2, 3] - origin[2]) / voxel_size
         for row in range(height):
             for column in range(width):
                 if not wanted[k, row, column]:
@@ -63,7 +79,7 @@ def meets_unknown(
                 dx = (pose[0, 0] * ray[0] + pose[0, 1] * ray[1] + pose[0, 2] * ray[2]) * scale
                 dy = (pose[1, 0] * ray[0] + pose[1, 1] * ray[1] + pose[1, 2] * ray[2]) * scale
                 dz = (pose[2, 0] * ray[0] + pose[2, 1] * ray[1] + pose[2, 2] * ray[2]) * scale
-                x, y, z = start[0], start[1], start[2]
+                x, y, z = start_x, start_y, start_z
                 unknown = 0
                 for _ in range(int(max_range * length / (0.5 * voxel_size))):
                     x, y, z = x + dx, y + dy, z + dz

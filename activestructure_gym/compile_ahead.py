@@ -88,15 +88,14 @@ def compile_views() -> None:
     """What gains and visibility need besides the map's pictures."""
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.views.gains.unexplained import meets_unknown_space
-    from activestructure_gym.views.visibility import cosines_in_view
+    from activestructure_gym.views.visibility import cosines_in_sight
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
     camera = PinholeCamera.from_size(16, 9)
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
     pose, points = np.eye(4)[None], np.ones((1, 1, 3))
     meets_unknown_space(volume, camera, pose, 2.0, np.ones((1, 9, 16), bool))
-    cosines_in_view(points, points[0], camera, pose)
-    volume.sight_free(points[0], 2.0 * points[0])
+    cosines_in_sight(points, points[0], camera, pose, volume)
 
 
 @lru_cache(1)

@@ -186,8 +186,9 @@ def test_one_helper_per_installation(started, tmp_path) -> None:
 WAITING = """
 import os
 from activestructure_gym import compile_ahead
+parent = os.getppid()  # before anybody can end
 print("up", flush=True)
-compile_ahead._end_with(os.getppid())
+compile_ahead._end_with(parent)
 """
 
 PARENT = f"""

@@ -1,9 +1,12 @@
 """What a mapping event and a decision cost while the map grows elsewhere: the same place in a larger and larger map.
 
-25 keyframes are made around one start of an apartment, 25 around the next, and so on; every such place is put
+20 keyframes are made around one start of an apartment, 20 around the next, and so on; every such place is put
 on a storey of its own, so far above the last that no view of one reaches another. At certain numbers of keyframes,
 copies of the map are shown the same frames of the first place, and the same 256 views of it are scored. What the camera
 meets there stays the same, Gaussian by Gaussian: whatever costs more comes from the size of the map.
+
+A processor's clock moves within minutes, so the ratio between two sizes is not read off the rows: copies of both maps
+are kept and shown every frame one right after the other.
 """
 
 from __future__ import annotations
@@ -32,8 +35,9 @@ from activestructure_gym.volume import VoxelVolume
 SCENE = "apartment?seed=1&rooms=4"
 SIZE = (160, 90)  # pixels
 SCORED = 256  # candidate views at half the size, as in the default preset
-CHECKPOINTS = (10, 25, 50, 100, 200, 300, 400)  # keyframes
-PLACE_KEYFRAMES = 25  # before the walk goes on at the next place: 400 are one round of the 16 starts
+CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 5 thousand Gaussians
+PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
+PLACE_KEYFRAMES = 20  # before the walk goes on at the next place; after 16 starts at the first one's again
 MAX_GAUSSIANS = 400_000  # 400 keyframes of the default recipe make about 300 thousand
 _RADIUS = 1.8  # metres of way: how far a place reaches
 _STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
@@ -52,6 +56,18 @@ class GrowthRow:
     memory_mb: float  # resident memory of the whole process
 
 
+@dataclass(frozen=True)
+class GrowthPair:
+    """Two sizes of the map and how much more the same frame costs in the larger one: quartiles over the pairs."""
+
+    keyframes: tuple[int, int]
+    gaussians: tuple[int, int]
+    in_view: tuple[int, int]
+    pairs: int
+    event_ratio: tuple[float, float, float]  # lower quartile, median, upper quartile
+    decision_ratio: tuple[float, float, float]
+
+
 def run_growth_benchmark(
     scene: Scene,
     mapper: Mapper,
@@ -60,17 +76,18 @@ def run_growth_benchmark(
     size: tuple[int, int] = SIZE,
     scored: int = SCORED,
     probes: int = 9,
+    pair: tuple[int, int] = PAIR,  # of the checkpoints
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,  # called `growth_steps` times
-) -> list[GrowthRow]:
-    """Grow ``mapper`` (empty) along a seeded walk and measure it at every checkpoint.
+) -> tuple[list[GrowthRow], GrowthPair]:
+    """Grow ``mapper`` (empty) along a seeded walk and measure it at every checkpoint, and two of them in pairs.
 
     The voxel volume and the plane graph of an episode grow along, so that the memory is an episode's.
     """
     frames, probe_frames, candidates = _views(scene, max(checkpoints), size, scored, probes, seed, advance)
     volume, planes = VoxelVolume(scene.bounds), PlaneSceneGraph()
     scoring = PinholeCamera.from_size(max(1, size[0] // 2), max(1, size[1] // 2))
-    rows = []
+    rows, kept = [], {}
     for index, frame in enumerate(frames):
         mapper.observe(_raised(frame, index // PLACE_KEYFRAMES))
         volume.integrate(frame, sensor_range=10.0)
@@ -78,7 +95,9 @@ def run_growth_benchmark(
         advance()
         if index + 1 in checkpoints:
             rows.append(_measure(mapper, probe_frames, scoring, candidates))
-    return rows
+        if index + 1 in pair:
+            kept[index + 1] = copy.deepcopy(mapper)
+    return rows, _compare(kept[pair[0]], kept[pair[1]], probe_frames)
 
 
 def growth_steps(checkpoints: Sequence[int]) -> int:
@@ -137,7 +156,6 @@ def _measure(
     mapper: Mapper, probe_frames: Sequence[Frame], scoring: PinholeCamera, candidates: np.ndarray
 ) -> GrowthRow:
     memory = resident_mb()
-    counts = [gaussians_in_view(mapper.map.parameters[:, : mapper.map.count], frame) for frame in probe_frames]
     keyframes, gaussians = len(mapper.keyframes), mapper.map.count
     scoring_ms = _processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
     trial = copy.deepcopy(mapper)
@@ -149,12 +167,49 @@ def _measure(
     return GrowthRow(
         keyframes=keyframes,
         gaussians=gaussians,
-        in_view=int(np.median(counts)),
+        in_view=_median_in_view(mapper, probe_frames),
         event_ms=statistics.median(events),
         decision_ms=statistics.median(decisions),
         scoring_ms=scoring_ms,
         memory_mb=memory,
     )
+
+
+def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds: int = 3) -> GrowthPair:
+    """Both maps see the same frames, in turns; every round begins with fresh copies."""
+    events, decisions = [], []
+    for _ in range(rounds):
+        trials = [copy.deepcopy(mapper) for mapper in (small, large)]
+        for trial in trials:
+            trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
+        for number, frame in enumerate(probe_frames):
+            order = (0, 1) if number % 2 else (1, 0)  # nobody always comes second
+            event, decision = {}, {}
+            for size in order:
+                event[size] = _processor_ms(partial(trials[size].observe, frame))
+            for size in order:
+                decision[size] = _processor_ms(trials[size].keyframe_psnr)
+            events.append(event[1] / event[0])
+            decisions.append(decision[1] / decision[0])
+    both = (small, large)
+    counts = [_median_in_view(mapper, probe_frames) for mapper in both]
+    return GrowthPair(
+        keyframes=(len(small.keyframes), len(large.keyframes)),
+        gaussians=(small.map.count, large.map.count),
+        in_view=(counts[0], counts[1]),
+        pairs=len(events),
+        event_ratio=_quartiles(events),
+        decision_ratio=_quartiles(decisions),
+    )
+
+
+def _quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
+    return low, middle, high
+
+
+def _median_in_view(mapper: Mapper, frames: Sequence[Frame]) -> int:
+    return int(np.median([gaussians_in_view(mapper.map.parameters[:, : mapper.map.count], f) for f in frames]))
 
 
 def gaussians_in_view(

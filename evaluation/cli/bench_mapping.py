@@ -54,18 +54,24 @@ def measure_growth(console: Console, scenes: Sequence[str], *, quick: bool, out:
     from activestructure_gym.mapping import Mapper, MapperConfig, growth
     from activestructure_gym.scenes.library import load_scene
 
-    checkpoints = (2, 4, 27) if quick else growth.CHECKPOINTS
+    checkpoints, pair = ((2, 4, 27), (4, 27)) if quick else (growth.CHECKPOINTS, growth.PAIR)
     size, scored, probes = ((96, 54), 8, 2) if quick else (growth.SIZE, growth.SCORED, 15)
     with console.status("loading the scene"):
         scene = load_scene(scenes[0] if scenes else "box" if quick else growth.SCENE)
     mapper = Mapper(MapperConfig(max_gaussians=growth.MAX_GAUSSIANS), np.random.default_rng(0))
     with _progress(console, growth.growth_steps(checkpoints)) as advance:
-        measured = growth.run_growth_benchmark(
-            scene, mapper, checkpoints=checkpoints, size=size, scored=scored, probes=probes, advance=advance
+        measured, compared = growth.run_growth_benchmark(
+            scene, mapper, checkpoints=checkpoints, size=size, scored=scored, probes=probes, pair=pair, advance=advance
         )
     rows = [asdict(row) for row in measured]
+    for name, (low, middle, high) in (("an event", compared.event_ratio), ("a decision", compared.decision_ratio)):
+        console.print(
+            f"{name} with {compared.keyframes[1]} keyframes costs {middle:.2f} [{low:.2f}, {high:.2f}] times that with "
+            f"{compared.keyframes[0]} ({compared.pairs} pairs)"
+        )
     if out is not None:
-        folder = _write(out, "growth.json", {"scene": scene.name, "size": size, "scored": scored}, rows)
+        settings = {"scene": scene.name, "size": size, "scored": scored, "pair": asdict(compared)}
+        folder = _write(out, "growth.json", settings, rows)
         plot_growth(measured, folder / "growth.jpg", title="One place, looked at again while the map grows elsewhere")
         console.print(f"written: {folder / 'growth.jpg'}, {folder / 'growth.json'}")
     return rows

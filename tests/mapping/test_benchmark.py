@@ -126,21 +126,25 @@ def test_gaussians_in_view_are_those_that_project_into_the_image():
 
 def test_what_is_seen_of_the_first_place_does_not_change_while_the_map_grows(scene):
     calls = []
-    rows = run_growth_benchmark(
+    rows, pair = run_growth_benchmark(
         scene,
         Mapper(MapperConfig(iterations=1), np.random.default_rng(0)),
-        checkpoints=(25, 35),
+        checkpoints=(20, 30),
+        pair=(20, 30),
         size=(64, 36),
         scored=4,
         probes=3,
         advance=lambda: calls.append(1),
     )
-    assert len(calls) == growth_steps((25, 35))
+    assert len(calls) == growth_steps((20, 30))
     small, large = rows
-    assert (small.keyframes, large.keyframes) == (25, 35)
+    assert (small.keyframes, large.keyframes) == pair.keyframes == (20, 30)
     assert large.gaussians > 1.2 * small.gaussians
     # Global visits prune one or the other.
     assert abs(large.in_view - small.in_view) <= 0.02 * small.in_view
+    assert (small.gaussians, large.gaussians) == pair.gaussians and (small.in_view, large.in_view) == pair.in_view
+    assert pair.pairs == 9 and 0 < pair.event_ratio[0] <= pair.event_ratio[1] <= pair.event_ratio[2]
+    assert 0 < pair.decision_ratio[0] <= pair.decision_ratio[1] <= pair.decision_ratio[2]
     assert resident_mb() > 50
 
 

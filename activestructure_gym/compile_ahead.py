@@ -1,14 +1,13 @@
 """Compiling the kernels that a first use will ask for later, in a second process while the first one is at the start.
 
-``python -m activestructure_gym.compile_ahead PARENT PART ...`` is that process: `compiling` starts it with the first
-kernel that has to be compiled. It is silent, ends when all is compiled or its parent has ended, and leaves nothing but
-the cache. Kernels are locked one by one, so whatever it is late with the parent compiles itself.
+`main` is what that process runs: `compiling` starts it with the first kernel that has to be compiled. It is silent, ends
+when all is compiled or its parent has ended, and leaves nothing but the cache. Kernels are locked one by one, so whatever
+it is late with the parent compiles itself.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import time
 from functools import lru_cache
@@ -162,7 +161,3 @@ def main(parent: int, parts: list[str]) -> None:
     with only_helper() as alone:
         for part in parts if alone else ():
             PARTS[part]()
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2:])

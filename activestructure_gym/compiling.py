@@ -135,6 +135,11 @@ def only_helper() -> Iterator[bool]:
 
 _HELPER = "helper"  # the lock of `compile_ahead`
 _HELPED: list[bool] = []  # a process looks for help once
+# The helper finds this package, and everything else, where its parent does.
+_START = (
+    "import os, sys; sys.path[:] = sys.argv[1].split(os.pathsep);"
+    "from activestructure_gym.compile_ahead import main; main(int(sys.argv[2]), sys.argv[3:])"
+)
 
 
 def _get_help() -> None:
@@ -152,14 +157,12 @@ def _get_help() -> None:
     package = __name__.partition(".")[0]
     # Who uses the rasteriser alone needs no more. An episode begins with the sensor and goes on for long with planes.
     of_episode = ["motion", "views", "score", "sensing"] if f"{package}.volume" in sys.modules else []
-    path = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     with suppress(OSError):  # no more processes allowed
         helper = subprocess.Popen(
-            [sys.executable, "-m", f"{package}.compile_ahead", str(os.getpid()), "rasteriser", *of_episode],
+            [sys.executable, "-c", _START, os.pathsep.join(sys.path), str(os.getpid()), "rasteriser", *of_episode],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, path))},
             start_new_session=True,  # Ctrl-C reaches it through its parent's end
         )
         atexit.register(_dismiss, helper, os.getpid())

@@ -115,15 +115,15 @@ def test_a_process_starts_one_helper(started) -> None:
     compiling._get_help()
     compiling._get_help()
     assert len(started) == 1
-    module, parent, *parts = started[0][2:]
-    assert (module, parent) == ("activestructure_gym.compile_ahead", str(os.getpid()))
+    path, parent, *parts = started[0][3:]
+    assert (path.split(os.pathsep), parent) == (sys.path, str(os.getpid()))
     assert parts == list(compile_ahead.PARTS)  # the volume is imported here: an episode
 
 
 def test_who_has_no_volume_gets_the_rasteriser_alone(started, monkeypatch) -> None:
     monkeypatch.delitem(sys.modules, "activestructure_gym.volume")
     compiling._get_help()
-    assert started[0][4:] == ["rasteriser"]
+    assert started[0][5:] == ["rasteriser"]
 
 
 @pytest.mark.parametrize("why", ["one core", "nothing is kept", "a worker", "no interpreter", "no locks"])

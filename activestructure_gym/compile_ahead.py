@@ -1,8 +1,8 @@
 """Compiling the kernels that a first use will ask for later, in a second process while the first one is at the start.
 
-`main` is what that process runs: `compiling` starts it with the first kernel that has to be compiled. It is silent, ends
-when all is compiled or its parent has ended, and leaves nothing but the cache. Kernels are locked one by one, so whatever
-it is late with the parent compiles itself.
+`main` is what that process runs: `compiling` starts it with the first kernel that has to be compiled. It is silent,
+ends when all is compiled or its parent has ended, and leaves nothing but the cache. Kernels are locked one by one, so
+whatever it is late with the parent compiles itself.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from activestructure_gym.volume import VoxelVolume
 SCENE = "apartment?seed=1&rooms=4"
 SIZE = (160, 90)  # pixels
 SCORED = 256  # candidate views at half the size, as in the default preset
-CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 5 thousand Gaussians
+CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 9 thousand Gaussians
 PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
 PLACE_KEYFRAMES = 20  # before the walk goes on at the next place; after 16 starts at the first one's again
 MAX_GAUSSIANS = 400_000  # 400 keyframes of the default recipe make about 300 thousand

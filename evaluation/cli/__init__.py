@@ -19,6 +19,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg doctor     say what works here, what does not, and which package is missing
   asg bench      measure the speed of the sensor or of the rasteriser
   asg evaluate   measure finished runs again, from their stored maps alone
+  asg report     write the report of finished runs: one page, and tables for papers
 
   asg COMMAND --help    the options of a command
   asg --version

@@ -51,6 +51,8 @@ class Compare:
     """What finished maps are measured by: standard always is, activegamer can be as well (docs/protocols.md)."""
     view_source: Literal["free_space", "recorded"] = "free_space"
     """Drawn in the scene's free space, or recorded with the scene."""
+    baseline: str | None = None
+    """The policy the report measures the others against; see `asg report --help`."""
 
     def run(self) -> int:
         """See `compare.compare`."""
@@ -143,6 +145,25 @@ class Evaluate:
         return evaluate(self)
 
 
+@dataclass(frozen=True)
+class Report:
+    """Write the report of finished runs: one page that needs nothing else, and tables as Markdown, CSV and LaTeX."""
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Directories of comparisons, of single runs, or both; made under the same conditions."""
+    out: str | None = None
+    """Directory for the report; that of the comparison if one is given, else runs/report-<date>-<time>."""
+    baseline: str | None = None
+    """The policy the others are measured against; if not given, the first of activestructure-a, pixel_only and random
+    that took part."""
+
+    def run(self) -> int:
+        """See `report.report`."""
+        from activestructure_gym.evaluation.cli.report import report
+
+        return report(self)
+
+
 class Command(Protocol):
     """What a subcommand is: options, and what to do with them."""
 
@@ -156,4 +177,5 @@ COMMANDS: dict[str, type[Command]] = {
     "doctor": Doctor,
     "bench": Bench,
     "evaluate": Evaluate,
+    "report": Report,
 }

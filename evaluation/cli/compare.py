@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16)
 
 
-# What decides how and where a comparison runs, and not what is compared.
-_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries")
+# What decides how and where a comparison runs, or how it is told, and not what is compared.
+_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline")
 
 
 def compare(options: Compare) -> int:
@@ -64,6 +64,9 @@ def compare(options: Compare) -> int:
             status.update(escape(text))
 
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
+    policies = list(dict.fromkeys(job.policy for job in jobs))
+    if options.baseline is not None and options.baseline not in policies:
+        raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
     if comparison:
         _announce(console, comparison, directory, len(jobs), demo=demo)
 
@@ -76,7 +79,7 @@ def compare(options: Compare) -> int:
                     jobs, directory, live, engine=options.engine, limits=limits, resume=options.resume,
                     command=_command_line(), held=held,
                 )  # fmt: skip
-            return _report(console, result, directory, time.monotonic() - began)
+            return _report(console, result, directory, time.monotonic() - began, options.baseline)
     except KeyboardInterrupt:
         if (directory / COMPARISON).is_file():
             print(
@@ -131,7 +134,7 @@ def _announce(console: Console, comparison: Comparison, directory: Path, jobs: i
         console.print("[dim]This is the demo; `asg compare --help` shows how to choose scenes and policies.")
 
 
-def _report(console: Console, result: Result, directory: Path, seconds: float) -> int:
+def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:
     from activestructure_gym.evaluation.report.summary import write_report
     from activestructure_gym.evaluation.report.tables import rich_table, table_rows
     from activestructure_gym.evaluation.store import COMPARISON, read_json
@@ -144,11 +147,12 @@ def _report(console: Console, result: Result, directory: Path, seconds: float) -
         )
     if result.runs:
         with console.status("drawing"):
-            files = write_report(directory, result.runs, read_json(directory / COMPARISON))
+            files = write_report(directory, result.runs, read_json(directory / COMPARISON), baseline)
         console.print()
         print_whole(console, rich_table(table_rows(result.runs), title=_title(result)))
-        console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Read [bold]{files[-1]}[/]; beside it:")
-        console.print("[dim]  " + "  ".join(file.name for file in files[:-1]))
+        page, summary = files[-1], files[-2]
+        console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
+        console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")
     if result.failed:
         what = _counted(len(result.failed), "run")
         print(f"asg: {what} failed; what was said is in {directory / 'logs'}", file=sys.stderr)

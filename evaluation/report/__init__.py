@@ -1,4 +1,4 @@
-"""What a reader sees: tables, convergence curves, pictures, the summary page; all rebuilt from run directories.
+"""What a reader sees: one page, tables, convergence curves, pictures; all rebuilt from run directories.
 
-`summary.write_report` writes everything into a comparison's directory.
+`results.Results` is what a report is about, `summary.write_results` writes all of it, `page.html_page` is the page.
 """

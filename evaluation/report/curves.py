@@ -1,114 +1,106 @@
-"""Convergence: completion ratio and PSNR over the frames and the metres that were paid for them."""
+"""Convergence: completion ratio and PSNR over the frames, the metres and the seconds that were paid for them."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.charts import Line
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
 from activestructure_gym.evaluation.store import Run
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+_POINTS = 61  # places of the common axis
 
-_MEASURES = (("completion_ratio", "C.R. at 5 cm [%]"), ("psnr", "PSNR of held-out views [dB]"))
-_COSTS = (("frames", "frames"), ("metres", "path length [m]"))
-_POINTS = 200  # of the common grid that seeds are averaged on
+
+@dataclass(frozen=True)
+class Measure:
+    """What is drawn upwards."""
+
+    key: str  # in the points of metrics.json's curve
+    header: str
+    unit: str
+    digits: int
+    label: str
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What is drawn to the right."""
+
+    key: str
+    label: str
+
+
+MEASURES = (
+    Measure("completion_ratio", "C.R.", "%", 1, "C.R. at 5 cm [%]"),
+    Measure("psnr", "PSNR", "dB", 2, "PSNR of held-out views [dB]"),
+)
+COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seconds", "wall clock [s]"))
 
 
 def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points of one run's curve, cost rising strictly (of equal costs the last counts)."""
-    points = {point[cost]: point[measure] for point in run.metrics["curve"]}
-    cost_values = np.array(sorted(points), dtype=np.float64)
-    return cost_values, np.array([points[value] for value in sorted(points)], dtype=np.float64)
+    """Points of one run's curve, cost rising strictly (of equal costs the last counts).
 
-
-def band(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Grid, mean, lowest and highest of several curves, as far as all of them reach."""
-    start = max(float(x[0]) for x, _ in curves)
-    end = min(float(x[-1]) for x, _ in curves)
-    grid = np.linspace(start, max(start, end), _POINTS)
-    values = np.stack([np.interp(grid, x, y) for x, y in curves])
-    return grid, values.mean(axis=0), values.min(axis=0), values.max(axis=0)
-
-
-def policy_curves(runs: Sequence[Run], cost: str, measure: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """One curve per seed: the run's own, or with several scenes the mean over them."""
-    by_seed: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for run in runs:
-        by_seed.setdefault(run.job.seed, []).append(curve_of(run, cost, measure))
-    return [curves[0] if len(curves) == 1 else band(curves)[:2] for curves in by_seed.values()]
-
-
-def plot_convergence(runs: Sequence[Run], path: Path, *, title: str) -> None:
-    """One line per policy: the mean over its seeds, with a band from the lowest to the highest of them.
-
-    Every seed is also drawn thinly to its own end, which may lie beyond the mean's.
+    Seconds are those at the end of a decision, without the evaluation; the point before the first decision has none.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)  # inches
-    figure = Figure(figsize=(10.5, 7.2), dpi=140, layout=layout)
-    axes = figure.subplots(len(_MEASURES), len(_COSTS), sharey="row", squeeze=False)
-    policies = list(dict.fromkeys(run.job.policy for run in runs))
-    for row, (measure, measure_label) in enumerate(_MEASURES):
-        for column, (cost, cost_label) in enumerate(_COSTS):
-            axis = axes[row][column]
-            for index, policy in enumerate(policies):
-                own = [run for run in runs if run.job.policy == policy]
-                _draw(axis, index, policy, policy_curves(own, cost, measure))
-            _dress(axis, cost_label if row == len(_MEASURES) - 1 else "", measure_label if column == 0 else "")
-    figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        loc="outside lower center",
-        ncols=min(5, len(labels)),
-        frameon=False,
-        fontsize=11,
-        title=_reading_aid(runs),
-    )
-    with warnings.catch_warnings():  # a scene's name may hold letters the font lacks; the curves do not
-        warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(path)
+    points: dict[float, float] = {}
+    for point in run.metrics["curve"]:
+        if cost == "seconds":
+            ended = run.timing.get("decisions", [])
+            if not 0 < point["decision"] <= len(ended):
+                continue
+            points[ended[point["decision"] - 1]] = point[measure]
+        else:
+            points[point[cost]] = point[measure]
+    places = sorted(points)
+    return np.array(places, dtype=np.float64), np.array([points[place] for place in places], dtype=np.float64)
 
 
-def _reading_aid(runs: Sequence[Run]) -> str:
-    seeds = len({run.job.seed for run in runs})
-    scenes = len({run.scene for run in runs})
-    line = f"mean of {seeds} seeds" if seeds > 1 else "one seed"
-    line += f" on {scenes} scenes" if scenes > 1 else ""
-    return line + (", band from the lowest to the highest" if seeds > 1 else "")
+def convergence(
+    results: Results, cost: str, measure: str, scene: str | None = None, statistic: Statistic = mean
+) -> list[Line]:
+    """A line per policy that has curves on the scene, or on all of them: the statistic with its 95 % band.
+
+    Curves are brought onto one axis; a run that has ended keeps its last value. A line begins where all of its runs
+    have begun and ends with the longest of them.
+    """
+    lines = []
+    scenes = [scene] if scene else results.scenes
+    for index, policy in enumerate(results.policies):
+        strata = [_curves(results.of(policy, own), cost, measure) for own in scenes]
+        if not all(strata):
+            continue
+        curves = [curve for own in strata for curve in own]
+        start, end = max(x[0] for x, _ in curves), max(x[-1] for x, _ in curves)
+        axis = np.linspace(start, max(start, end), _POINTS)
+        on_one = [np.stack([on_axis(x, y, axis) for x, y in own]) for own in strata]
+        value, low, high = curve_band(on_one, statistic)
+        lines.append(Line(policy, index, axis, value, low, high))
+    return lines
 
 
-def _draw(axis: Axes, index: int, label: str, curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-    look: dict[str, Any] = {"color": style.colour(index), "linestyle": style.DASHES[index % len(style.DASHES)]}
-    if len(curves) == 1:
-        x, mean = curves[0]
-    else:
-        x, mean, low, high = band(curves)
-        axis.fill_between(x, low, high, color=style.colour(index), alpha=0.15, linewidth=0)
-        for own_x, own_y in curves:
-            axis.plot(own_x, own_y, **look, linewidth=0.6, alpha=0.45)
-    axis.plot(x, mean, **look, linewidth=2.2, label=label)
-    marker = style.MARKERS[index % len(style.MARKERS)]
-    axis.plot(x[-1:], mean[-1:], marker=marker, markersize=8, color=style.colour(index), markeredgecolor="white")
+def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:
+    """Areas under the runs' curves by scene, in the measure's unit; None where a scene has no curve.
+
+    The budget is the frame budget; for metres and seconds the least that any run on the scene spent.
+    """
+    strata = []
+    for scene in results.scenes:
+        everyone = _curves(results.of(None, scene), cost, measure)
+        own = _curves(results.of(policy, scene), cost, measure)
+        if not own:
+            return None
+        budget = min(float(x[-1]) for x, _ in everyone)
+        if cost == "frames":
+            budget = max(float(run.config["configuration"]["frame_budget"]) for run in results.of(None, scene))
+        if budget <= 0:
+            return None
+        strata.append(np.array([area_under(x, y, budget) for x, y in own]))
+    return strata
 
 
-def _dress(axis: Axes, x_label: str, y_label: str) -> None:
-    axis.set_xlabel(x_label, fontsize=11)
-    axis.set_ylabel(y_label, fontsize=11)
-    axis.set_xlim(left=0)
-    axis.grid(color="#e3e6e8", linewidth=0.8)
-    axis.set_axisbelow(True)
-    axis.tick_params(labelsize=10, color="#adb5bd")
-    for side in ("top", "right"):
-        axis.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axis.spines[side].set_color("#adb5bd")
+def _curves(runs: Sequence[Run], cost: str, measure: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [curve for run in runs if len((curve := curve_of(run, cost, measure))[0])]

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -66,7 +66,9 @@ def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where 
     return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 
 
-def plot_phases(episodes: Sequence[tuple[str, Steps]], path: Path, *, title: str, gains: bool = True) -> None:
+def plot_phases(
+    episodes: Sequence[tuple[str, Steps]], path: Path | IO[bytes], *, title: str, gains: bool = True
+) -> None:
     """One block of panels per episode (its label and steps), all over the frames paid.
 
     Mean deficit and mean quality of structural and object planes, area of the deficiency centres; with ``gains`` also
@@ -101,7 +103,7 @@ def plot_phases(episodes: Sequence[tuple[str, Steps]], path: Path, *, title: str
     figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
     with warnings.catch_warnings():  # a scene's name may hold letters the font lacks; the curves do not
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(path)
+        figure.savefig(path, format="png")
 
 
 def _panels(steps: Steps, gains: bool) -> list[tuple[Any, float]]:  # what draws a panel, and its height in inches

@@ -1,8 +1,8 @@
-"""The pages that show Plane Scene Graphs: of one run, and of several under each other."""
+"""The pages that show the Plane Scene Graph of one run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from PIL import Image
@@ -13,7 +13,6 @@ from activestructure_gym.evaluation.report.canvas import MARGIN, tile_grid, writ
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.planes_key import deficit_key, type_key, with_key
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
-from activestructure_gym.evaluation.store import Run
 
 Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
 
@@ -28,25 +27,6 @@ def run_planes_3d(arrays: GraphArrays, *, title: str) -> Image.Image:
     """The graph from two opposite corners: on the left by type, on the right by deficit."""
     rows = [draw_planes_3d(arrays, side) for side in ((0, 1) if len(arrays["ids"]) else (0,))]
     return with_key(_panels(rows, [_counted(arrays)], title=title), type_key(), deficit_key(depth=True))
-
-
-def compare_planes_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """Under each other, the graphs of all runs that kept theirs."""
-    return _compared(runs, lambda graph, run: draw_planes_plan(graph, run.pictures), title, flat=True)
-
-
-def compare_planes_3d(runs: Sequence[Run], *, title: str) -> Image.Image:
-    """Under each other, the graphs of all runs that kept theirs; every one from the same side."""
-    return _compared(runs, lambda graph, run: draw_planes_3d(graph), title, flat=False)
-
-
-def _compared(runs: Sequence[Run], draw: Callable[[GraphArrays, Run], Pair], title: str, *, flat: bool) -> Image.Image:
-    pages = []
-    for run in runs:
-        if run.graph is not None:
-            name = f"{run.job.policy}, seed {run.job.seed}"
-            pages.append(_panels([draw(run.graph, run)], [_counted(run.graph)], title=name, frames=flat))
-    return with_key(_stacked(pages, title), type_key(flat=flat), deficit_key(depth=not flat))
 
 
 def _counted(arrays: GraphArrays) -> tuple[str, str]:

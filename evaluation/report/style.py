@@ -4,6 +4,8 @@ from __future__ import annotations
 
 # Okabe and Ito's colours, told apart by colour-blind readers; the order keeps neighbours far apart.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#000000")
+# The same hues where the paper is dark.
+COLOURS_BY_NIGHT = ("#4DA3E0", "#F0803C", "#2FC79A", "#E29BC5", "#F2BC45", "#8CCDF5", "#A9B1B8", "#F1F3F5")
 # Line and marker differ too, so that a black-and-white print can be read.
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

@@ -1,51 +1,76 @@
-"""The summary of a comparison: everything a reader needs, in one directory, starting at ``summary.md``."""
+"""Everything a report is made of, written into one directory: the page, the tables, and a summary in Markdown."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from activestructure_gym.evaluation.jobs import slug
-from activestructure_gym.evaluation.report.curves import plot_convergence
-from activestructure_gym.evaluation.report.phases import plot_phases
+from activestructure_gym.evaluation.report import verdicts
+from activestructure_gym.evaluation.report.charts import line_chart, standalone
+from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
+from activestructure_gym.evaluation.report.formats import documents, markdown
+from activestructure_gym.evaluation.report.layout import Table
+from activestructure_gym.evaluation.report.method_text import machine_text, protocol_text, statistics_text
+from activestructure_gym.evaluation.report.page import html_page
+from activestructure_gym.evaluation.report.paper_tables import ablation_table, tables_like_the_papers
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views
-from activestructure_gym.evaluation.report.planes_pictures import compare_planes_3d, compare_planes_plans
-from activestructure_gym.evaluation.report.tables import markdown_table, runs_csv, table_rows
+from activestructure_gym.evaluation.report.results import Results, source_of
+from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 from activestructure_gym.evaluation.store import Run
 
-# What stands above a picture of a scene's section, by the start of its file name.
-_LINES = {
-    "psg_plans": "Plane Scene Graphs from above: walls as strokes on the side they were seen from, deficits, holes.",
-    "psg_3d": "Plane Scene Graphs in three dimensions, without the faces that look away from the viewer.",
-    "phases": "Mean deficit of the planes over the frames paid, and the phases of policies that have them.",
-}
+PAGE = "report.html"
+TABLES = "tables"  # sub-directory of the tables, each as Markdown, CSV and LaTeX
 
 
-def write_report(directory: Path, runs: Sequence[Run], comparison: Mapping[str, Any]) -> list[Path]:
-    """Write ``results.csv``, the curves, the pictures and ``summary.md``; returns the files, the summary last.
+def write_report(
+    directory: Path, runs: Sequence[Run], comparison: Mapping[str, Any], baseline: str | None = None
+) -> list[Path]:
+    """The report of one comparison beside its runs; ``comparison`` is the content of ``compare.json``.
 
-    ``comparison`` is the content of ``compare.json``. Only finished runs are given, and only they are counted.
+    A baseline that finished nothing is among the missing, and another one takes its place.
     """
-    results = directory / "results.csv"
-    results.write_text(runs_csv(runs), encoding="utf-8")
-    written = [results]
-    by_scene: dict[str, list[Run]] = {}
-    for run in runs:
-        by_scene.setdefault(run.scene, []).append(run)
+    baseline = baseline if any(run.job.policy == baseline for run in runs) else None
+    return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
+
+
+def write_results(directory: Path, results: Results) -> list[Path]:
+    """Write the report; returns the files, ``summary.md`` and ``report.html`` last.
+
+    Only finished runs are given, and only they are counted; everything is rebuilt from their directories.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    tables = directory / TABLES
+    tables.mkdir(exist_ok=True)
+    written = [_written(directory / "results.csv", runs_csv(results.runs))]
+    for name, text in documents(all_tables(results)).items():
+        written.append(_written(tables / name, text))
     sections = []
-    for (scene, own), ending in zip(by_scene.items(), _endings(list(by_scene))):
-        pictures = _scene_pictures(directory, scene, own, ending)
-        written += pictures.values()
-        sections.append(_scene_section(scene, own, pictures, directory))
-    if len(by_scene) > 1:
-        whole = directory / "convergence.png"
-        plot_convergence(runs, whole, title=f"Convergence, mean over {len(by_scene)} scenes")
+    for scene, ending in zip(results.scenes, _endings(results.scenes)):
+        pictures = _scene_pictures(directory, results, scene, ending)
+        written += pictures
+        sections.append(_scene_section(results, scene, pictures, directory))
+    if len(results.scenes) > 1:
+        whole = _curves(directory / "convergence.svg", results, None)
         written.append(whole)
         sections.insert(0, f"## All scenes\n\n![convergence](./{whole.name})\n")
-    summary = directory / "summary.md"
-    summary.write_text(_page(runs, comparison, sections), encoding="utf-8")
-    return [*written, summary]
+    written.append(_written(directory / "summary.md", _summary(results, sections)))
+    written.append(_written(directory / PAGE, html_page(results)))
+    return written
+
+
+def all_tables(results: Results) -> list[Table]:
+    """Every table of the report, those in the paper's layout first."""
+    tables = [*tables_like_the_papers(results), verdicts.difference_table(results), verdicts.aggregate_table(results)]
+    tables += [verdicts.area_table(results), verdicts.cost_table(results), overview(table_rows(results.runs))]
+    return [table for table in tables if table is not None]
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 def _endings(scenes: Sequence[str]) -> list[str]:
@@ -63,85 +88,83 @@ def _endings(scenes: Sequence[str]) -> list[str]:
     return endings
 
 
-def _scene_pictures(directory: Path, scene: str, runs: Sequence[Run], ending: str) -> dict[str, Path]:
-    paths = {name: directory / f"{name}{ending}.png" for name in ("convergence", "views", "plans")}
-    plot_convergence(runs, paths["convergence"], title=f"Convergence on {scene}")
-    # One run per policy: the first seed that all of them finished, else each one's first.
-    policies = list(dict.fromkeys(run.job.policy for run in runs))
-    seeds = [{run.job.seed for run in runs if run.job.policy == policy} for policy in policies]
-    common = set.intersection(*seeds)
-    shown = []
-    for policy, own in zip(policies, seeds):
-        seed = min(common or own)
-        shown.append(next(run for run in runs if run.job.policy == policy and run.job.seed == seed))
-    compare_views(shown, title=f"Held-out views of {scene}").save(paths["views"])
-    compare_plans(shown, title=f"{scene} from above, seed {shown[0].job.seed}").save(paths["plans"])
-    with_graph = [run for run in shown if run.graph is not None]
-    if with_graph:
-        paths |= {name: directory / f"{name}{ending}.png" for name in _LINES}
-        compare_planes_plans(with_graph, title=f"Planes of {scene} from above").save(paths["psg_plans"])
-        compare_planes_3d(with_graph, title=f"Planes of {scene}").save(paths["psg_3d"])
-        episodes = [(f"{run.job.policy}, seed {run.job.seed}", run.steps) for run in with_graph]
-        plot_phases(episodes, paths["phases"], title=f"Deficit and phases on {scene}", gains=False)
-    return paths
+def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) -> list[Path]:
+    """Curves, held-out views and plans; of every policy the run with the median C.R."""
+    shown = [run for policy in results.policies if (run := results.typical(policy, scene)) is not None]
+    views, plans = directory / f"views{ending}.png", directory / f"plans{ending}.png"
+    compare_views(shown, title=f"Held-out views of {scene}").save(views)
+    compare_plans(shown, title=f"{scene} from above").save(plans)
+    return [_curves(directory / f"convergence{ending}.svg", results, scene), views, plans]
 
 
-def _scene_section(scene: str, runs: Sequence[Run], pictures: Mapping[str, Path], directory: Path) -> str:
+def _curves(path: Path, results: Results, scene: str | None) -> Path:
+    """C.R. and PSNR over frames, metres and seconds as one SVG."""
+    charts = [
+        [
+            line_chart(
+                convergence(results, cost.key, measure.key, scene),
+                title=f"{measure.label} over {cost.label}",
+                x_label=cost.label,
+                y_label=measure.label,
+            )
+            for cost in COSTS
+        ]
+        for measure in MEASURES
+    ]
+    title = f"Convergence on {scene}" if scene else f"Convergence, mean over {len(results.scenes)} scenes"
+    return _written(path, standalone(charts, results.policies, title=title))
+
+
+def _scene_section(results: Results, scene: str, pictures: Sequence[Path], directory: Path) -> str:
+    runs = results.of(None, scene)
     info = runs[0].config["scene"]
     size = " x ".join(f"{side:.1f}" for side in info["extent_m"])
     metrics = runs[0].metrics["metrics"]
     seen = f"{metrics['true_area_m2']:.1f} m2 of surface can be seen ({metrics['true_samples']:,} samples)"
     lines = [f"## {scene}", "", f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}."]
     lines += [f"Note: {note}." for note in info["notes"]]
-    for name, path in pictures.items():
-        lines += ["", *([_LINES[name], ""] if name in _LINES else []), f"![{name}](./{path.name})"]
-    lines += ["", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""]
-    return "\n".join(lines)
+    for path in pictures:
+        lines += ["", f"![{path.stem.partition('-')[0]}](./{path.name})"]
+    return "\n".join([*lines, "", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""])
 
 
 def _link(run: Run, directory: Path) -> str:
-    return f"[{run.job.policy} seed {run.job.seed}](./{run.directory.relative_to(directory).as_posix()}/)"
+    place = os.path.relpath(run.directory, directory).replace(os.sep, "/")
+    return f"[{run.job.policy} seed {run.job.seed}](./{place}/)"
 
 
-def _page(runs: Sequence[Run], comparison: Mapping[str, Any], sections: Sequence[str]) -> str:
-    job = runs[0].job
-    protocol = job.protocol
-    views = (
-        f"{protocol.views} views drawn in free space"
-        if protocol.view_source == "free_space"
-        else "the views recorded with the scene"
-    )
-    failed = comparison.get("failed") or {}
-    missing = [f"- {name}: {reason}" for name, reason in failed.items()]
-    seeds = len({run.job.seed for run in runs})
-    collisions = sum(run.metrics["metrics"]["collisions"] for run in runs)
+def _summary(results: Results, sections: Sequence[str]) -> str:
+    seeds = len(results.seeds)
+    missing = [f"- {name}: {reason}" for name, reason in results.missing.items()]
+    collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
+    spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
+    compared = [ablation_table(results), verdicts.difference_table(results), verdicts.area_table(results)]
+    compared.append(verdicts.cost_table(results))
+    parts = [
+        "# Comparison",
+        "",
+        *(f"`{source.command}`\n" for source in results.sources if source.command),
+        f"The same with curves, pictures and every decision: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
+        f"[{TABLES}](./{TABLES}/).",
+        "",
+        markdown(overview(table_rows(results.runs))),
+        f"{spread}; the first three of each scene marked. Executed steps through the true mesh: {collisions}"
+        f"{' (must be 0!)' if collisions else ''}.",
+        "",
+        *([f"Not finished, and not counted ({len(missing)}):", "", *missing, ""] if missing else []),
+    ]
+    for table in compared:
+        if table is not None:
+            parts += [f"## {table.title}", "", markdown(table), f"{table.caption}.", ""]
+    parts += [*sections, "## How it was measured", "", protocol_text(results), ""]
+    for text in statistics_text():
+        parts += [text, ""]
+    workers = {source.workers for source in results.sources if source.workers}
+    at_a_time = f" {' or '.join(map(str, sorted(workers)))} jobs at a time." if workers else ""
     return "\n".join(
         [
-            "# Comparison",
-            "",
-            f"`{comparison['command']}`",
-            "",
-            markdown_table(table_rows(runs)),
-            f"{'Mean ± standard deviation over ' + str(seeds) + ' seeds' if seeds > 1 else 'One seed'}; the best of "
-            f"each scene in bold. Executed steps through the true mesh: {collisions}.",
-            *(["", f"Not finished, and not counted ({len(missing)}):", "", *missing] if missing else []),
-            "",
-            *sections,
-            "## How it was measured",
-            "",
-            f"Protocol `{protocol.name}`, version {protocol.version}. Reconstructed points are the means of Gaussians "
-            f"with opacity of at least {protocol.opacity_threshold:g}; the truth is the surface that some free pose "
-            f"can see (those of {protocol.surface_samples:,} samples on the whole mesh that are seen). "
-            "Acc: mean distance from the points to that surface. "
-            "Com.: mean distance from the surface to the points. C.R. and Prec.: shares of surface and of points "
-            f"nearer than {100 * protocol.threshold_m:g} cm. PSNR (pooled over the channels) and SSIM: means over "
-            f"{views}, {protocol.view_width} x {protocol.view_height} pixels, "
-            f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy; "
-            "PSNR of the curves is over the first "
-            f"{runs[0].metrics['curve_views']} of them. Time: wall clock of the episode without the evaluation, with "
-            f"{comparison['workers']} jobs at a time.",
-            "",
-            f"Preset `{job.preset}`, sensor {_sensor(runs[0])}. {_machine(runs[0])}",
+            *parts,
+            machine_text(results) + at_a_time,
             "",
             "Every run's directory holds its configuration, numbers, decisions, path, Plane Scene Graph and map "
             "(`map.ply` opens in any Gaussian splat viewer), and its own pictures: `views.png`, `plan.png`, "
@@ -149,18 +172,4 @@ def _page(runs: Sequence[Run], comparison: Mapping[str, Any], sections: Sequence
             "choice. `results.csv` has one line per run.",
             "",
         ]
-    )
-
-
-def _sensor(run: Run) -> str:
-    sensor = run.config["configuration"]["sensor"]
-    return f"{sensor['width']} x {sensor['height']} pixels, depth noise {sensor['depth_noise']}"
-
-
-def _machine(run: Run) -> str:
-    hardware, versions = run.timing["hardware"], run.config["versions"]
-    return (
-        f"{hardware['processor']}, {hardware['cores']} cores; activestructure-gym {versions['activestructure-gym']}, "
-        f"Python {versions['python']}, numpy {versions['numpy']}, numba {versions['numba']}, "
-        f"embreex {versions['embreex']}."
     )

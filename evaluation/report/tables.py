@@ -6,46 +6,19 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.evaluation.report import layout
+from activestructure_gym.evaluation.report.columns import COLUMNS, value_of
+from activestructure_gym.evaluation.report.layout import Heading, Table
 from activestructure_gym.evaluation.store import Run
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.table import Table as RichTable
 
 AVERAGE = "average"  # the name of the last block: the mean over the scenes
-
-
-@dataclass(frozen=True)
-class Column:
-    """One number of the table."""
-
-    key: str  # in metrics.json, or "seconds"
-    header: str
-    unit: str
-    digits: int
-    best: Literal["lowest", "highest"] | None = None  # None: a cost or a size that has no best
-
-    @property
-    def title(self) -> str:
-        """Header, unit and an arrow towards the better."""
-        arrow = {"lowest": " ↓", "highest": " ↑", None: ""}[self.best]
-        return f"{self.header} ({self.unit}){arrow}" if self.unit else f"{self.header}{arrow}"
-
-
-COLUMNS = (
-    Column("accuracy_cm", "Acc", "cm", 2, "lowest"),
-    Column("completion_cm", "Com.", "cm", 2, "lowest"),
-    Column("completion_ratio", "C.R.", "%", 1, "highest"),
-    Column("precision", "Prec.", "%", 1, "highest"),
-    Column("psnr", "PSNR", "dB", 2, "highest"),
-    Column("ssim", "SSIM", "", 3, "highest"),
-    Column("frames", "frames", "", 0),
-    Column("metres", "path", "m", 1),
-    Column("seconds", "time", "s", 1),
-)
 
 
 @dataclass(frozen=True)
@@ -75,11 +48,6 @@ class Row:
     cells: dict[str, Cell]
 
 
-def value_of(run: Run, key: str) -> float | None:
-    """A run's number for one column."""
-    return run.timing["total"] if key == "seconds" else run.metrics["metrics"][key]
-
-
 def table_rows(runs: Sequence[Run]) -> list[Row]:
     """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
     scenes = list(dict.fromkeys(run.scene for run in runs))
@@ -99,13 +67,13 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
     return rows
 
 
-def rich_table(rows: Sequence[Row], *, title: str) -> Table:
+def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
     """For the terminal; the best numbers are bold and green."""
     from rich import box
     from rich.markup import escape
-    from rich.table import Table
+    from rich.table import Table as RichTable
 
-    table = Table(
+    table = RichTable(
         title=title,
         title_justify="left",
         title_style="italic dim",
@@ -127,19 +95,26 @@ def rich_table(rows: Sequence[Row], *, title: str) -> Table:
     return table
 
 
-def markdown_table(rows: Sequence[Row]) -> str:
-    """For documents; the best numbers are bold."""
-    lines = [
-        "| " + " | ".join(["scene", "policy", *(column.title for column in COLUMNS)]) + " |",
-        "|" + "---|" * 2 + "---:|" * len(COLUMNS),
-    ]
-    for row in rows:
-        cells = []
-        for column in COLUMNS:
-            text = row.cells[column.key].text(column.digits)
-            cells.append(f"**{text}**" if row.cells[column.key].best else text)
-        lines.append("| " + " | ".join([_escaped(row.scene), _escaped(row.policy), *cells]) + " |")
-    return "\n".join(lines) + "\n"
+def overview(rows: Sequence[Row], *, name: str = "overview") -> Table:
+    """The same for documents, with the first three of every block marked; of one scene without its name."""
+    blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
+    marked: list[list[layout.Cell]] = []
+    for start, end in zip([0, *blocks], [*blocks, len(rows)]):
+        block = rows[start:end]
+        columns = [
+            layout.ranked([layout.Cell(row.cells[c.key].text(c.digits), row.cells[c.key].mean) for row in block], c)
+            for c in COLUMNS
+        ]
+        names = [[layout.Cell(row.scene) for row in block]] if blocks else []
+        names.append([layout.Cell(row.policy) for row in block])
+        marked += [list(cells) for cells in zip(*names, *columns)]
+    headings = [Heading("scene", numeric=False)] if blocks else []
+    headings += [Heading("policy", numeric=False), *map(Heading.of, COLUMNS)]
+    title = "Every scene and policy" if blocks else "Numbers"
+    caption = "Mean ± sample standard deviation over the seeds"
+    if blocks:
+        caption += "; the average counts every scene the same"
+    return Table(name, title, headings, marked, caption, blocks=blocks)
 
 
 def runs_csv(runs: Sequence[Run]) -> str:
@@ -149,14 +124,17 @@ def runs_csv(runs: Sequence[Run]) -> str:
         for run in runs
     ]
     names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
+    stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "policy", "seed", "preset", "protocol", "job", *names, "seconds"])
+    identity = ["scene", "policy", "seed", "preset", "protocol", "job"]
+    writer.writerow([*identity, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
     for run, numbers in zip(runs, scalars):
         job = run.job
         identity = [job.scene, job.policy, job.seed, job.preset, job.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
-        writer.writerow([*identity, *values, run.timing["total"]])
+        seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
+        writer.writerow([*identity, *values, run.timing["total"], *seconds])
     return text.getvalue()
 
 
@@ -194,7 +172,3 @@ def _marked(block: Sequence[Row]) -> list[Row]:
 
 def _styled(text: str, best: bool) -> str:
     return f"[bold green]{text}[/]" if best else text
-
-
-def _escaped(text: str) -> str:
-    return text.replace("|", "\\|")

@@ -113,3 +113,9 @@ def test_resume_alone_goes_on_with_what_the_record_says(asked, monkeypatch, tmp_
     ((jobs, _, options),) = asked  # no grid was made
     assert jobs == recorded and options["resume"]
     assert options["limits"] == Limits(workers=1, timeout=9.0, retries=4)
+
+
+def test_the_baseline_must_take_part(asked, capsys):
+    assert main("compare --scenes box --policies random --baseline pixel_only --out here".split()) == 2
+    assert "--baseline is one of the policies, random; got 'pixel_only'" in capsys.readouterr().err
+    assert len(asked) == 1  # prepared, and not run

@@ -11,6 +11,18 @@ from activestructure_gym.evaluation.store import Run
 
 @pytest.fixture
 def make_run(tmp_path):
+    return maker(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def make_module_run(tmp_path_factory):
+    """The same for what is written once for a file of tests."""
+    return maker(tmp_path_factory.mktemp("runs"))
+
+
+def maker(place: Path):
+    """What makes a run whose directory would be in ``place``."""
+
     def make(
         scene: str = "room",
         policy: str = "random",
@@ -34,11 +46,13 @@ def make_run(tmp_path):
         ]  # fmt: skip
         config = {
             "scene": {"extent_m": [5.0, 4.0, 2.5], "triangles": 1234, "source": "a test", "notes": ["made up"]},
-            "configuration": {"sensor": {"width": 96, "height": 54, "depth_noise": "none"}},
+            "configuration": {"frame_budget": 100, "sensor": {"width": 96, "height": 54, "depth_noise": "none"}},
             "versions": dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), "1.0"),
         }
-        timing = {"total": seconds, "hardware": {"processor": "none", "cores": 2}}
-        directory = Path(tmp_path) / "jobs" / job.name
+        stages = {"planning": 1.0, "gains": 2.0, "policy": 0.5, "mapping": 4.0, "sensor": 1.5}
+        hardware = {"processor": "none", "cores": 2}
+        timing = {"total": seconds, "seconds": stages, "decisions": [2.0, 4.0, 6.0], "hardware": hardware}
+        directory = Path(place) / "jobs" / job.name
         results = {"metrics": metrics, "curve": curve, "curve_views": 8}
         run = Run(directory, scene_label(scene), job, config, results, timing)
         run.__dict__["pictures"] = _pictures(seed)

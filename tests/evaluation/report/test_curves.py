@@ -1,42 +1,48 @@
 import numpy as np
+import pytest
 
-from activestructure_gym.evaluation.report.curves import band, curve_of, plot_convergence, policy_curves
+from activestructure_gym.evaluation.report.curves import areas, convergence, curve_of
+from activestructure_gym.evaluation.report.results import Results
 
 
 def test_turning_in_place_costs_no_metres_so_the_last_value_counts(make_run):
     run = make_run()
     run.metrics["curve"][:] = [
-        {"frames": 1, "metres": 0.0, "psnr": 5.0},
-        {"frames": 9, "metres": 0.0, "psnr": 7.0},
-        {"frames": 20, "metres": 2.0, "psnr": 8.0},
+        {"decision": 0, "frames": 1, "metres": 0.0, "psnr": 5.0},
+        {"decision": 1, "frames": 9, "metres": 0.0, "psnr": 7.0},
+        {"decision": 3, "frames": 20, "metres": 2.0, "psnr": 8.0},
     ]
     np.testing.assert_array_equal(curve_of(run, "metres", "psnr"), [[0.0, 2.0], [7.0, 8.0]])
     np.testing.assert_array_equal(curve_of(run, "frames", "psnr"), [[1, 9, 20], [5, 7, 8]])
+    # Seconds at the end of decisions 1 and 3; the first frame has none.
+    np.testing.assert_array_equal(curve_of(run, "seconds", "psnr"), [[2.0, 6.0], [7, 8]])
 
 
-def test_the_band_ends_where_the_shortest_run_ends():
-    grid, mean, low, high = band(
-        [(np.array([0.0, 10.0]), np.array([0.0, 10.0])), (np.array([1.0, 5.0]), np.array([3.0, 3.0]))]
-    )
-    assert (grid[0], grid[-1]) == (1.0, 5.0)
-    np.testing.assert_allclose([mean[0], low[0], high[0]], [2.0, 1.0, 3.0])
-    np.testing.assert_allclose([mean[-1], low[-1], high[-1]], [4.0, 3.0, 5.0])
+def test_a_line_per_policy_with_the_mean_over_the_scenes(make_run):
+    runs = [make_run(scene, policy, seed, completion_ratio=80.0 if scene == "room" else 40.0)
+            for scene in ("room", "box") for policy in ("a", "b") for seed in range(2)]  # fmt: skip
+    first, second = convergence(Results(runs, []), "frames", "completion_ratio")
+    assert (first.name, second.name, second.index) == ("a", "b", 1)
+    assert (first.x[0], first.x[-1]) == (1.0, 100.0)
+    assert first.y[-1] == 60.0 and first.low[-1] == first.high[-1] == 60.0  # both seeds are alike
+    (alone,) = convergence(Results(runs[:1], []), "frames", "psnr", "room")
+    assert alone.low is None
 
 
-def test_with_several_scenes_a_curve_is_one_seeds_mean_over_them(make_run):
-    runs = [make_run("room", seed=0), make_run("box", seed=0), make_run("room", seed=1), make_run("box", seed=1)]
-    curves = policy_curves(runs, "frames", "psnr")
-    assert len(curves) == 2
-    np.testing.assert_allclose([y[-1] for _, y in curves], [13.0, 14.0])
+def test_a_policy_without_runs_on_a_scene_has_no_line_over_all(make_run):
+    runs = [make_run("room", "a"), make_run("box", "a"), make_run("room", "b")]
+    results = Results(runs, [])
+    assert [line.name for line in convergence(results, "frames", "psnr")] == ["a"]
+    assert [line.name for line in convergence(results, "frames", "psnr", "room")] == ["a", "b"]
+    assert areas(results, "b", "frames", "psnr") is None
 
 
-def test_the_figure_is_written(make_run, tmp_path):
-    runs = [make_run(policy=policy, seed=seed) for policy in ("a", "b") for seed in range(2)]
-    plot_convergence(runs, tmp_path / "curve.png", title="Convergence")
-    from PIL import Image
-
-    with Image.open(tmp_path / "curve.png") as image:
-        assert min(image.size) > 600
-        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
-    for colour in ((0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)):  # both policies' lines
-        assert (np.abs(pixels.astype(int) - colour).max(axis=1) < 8).sum() > 500
+def test_areas_end_at_the_budget_or_with_the_cheapest_run(make_run):
+    cheap, dear = make_run(policy="a", metres=6.0), make_run(policy="b", metres=12.0)
+    results = Results([cheap, dear], [])
+    # Over frames 1, 34, 67, 100 the ratio is 20, 40, 60, 80; before the first frame it is 20.
+    expected = (20 * 1 + 33 * (30 + 50 + 70)) / 100
+    assert areas(results, "a", "frames", "completion_ratio")[0] == pytest.approx(expected)
+    # Over metres both end at 6: the cheap one has its mean there, the dear one half of its way.
+    assert areas(results, "a", "metres", "completion_ratio")[0] == pytest.approx(50.0)
+    assert areas(results, "b", "metres", "completion_ratio")[0] == pytest.approx((20 + 40) / 2 * 4 / 6 + 45 * 2 / 6)

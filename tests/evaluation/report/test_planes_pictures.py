@@ -1,10 +1,9 @@
 import numpy as np
-import pytest
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.planes_3d import compass, draw_planes_3d, view_of
 from activestructure_gym.evaluation.report.planes_key import SMOOTH
-from activestructure_gym.evaluation.report.planes_pictures import compare_planes_3d, compare_planes_plans, run_planes_3d
+from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan, stretches, view_from_above
 
 
@@ -83,11 +82,3 @@ def test_the_more_is_missing_the_darker():
     lightness = [np.dot(style.deficit_colour(deficit), (0.299, 0.587, 0.114)) for deficit in deficits]
     assert (np.diff(lightness) < -15).all()
     assert style.deficit_colour(1.0) == style.DEFICIT_COLOURS[-1]
-
-
-@pytest.mark.parametrize("draw", [compare_planes_plans, compare_planes_3d])
-def test_runs_that_kept_no_graph_are_left_out(make_run, draw):
-    runs = [make_run(policy="a", planes=True), make_run(policy="b", planes=True)]
-    both = draw(runs, title="title")
-    runs[1].__dict__["graph"] = None
-    assert draw(runs, title="title").height < both.height

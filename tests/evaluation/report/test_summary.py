@@ -1,7 +1,7 @@
 import re
 from pathlib import Path
 
-from activestructure_gym.evaluation.report.summary import write_report
+from activestructure_gym.evaluation.report.summary import PAGE, TABLES, write_report
 
 COMPARISON = {"command": "asg compare --scenes room", "workers": 2, "failed": {}}
 
@@ -10,25 +10,37 @@ def linked(summary: Path) -> list[Path]:
     return [summary.parent / target for target in re.findall(r"\]\(\./([^)]+)\)", summary.read_text())]
 
 
-def test_everything_is_written_and_linked(make_run, tmp_path):
-    runs = [make_run(scene, policy, planes=policy == "a") for scene in ("room", "box?seed=2") for policy in ("a", "b")]
+def made(runs):
     for run in runs:
-        run.directory.mkdir(parents=True)
+        run.directory.mkdir(parents=True, exist_ok=True)
+    return runs
+
+
+def test_everything_is_written_and_linked(make_run, tmp_path):
+    runs = made([make_run(scene, policy, planes=policy == "a") for scene in ("room", "box?seed=2") for policy in "ab"])
     files = write_report(tmp_path, runs, COMPARISON)
-    summary = files[-1]
-    assert summary.name == "summary.md" and all(file.is_file() for file in files)
+    summary, page = files[-2:]
+    assert (summary.name, page.name) == ("summary.md", PAGE) and all(file.is_file() for file in files)
     targets = linked(summary)
     assert all(target.exists() for target in targets)
-    assert {file for file in files if file.suffix == ".png"} <= set(targets)
+    assert {file for file in files if file.suffix in (".png", ".svg", ".html")} <= set(targets)
     text = summary.read_text()
-    for words in ("`asg compare --scenes room`", "| average |", "Protocol `standard`", "## box?seed=2", "made up"):
+    for words in ("`asg compare --scenes room`", "| average |", "Protocol `standard`", "## box?seed=2", "made up",
+                  "## Against a", "## Area under the curves", "2 jobs at a time", "percentile bootstrap"):  # fmt: skip
         assert words in text
+    names = {file.name for file in files if file.parent.name == TABLES}
+    for name in ("quality", "variants", "time", "differences", "aggregates", "areas", "costs", "overview"):
+        assert {f"{name}.md", f"{name}.csv", f"{name}.tex"} <= names
+
+
+def test_the_same_runs_give_the_same_report(make_run, tmp_path):
+    runs = made([make_run(policy="a", seed=0, planes=True), make_run(policy="a", seed=1), make_run(policy="b")])
+    first = {file.name: file.read_bytes() for file in write_report(tmp_path, runs, COMPARISON)}
+    assert {file.name: file.read_bytes() for file in write_report(tmp_path, runs, COMPARISON)} == first
 
 
 def test_scenes_whose_names_look_alike_in_a_file_name_keep_their_own_pictures(make_run, tmp_path, recwarn):
-    runs = [make_run(scene, "a") for scene in ("家", "室", "a b", "A?b")]
-    for run in runs:
-        run.directory.mkdir(parents=True, exist_ok=True)
+    runs = made([make_run(scene, "a") for scene in ("家", "室", "a b", "A?b")])
     files = write_report(tmp_path, runs, COMPARISON)
     names = [file.name.lower() for file in files]
     assert len(set(names)) == len(names) and all(file.is_file() for file in files)
@@ -36,45 +48,21 @@ def test_scenes_whose_names_look_alike_in_a_file_name_keep_their_own_pictures(ma
     assert not [warning for warning in recwarn if "Glyph" in str(warning.message)]
 
 
-def test_graphs_are_shown_with_a_line_each_where_runs_kept_them(make_run, tmp_path):
-    runs = [make_run(planes=True)]
-    for run in runs:
-        run.directory.mkdir(parents=True)
-    names = {"psg_plans.png", "psg_3d.png", "phases.png"}
-    files = write_report(tmp_path, runs, COMPARISON)
-    text = files[-1].read_text()
-    assert names <= {file.name for file in files} and "Plane Scene Graphs from above" in text
-    for run in runs:
-        run.__dict__["graph"] = None
-    files = write_report(tmp_path, runs, COMPARISON)
-    assert not names & {file.name for file in files} and "psg_" not in files[-1].read_text().split("## How")[0]
+def test_graphs_are_shown_where_runs_kept_them(make_run, tmp_path):
+    (run,) = made([make_run(planes=True)])
+    page = write_report(tmp_path, [run], COMPARISON)[-1].read_text()
+    assert "Plane Scene Graphs" in page and "planes of random in 3D, by deficit" in page
+    run.__dict__["graph"] = None
+    assert "Plane Scene Graphs" not in write_report(tmp_path, [run], COMPARISON)[-1].read_text()
 
 
 def test_what_failed_is_named_and_not_counted(make_run, tmp_path):
-    run = make_run()
-    run.directory.mkdir(parents=True)
     failed = {"room · b · seed 0": "RuntimeError: no"}
-    summary = write_report(tmp_path, [run], COMPARISON | {"failed": failed})[-1].read_text()
-    assert "Not finished, and not counted (1)" in summary and "RuntimeError: no" in summary
+    files = write_report(tmp_path, made([make_run()]), COMPARISON | {"failed": failed}, "b")  # whose runs all failed
+    assert "Not finished, and not counted (1)" in files[-2].read_text() and "RuntimeError: no" in files[-2].read_text()
+    assert "RuntimeError: no" in files[-1].read_text()
 
 
 def test_collisions_are_said(make_run, tmp_path):
-    run = make_run(collisions=3)
-    run.directory.mkdir(parents=True)
-    assert "through the true mesh: 3" in write_report(tmp_path, [run], COMPARISON)[-1].read_text()
-
-
-def test_pictures_show_a_seed_that_all_policies_have(make_run, tmp_path):
-    runs = [make_run(policy="a", seed=0), make_run(policy="a", seed=1), make_run(policy="b", seed=1)]
-    for run in runs:
-        run.directory.mkdir(parents=True)
-    shown = []
-    from activestructure_gym.evaluation.report import summary as module
-
-    original = module.compare_plans
-    try:
-        module.compare_plans = lambda runs, title: shown.extend(runs) or original(runs, title=title)
-        write_report(tmp_path, runs, COMPARISON)
-    finally:
-        module.compare_plans = original
-    assert [(run.job.policy, run.job.seed) for run in shown] == [("a", 1), ("b", 1)]
+    text = write_report(tmp_path, made([make_run(collisions=3)]), COMPARISON)[-2].read_text()
+    assert "through the true mesh: 3 (must be 0!)" in text

@@ -6,7 +6,8 @@ import pytest
 from rich.console import Console
 
 from activestructure_gym.evaluation.cli.output import print_whole
-from activestructure_gym.evaluation.report.tables import AVERAGE, markdown_table, rich_table, runs_csv, table_rows
+from activestructure_gym.evaluation.report.formats import markdown
+from activestructure_gym.evaluation.report.tables import AVERAGE, overview, rich_table, runs_csv, table_rows
 
 
 def test_mean_and_sample_deviation_over_the_seeds(make_run):
@@ -57,12 +58,17 @@ def test_what_is_not_defined_is_not_a_number(make_run):
     assert rows[1].cells["accuracy_cm"].best
 
 
-def test_markdown(make_run):
-    text = markdown_table(table_rows([make_run(policy="a|b", psnr=20.0), make_run(policy="c", psnr=21.0)]))
-    header, rule, first, second = text.splitlines()
-    assert header.startswith("| scene | policy | Acc (cm) ↓ | Com. (cm) ↓ | C.R. (%) ↑ | Prec. (%) ↑ | PSNR (dB) ↑ |")
+def test_the_overview_marks_ranks_within_a_scene(make_run):
+    cells = [(scene, policy) for scene in ("room", "box") for policy in ("a|b", "c")]
+    runs = [make_run(scene, policy, psnr=20.0 + (policy == "c")) for scene, policy in cells]
+    one = markdown(overview(table_rows(runs[:2])))
+    header, rule, first, second = one.splitlines()
+    assert header.startswith("| policy | Acc (cm) ↓ | Com. (cm) ↓ | C.R. (%) ↑ | Prec. (%) ↑ | PSNR (dB) ↑ |")
     assert rule.count("|") == header.count("|")
-    assert "a\\|b" in first and "**21.00**" in second and "**20.00**" not in first
+    assert "a\\|b" in first and "**21.00** ¹" in second and "20.00 ²" in first
+    table = overview(table_rows(runs))
+    assert [row[0].text for row in table.rows] == ["room", "room", "box", "box", AVERAGE, AVERAGE]
+    assert list(table.blocks) == [2, 4]
 
 
 def test_csv_has_every_number_in_full(make_run):
@@ -70,6 +76,7 @@ def test_csv_has_every_number_in_full(make_run):
     first, second = csv.DictReader(io.StringIO(runs_csv(runs)))
     assert float(first["psnr"]) == np.pi and first["job"] == runs[0].job.hash and first["protocol"] == "standard"
     assert second["accuracy_cm"] == "" and float(second["seconds"]) == 10.0
+    assert float(first["seconds_mapping"]) == 4.0 and float(first["seconds_planning"]) == 1.0
     assert "views" not in first
 
 

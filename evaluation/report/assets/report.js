@@ -1,0 +1,119 @@
+"use strict";
+(() => {
+  const root = document.documentElement;
+
+  // Light and dark: the system's choice until somebody makes another; kept where the browser lets a local file do so.
+  const kept = (value) => {
+    try {
+      if (value) localStorage.setItem("asg-theme", value);
+      return localStorage.getItem("asg-theme");
+    } catch {
+      return null;
+    }
+  };
+  const before = kept();
+  if (before === "light" || before === "dark") root.dataset.theme = before;
+  document.getElementById("theme").addEventListener("click", () => {
+    const system = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+    root.dataset.theme = (root.dataset.theme || system) === "dark" ? "light" : "dark";
+    kept(root.dataset.theme);
+  });
+
+  // Sorting: numbers by value, texts by letters, what has no value last.
+  const key = (row, column) => {
+    const cell = row.cells[column];
+    const value = cell.dataset.value;
+    return value === undefined ? cell.textContent.trim() : Number(value);
+  };
+  const compare = (a, b) => {
+    const numbers = [a, b].map((value) => typeof value === "number");
+    if (numbers[0] && numbers[1]) return a - b;
+    if (numbers[0] !== numbers[1]) return numbers[0] ? -1 : 1;
+    return a.localeCompare(b, undefined, { numeric: true });
+  };
+  for (const table of document.querySelectorAll("table.sortable")) {
+    for (const button of table.querySelectorAll("thead button")) {
+      button.addEventListener("click", () => {
+        const head = button.closest("th");
+        const column = Number(button.dataset.column);
+        const up = head.getAttribute("aria-sort") !== "ascending";
+        for (const other of table.querySelectorAll("th[aria-sort]")) other.removeAttribute("aria-sort");
+        head.setAttribute("aria-sort", up ? "ascending" : "descending");
+        const body = table.tBodies[0];
+        const rows = [...body.rows].sort((a, b) => {
+          const keys = [key(a, column), key(b, column)];
+          const mixed = (typeof keys[0] === "number") !== (typeof keys[1] === "number");
+          const order = compare(keys[0], keys[1]);
+          return up || mixed ? order : -order;
+        });
+        body.append(...rows);
+      });
+    }
+  }
+
+  // A policy's curves, hidden and shown everywhere.
+  for (const button of document.querySelectorAll("button.legend")) {
+    button.addEventListener("click", () => {
+      const shown = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", String(shown));
+      for (const series of document.querySelectorAll(`.series.${button.dataset.series}`)) {
+        series.classList.toggle("off", !shown);
+      }
+    });
+  }
+
+  // Reading values off a chart: a line at the pointer, and what every curve has there.
+  const svgNamespace = "http://www.w3.org/2000/svg";
+  const reading = document.createElement("div");
+  reading.className = "reading";
+  reading.hidden = true;
+  document.body.append(reading);
+  const numbersOf = (text) => text.split(" ").map(Number);
+  const pointsOf = (series) =>
+    series.querySelector(".curve").getAttribute("d").slice(1).split("L").map(numbersOf);
+  for (const chart of document.querySelectorAll("svg.chart[data-frame]")) {
+    const [left, top, right, bottom] = numbersOf(chart.dataset.frame);
+    const [xLow, xHigh] = numbersOf(chart.dataset.x);
+    const [yLow, yHigh] = numbersOf(chart.dataset.y);
+    const probe = document.createElementNS(svgNamespace, "path");
+    probe.setAttribute("class", "probe");
+    chart.append(probe);
+    const away = () => {
+      reading.hidden = true;
+      probe.removeAttribute("d");
+    };
+    chart.addEventListener("pointerleave", away);
+    chart.addEventListener("pointermove", (event) => {
+      const box = chart.getBoundingClientRect();
+      const x = ((event.clientX - box.left) / box.width) * chart.viewBox.baseVal.width;
+      if (x < left || x > right) return away();
+      const lines = [];
+      for (const series of chart.querySelectorAll(".series:not(.off)")) {
+        const points = pointsOf(series);
+        if (x < points[0][0] - 1 || x > points[points.length - 1][0] + 1) continue;
+        const after = Math.max(1, points.findIndex((point) => point[0] >= x));
+        const [a, b] = [points[after - 1], points[Math.min(after, points.length - 1)]];
+        const share = b[0] > a[0] ? Math.min(1, Math.max(0, (x - a[0]) / (b[0] - a[0]))) : 0;
+        const y = a[1] + share * (b[1] - a[1]);
+        lines.push([yLow + ((bottom - y) / (bottom - top)) * (yHigh - yLow), series.dataset.name]);
+      }
+      lines.sort((a, b) => b[0] - a[0]);
+      const place = xLow + ((x - left) / (right - left)) * (xHigh - xLow);
+      const unit = chart.dataset.unit.split("|")[0];
+      reading.replaceChildren();
+      const rows = [`${unit}: ${place.toFixed(place < 20 ? 1 : 0)}`];
+      for (const [value, name] of lines) rows.push(`${value.toFixed(2)}  ${name}`);
+      for (const text of rows) {
+        const row = document.createElement("div");
+        row.textContent = text;
+        reading.append(row);
+      }
+      reading.hidden = false;
+      const width = reading.offsetWidth;
+      const at = event.pageX + 16 + width > scrollX + innerWidth ? event.pageX - 16 - width : event.pageX + 16;
+      reading.style.left = `${Math.max(scrollX + 4, at)}px`;
+      reading.style.top = `${event.pageY + 12}px`;
+      probe.setAttribute("d", `M${x} ${top}V${bottom}`);
+    });
+  }
+})();

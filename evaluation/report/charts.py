@@ -1,0 +1,219 @@
+"""Line charts and interval charts as SVG: no library, sharp at any size, in the page's colours by day and by night."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.evaluation.report.html import Html, element
+from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
+
+_SIZE = (460, 300)  # of a line chart, in the units of its view box
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 10, 44
+_DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
+_MARKS = (
+    "M-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", "M-3.6 -3.6h7.2v7.2h-7.2z", "M0 -4.8L4.6 3.4H-4.6z", "M0 -5L5 0L0 5L-5 0z",
+    "M0 4.8L4.6 -3.4H-4.6z", "M-1.6 -4.6h3.2v3h3v3.2h-3v3h-3.2v-3h-3v-3.2h3z",
+    "M-4.6 -2.8L-2.8 -4.6L0 -1.8L2.8 -4.6L4.6 -2.8L1.8 0L4.6 2.8L2.8 4.6L0 1.8L-2.8 4.6L-4.6 2.8L-1.8 0z",
+    "M0 -5.2L1.4 -1.7L5 -1.7L2.1 .7L3.1 4.4L0 2.2L-3.1 4.4L-2.1 .7L-5 -1.7L-1.4 -1.7z",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Line:
+    """One policy's curve."""
+
+    name: str
+    index: int  # of the policy: its colour, dash and mark
+    x: np.ndarray  # [G]
+    y: np.ndarray  # [G]
+    low: np.ndarray | None = None  # [G] band
+    high: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One policy's interval."""
+
+    name: str
+    index: int
+    value: float
+    low: float | None
+    high: float | None
+    tone: str = ""  # "good" or "bad": the interval excludes 0
+
+
+def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str) -> Html:
+    """Curves with bands over an axis from 0."""
+    width, height = _SIZE
+    right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
+    everything = np.concatenate(
+        [values for line in lines for values in (line.y, line.low, line.high) if values is not None] or [np.zeros(1)]
+    )
+    x_ticks = [tick for tick in ticks(0.0, right) if tick <= right * (1 + 1e-9)]
+    y_ticks = ticks(float(everything.min()), float(everything.max()))
+    x_range = (0.0, right)
+    y_range = (min(y_ticks[0], float(everything.min())), max(y_ticks[-1], float(everything.max())))
+
+    def x_of(value: float) -> float:
+        return _LEFT + (value - x_range[0]) / (x_range[1] - x_range[0]) * (width - _LEFT - _RIGHT)
+
+    def y_of(value: float) -> float:
+        return height - _BOTTOM - (value - y_range[0]) / (y_range[1] - y_range[0]) * (height - _TOP - _BOTTOM)
+
+    parts: list[Html] = [element("title", title)]
+    for tick in y_ticks:
+        parts.append(_stroke("grid", _LEFT, y_of(tick), width - _RIGHT, y_of(tick)))
+        parts.append(_words(tick_text(tick, y_ticks), _LEFT - 7, y_of(tick) + 4, "end"))
+    for tick in x_ticks:
+        parts.append(_stroke("tick", x_of(tick), height - _BOTTOM, x_of(tick), height - _BOTTOM + 4))
+        parts.append(_words(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
+    parts.append(_stroke("axis", _LEFT, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
+    parts.append(_words(x_label, (_LEFT + width - _RIGHT) / 2, height - 8, "middle", "label"))
+    middle = (_TOP + height - _BOTTOM) / 2
+    parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
+    for line in lines:
+        places = [x_of(float(x)) for x in line.x]
+        own: list[Html] = []
+        if line.low is not None and line.high is not None:
+            edge = [*zip(places, line.high), *reversed(list(zip(places, line.low)))]
+            own.append(element("path", class_="band", d=_path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
+        curve = [(x, y_of(float(y))) for x, y in zip(places, line.y)]
+        own.append(element("path", class_="curve", d=_path(curve), stroke_dasharray=_DASHES[line.index % len(_DASHES)]))
+        mark = _MARKS[line.index % len(_MARKS)]
+        own.append(
+            element("path", class_="mark", d=mark, transform=f"translate({curve[-1][0]:.1f} {curve[-1][1]:.1f})")
+        )
+        parts.append(element("g", *own, class_=f"series p{line.index % len(COLOURS)}", data_name=line.name))
+    frame = f"{_LEFT} {_TOP} {width - _RIGHT} {height - _BOTTOM}"
+    return element(
+        "svg", *parts, class_="chart", viewBox=f"0 0 {width} {height}", role="img", aria_label=title,
+        data_frame=frame, data_x=f"{x_range[0]:g} {x_range[1]:g}", data_y=f"{y_range[0]:g} {y_range[1]:g}",
+        data_unit=f"{x_label}|{y_label}",
+    )  # fmt: skip
+
+
+def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Html:
+    """A row per policy: its difference and interval, around a line at 0."""
+    width, row, name_width = _SIZE[0], 26, 132
+    height = _TOP + row * len(bars) + _BOTTOM
+    ends = [end for bar in bars for end in (bar.value, bar.low, bar.high) if end is not None]
+    low, high = min([0.0, *ends]), max([0.0, *ends])
+    pad = 0.06 * (high - low or 1.0)
+    low, high = low - pad, high + pad
+    x_ticks = [tick for tick in ticks(low, high) if low <= tick <= high]
+
+    def x_of(value: float) -> float:
+        return name_width + (value - low) / (high - low) * (width - name_width - _RIGHT)
+
+    floor = height - _BOTTOM
+    parts: list[Html] = [element("title", title)]
+    for tick in x_ticks:
+        parts.append(_stroke("grid", x_of(tick), _TOP, x_of(tick), floor))
+        parts.append(_words(tick_text(tick, x_ticks, signed=True), x_of(tick), floor + 17, "middle"))
+    parts.append(_stroke("zero", x_of(0.0), _TOP - 4, x_of(0.0), floor))
+    parts.append(_words(label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
+    for number, bar in enumerate(bars):
+        y = _TOP + row * (number + 0.5)
+        own = [_words(shortened(bar.name, 19), name_width - 8, y + 4, "end")]
+        if bar.low is not None and bar.high is not None:
+            own.append(_stroke("interval", x_of(bar.low), y, x_of(bar.high), y))
+            own += [_stroke("interval end", x_of(end), y - 5, x_of(end), y + 5) for end in (bar.low, bar.high)]
+        mark = _MARKS[bar.index % len(_MARKS)]
+        own.append(element("path", class_="mark", d=mark, transform=f"translate({x_of(bar.value):.1f} {y:.1f})"))
+        says = f"{bar.name}: {bar.value:+.3g}"
+        if bar.low is not None and bar.high is not None:
+            says += f", 95 % interval {bar.low:+.3g} to {bar.high:+.3g}"
+        own.append(element("title", says))
+        parts.append(element("g", *own, class_=f"row {bar.tone} p{bar.index % len(COLOURS)}"))
+    return element(
+        "svg", *parts, class_="chart intervals", viewBox=f"0 0 {width} {height}", role="img", aria_label=title
+    )
+
+
+def key_mark(index: int) -> Html:
+    """A policy's line and mark, for a legend."""
+    dash = _DASHES[index % len(_DASHES)]
+    line = element("path", class_="curve", d="M1 7H33", stroke_dasharray=dash)
+    mark = element("path", class_="mark", d=_MARKS[index % len(_MARKS)], transform="translate(17 7)")
+    return element("svg", line, mark, class_=f"key p{index % len(COLOURS)}", viewBox="0 0 34 14", aria_hidden="true")
+
+
+def standalone(charts: Sequence[Sequence[Html]], names: Sequence[str], *, title: str) -> str:
+    """Rows of charts as one SVG file with a legend, for pages that are not ours."""
+    width, height = _SIZE
+    columns = max(len(row) for row in charts)
+    top, bottom = 40, 34
+    parts = [element("style", Html(chart_style())), _words(title, 12, 24, "start", "heading")]
+    for r, row in enumerate(charts):
+        for c, chart in enumerate(row):
+            place = f'<svg x="{c * width}" y="{top + r * height}" width="{width}" height="{height}"'
+            parts.append(Html(chart.replace("<svg", place, 1)))
+    x = 16.0
+    for index, name in enumerate(names):
+        y = top + len(charts) * height + 8
+        place = f'<svg x="{x:g}" y="{y}" width="34" height="14"'
+        parts.append(Html(key_mark(index).replace("<svg", place, 1)))
+        parts.append(_words(name, x + 40, y + 11, "start"))
+        x += 64 + 7.2 * len(name)
+    size = (max(columns * width, math.ceil(x)), top + len(charts) * height + bottom)
+    whole = element("svg", *parts, xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {size[0]} {size[1]}")
+    return whole.replace("<svg", f'<svg width="{size[0]}" height="{size[1]}"', 1) + "\n"
+
+
+def chart_style() -> str:
+    """What a chart looks like outside of the page: its own paper, ink and colours."""
+    colours = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS))
+    by_night = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS_BY_NIGHT))
+    return (
+        "svg{--ink:#212529;--faint:#6c757d;--hair:#dee2e6}"
+        f"{colours}"
+        "@media(prefers-color-scheme:dark){svg{--ink:#e6e9ec;--faint:#9aa4ad;--hair:#39414a}" + by_night + "}"
+        "text{font:13px system-ui,sans-serif;fill:var(--faint)}.label,.heading{fill:var(--ink)}"
+        ".heading{font-size:17px;font-weight:700}"
+        ".grid{stroke:var(--hair)}.axis,.tick,.zero{stroke:var(--faint)}.curve{fill:none;stroke:var(--c);stroke-width:2.2}"
+        ".band{fill:var(--c);opacity:.16}.mark{fill:var(--c)}.interval{stroke:var(--c);stroke-width:2.2}"
+    )
+
+
+def ticks(low: float, high: float, about: int = 5) -> list[float]:
+    """Round numbers that span ``low`` to ``high``: steps of 1, 2 or 5 times a power of ten."""
+    span = high - low
+    if not span > 0:
+        span = abs(low) or 1.0
+        low, high = low - 0.5 * span, high + 0.5 * span
+    power = 10.0 ** math.floor(math.log10(span / about))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power * about >= span - 1e-12)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return [number * step for number in range(first, last + 1)]
+
+
+def tick_text(tick: float, among: Sequence[float], *, signed: bool = False) -> str:
+    """A tick with as many digits as the step between ticks needs."""
+    step = among[1] - among[0] if len(among) > 1 else abs(tick) or 1.0
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    text = f"{tick:+.{digits}f}" if signed and round(tick, digits) else f"{abs(tick) if not tick else tick:.{digits}f}"
+    return text.replace("-", "−")
+
+
+def shortened(text: str, letters: int) -> str:
+    """Cut in the middle, where names of one family are alike."""
+    if len(text) <= letters:
+        return text
+    head = (letters - 1) // 2
+    return f"{text[:head]}…{text[len(text) - (letters - 1 - head) :]}"
+
+
+def _path(points: Sequence[tuple[float, float]]) -> str:
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+
+
+def _stroke(kind: str, x1: float, y1: float, x2: float, y2: float) -> Html:
+    return element("path", class_=kind, d=f"M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}")
+
+
+def _words(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> Html:
+    return element("text", text, class_=kind, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, transform=transform)

@@ -1,0 +1,101 @@
+"""What is compared: the numbers of a run, how they are headed, and which way is better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from activestructure_gym.evaluation.store import Run
+
+# Stages of timing.json that make up the columns of seconds; `sensor` and `loading` belong to the simulator.
+PLANNING = ("planning", "gains", "policy")
+MAPPING = ("mapping",)
+WORLD = ("volume", "planes")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number of a run."""
+
+    key: str  # in metrics.json, or one of the seconds below
+    header: str
+    unit: str
+    digits: int
+    best: Literal["lowest", "highest"] | None = None  # None: a cost or a size that has no best
+
+    @property
+    def arrow(self) -> str:
+        """Towards the better."""
+        return {"lowest": "↓", "highest": "↑", None: ""}[self.best]
+
+    @property
+    def title(self) -> str:
+        """Header, unit and arrow."""
+        return " ".join(part for part in (self.header, f"({self.unit})" if self.unit else "", self.arrow) if part)
+
+    @property
+    def sign(self) -> int:
+        """What makes larger better."""
+        return -1 if self.best == "lowest" else 1
+
+
+# The overview's: one line per scene and policy.
+COLUMNS = (
+    Column("accuracy_cm", "Acc", "cm", 2, "lowest"),
+    Column("completion_cm", "Com.", "cm", 2, "lowest"),
+    Column("completion_ratio", "C.R.", "%", 1, "highest"),
+    Column("precision", "Prec.", "%", 1, "highest"),
+    Column("psnr", "PSNR", "dB", 2, "highest"),
+    Column("ssim", "SSIM", "", 3, "highest"),
+    Column("frames", "frames", "", 0),
+    Column("metres", "path", "m", 1),
+    Column("seconds", "time", "s", 1),
+)
+
+# Everything the paper's Tables 1 to 3 may hold, in their order; what no run has is left out.
+QUALITY = (
+    *COLUMNS[:4],
+    Column("f_score", "F", "%", 1, "highest"),
+    *COLUMNS[4:6],
+    Column("ms_ssim", "MS-SSIM", "", 3, "highest"),
+    Column("lpips", "LPIPS", "", 3, "lowest"),
+    Column("depth_l1_cm", "Depth", "cm", 2, "lowest"),
+)
+
+COSTS = (
+    Column("frames", "frames", "", 0),
+    Column("metres", "path", "m", 1),
+    Column("decisions", "decisions", "", 0),
+    Column("keyframes", "keyframes", "", 0),
+    Column("gaussians", "Gaussians", "", 0),
+    Column("collisions", "collisions", "", 0),
+    Column("planning_seconds", "planning", "s", 1),
+    Column("mapping_seconds", "mapping", "s", 1),
+    Column("world_seconds", "volume, planes", "s", 1),
+    Column("sensor_seconds", "sensor", "s", 1),
+    Column("seconds", "whole", "s", 1),
+)
+
+# What a policy is judged by at a glance, and against the baseline.
+MAIN = tuple(column for column in QUALITY if column.key in ("completion_ratio", "completion_cm", "accuracy_cm", "psnr"))
+
+
+def value_of(run: Run, key: str) -> float | None:
+    """A run's number; None where it is not defined or was not measured."""
+    stages = {
+        "planning_seconds": PLANNING,
+        "mapping_seconds": MAPPING,
+        "world_seconds": WORLD,
+        "sensor_seconds": ("sensor",),
+    }
+    if key == "seconds":
+        return run.timing["total"]
+    if key in stages:
+        return sum(run.timing.get("seconds", {}).get(stage, 0.0) for stage in stages[key])
+    return run.metrics["metrics"].get(key)
+
+
+def measured(columns: Sequence[Column], runs: Sequence[Run]) -> list[Column]:
+    """The columns that at least one run has a number for."""
+    return [column for column in columns if any(value_of(run, column.key) is not None for run in runs)]

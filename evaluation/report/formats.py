@@ -1,0 +1,102 @@
+"""Tables as Markdown, CSV and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+
+from activestructure_gym.evaluation.report.layout import Cell, Table
+
+_RANK_MARKS = {1: "**{}** ¹", 2: "{} ²", 3: "{} ³"}
+_LATEX_RANKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", 3: r"\textit{{{}}}"}
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "↓": r"$\downarrow$", "↑": r"$\uparrow$", "±": r"$\pm$",
+    "−": "$-$", "–": "--", "²": r"\textsuperscript{2}", "·": r"$\cdot$", "γ": r"$\gamma$", "<": r"\textless{}",
+    ">": r"\textgreater{}", "|": r"\textbar{}",
+}  # fmt: skip
+
+
+def markdown(table: Table) -> str:
+    """With the first three marked as **1.0** ¹, 1.1 ², 1.2 ³."""
+    headings = [heading.text for heading in table.headings]
+    if table.groups:
+        spans = [text for text, span in table.groups for _ in range(span)]
+        headings = [f"{group} {heading}".strip() for group, heading in zip(spans, headings)]
+    lines = [
+        "| " + " | ".join(_piped(heading) for heading in headings) + " |",
+        "|" + "".join("---:|" if heading.numeric else "---|" for heading in table.headings),
+    ]
+    for index, row in enumerate(table.rows):
+        texts = [_marked(_piped(table.shown(index, k)), cell) for k, cell in enumerate(row)]
+        lines.append("| " + " | ".join(texts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def to_csv(table: Table) -> str:
+    """Numbers in full precision, ranks left out."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    spans = [text for text, span in table.groups for _ in range(span)] or [""] * len(table.headings)
+    writer.writerow([f"{group} {heading.text}".strip() for group, heading in zip(spans, table.headings)])
+    for row in table.rows:
+        writer.writerow([_plain(cell) for cell in row])
+    return text.getvalue()
+
+
+def latex(table: Table) -> str:
+    """A ``table`` with a plain ``tabular``: no package needed. 1st bold, 2nd underlined, 3rd italic."""
+    columns = "".join("r" if heading.numeric else "l" for heading in table.headings)
+    lines = [r"\begin{table}", r"\centering", rf"\caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}"]
+    lines += [rf"\label{{tab:{table.name}}}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]
+    if table.groups:
+        groups = [
+            latex_text(text) if span == 1 else rf"\multicolumn{{{span}}}{{c}}{{{latex_text(text)}}}"
+            for text, span in table.groups
+        ]
+        lines.append(" & ".join(groups) + r" \\")
+    lines += [" & ".join(latex_text(heading.text) for heading in table.headings) + r" \\", r"\hline"]
+    for index, row in enumerate(table.rows):
+        if index and index in table.blocks:
+            lines.append(r"\hline")
+        cells = []
+        for column, cell in enumerate(row):
+            text = latex_text(table.shown(index, column))
+            cells.append(_LATEX_RANKS[cell.rank].format(text) if cell.rank else text)
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, r"\hline", r"\end{tabular}", r"\end{table}", ""])
+
+
+def latex_text(text: str) -> str:
+    """``text`` with LaTeX's special characters written out."""
+    return re.sub("|".join(map(re.escape, _LATEX)), lambda found: _LATEX[found.group()], text)
+
+
+def documents(tables: Sequence[Table]) -> dict[str, str]:
+    """File names and contents of all tables in all three forms."""
+    return {
+        f"{table.name}.{ending}": form(table)
+        for table in tables
+        for ending, form in (("md", _titled), ("csv", to_csv), ("tex", latex))
+    }
+
+
+def _plain(cell: Cell) -> str:
+    """A number in full; an interval as it is printed, with a hyphen for its minus."""
+    if cell.value is None or not cell.text.strip("+−").replace(",", "").replace(".", "").isdigit():
+        return cell.text.replace("−", "-")
+    return repr(cell.value)
+
+
+def _titled(table: Table) -> str:
+    return "\n".join(part for part in (f"**{table.title}.** {table.caption}".rstrip(), "", markdown(table)))
+
+
+def _marked(text: str, cell: Cell) -> str:
+    return _RANK_MARKS[cell.rank].format(text) if cell.rank and text else text
+
+
+def _piped(text: str) -> str:
+    return text.replace("|", "\\|")

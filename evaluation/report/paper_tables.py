@@ -1,0 +1,106 @@
+"""Tables in the layout of the paper's Tables 1 to 4."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.evaluation.report.columns import QUALITY, Column, measured
+from activestructure_gym.evaluation.report.layout import (
+    MISSING,
+    NONE,
+    Cell,
+    Heading,
+    Table,
+    number,
+    ranked,
+    with_interval,
+)
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.statistics import estimate, mean
+
+# The rungs as the paper's Table 3 names them.
+LADDER = {
+    "activestructure-a": "(A) Pixel-only",
+    "activestructure-b": "(B) + PSG gain",
+    "activestructure-c": "(C) + Anomaly detection",
+    "activestructure-d": "(D) + Deficiency targeting",
+    "activestructure": "(E) Full model",
+}
+
+
+def quality_table(results: Results) -> Table:
+    """Tables 1 and 2: a row per method and metric, a column per scene, and the average over the scenes."""
+    columns = measured(QUALITY, results.runs)
+    scenes = [*results.scenes, None] if len(results.scenes) > 1 else results.scenes
+    cells: dict[tuple[str, str, str | None], Cell] = {}
+    for column in columns:
+        for scene in scenes:
+            block = ranked([_mean(results, policy, column, scene) for policy in results.policies], column)
+            cells |= {(policy, column.key, scene): cell for policy, cell in zip(results.policies, block)}
+    rows = [
+        [Cell(policy), Cell(column.title), *(cells[policy, column.key, scene] for scene in scenes)]
+        for policy in results.policies
+        for column in columns
+    ]
+    headings = [Heading("Method", numeric=False), Heading("Metric", numeric=False)]
+    headings += [Heading(scene or "Avg.") for scene in scenes]
+    caption = (
+        f"Means over {_counted(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
+        "or not defined"
+    )
+    blocks = [k * len(columns) for k in range(1, len(results.policies))]
+    return Table("quality", "3D reconstruction and view synthesis", headings, rows, caption, blocks=blocks)
+
+
+def ablation_table(results: Results) -> Table:
+    """Table 3: a row per policy, a column per metric, averaged over the scenes, with 95 % intervals."""
+    columns = measured(QUALITY, results.runs)
+    by_column = []
+    for column in columns:
+        strata = [results.strata(policy, column.key) for policy in results.policies]
+        found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
+        by_column.append(ranked(found, column))
+    ladder = "activestructure-a" in results.policies
+    rows = [
+        [Cell(LADDER.get(policy, policy) if ladder else policy, note=policy), *(cells[k] for cells in by_column)]
+        for k, policy in enumerate(results.policies)
+    ]
+    headings = [Heading("Variant" if ladder else "Policy", numeric=False), *map(Heading.of, columns)]
+    caption = (
+        f"Means over {_counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified bootstrap "
+        "intervals of 95 %; none where a scene has a single run. Only policies that finished on every scene"
+    )
+    return Table("variants", "Policies side by side", headings, rows, caption)
+
+
+def time_table(results: Results) -> Table:
+    """Table 4: the wall-clock minutes of every method on every scene, without the evaluation."""
+    column = Column("seconds", "Time", "min", 2, "lowest")
+    row, groups = [Cell("Time (min)")], [("", 1)]
+    for scene in results.scenes:
+        seconds = [_mean(results, policy, column, scene).value for policy in results.policies]
+        row += ranked([number(None if s is None else s / 60, column.digits, MISSING) for s in seconds], column)
+        groups.append((scene, len(results.policies)))
+    headings = [Heading("Method", numeric=False)]
+    headings += [Heading(policy) for _ in results.scenes for policy in results.policies]
+    caption = "Mean wall clock of an episode, without loading and evaluation"
+    return Table("time", "Computational efficiency", headings, [row], caption, groups=groups)
+
+
+def tables_like_the_papers(results: Results) -> list[Table]:
+    """All of them."""
+    return [quality_table(results), ablation_table(results), time_table(results)]
+
+
+def _mean(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
+    """On one scene, or averaged over all of them."""
+    if not results.of(policy, scene) or (scene is None and any(not results.of(policy, own) for own in results.scenes)):
+        return Cell(MISSING)
+    strata = results.strata(policy, column.key, scene)
+    if strata is None:
+        return Cell(NONE)
+    return number(float(mean(np.concatenate(strata), [len(values) for values in strata])), column.digits)
+
+
+def _counted(number_of: int, one: str) -> str:
+    return f"{number_of} {one}" + ("" if number_of == 1 else "s")

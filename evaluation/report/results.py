@@ -1,0 +1,151 @@
+"""What a report is about: finished runs from one or more places, what is missing among them, and a baseline."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation import store
+from activestructure_gym.evaluation.jobs import Job, scene_labels
+from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.store import Run
+
+# Whom the others are measured against if nobody is named: the first of these that took part.
+_BASELINES = ("activestructure-a", "pixel_only", "random")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where runs came from."""
+
+    directory: Path
+    command: str = ""  # empty for a single run's directory
+    workers: int | None = None
+    missing: Mapping[str, str] = dataclasses.field(default_factory=dict)  # jobs without a result, and why
+
+
+@dataclass(frozen=True)
+class Results:
+    """Finished runs; every cell of scene, policy and seed at most once."""
+
+    runs: Sequence[Run]
+    sources: Sequence[Source]
+    baseline: str | None = None  # a policy; None: chosen by `_BASELINES`
+
+    def __post_init__(self) -> None:
+        if not self.runs:
+            raise InputError("a report needs at least one finished run, got none")
+        if self.baseline is not None and self.baseline not in self.policies:
+            raise InputError(
+                f"the baseline '{self.baseline}' is not among the policies of these runs: {', '.join(self.policies)}"
+            )
+        for name, found in conditions(self.runs).items():
+            if len(found) > 1:
+                raise InputError(
+                    f"these runs were made under different conditions ({name}: {', '.join(found)}); a report compares "
+                    "like with like, so make one for each"
+                )
+        if self.baseline is None and len(self.policies) > 1:
+            usual = [name for name in _BASELINES if name in self.policies]
+            object.__setattr__(self, "baseline", usual[0] if usual else self.policies[0])
+
+    @cached_property
+    def policies(self) -> list[str]:
+        """In the order of the runs."""
+        return list(dict.fromkeys(run.job.policy for run in self.runs))
+
+    @cached_property
+    def scenes(self) -> list[str]:
+        """In the order of the runs."""
+        return list(dict.fromkeys(run.scene for run in self.runs))
+
+    @cached_property
+    def seeds(self) -> list[int]:
+        """Ascending."""
+        return sorted({run.job.seed for run in self.runs})
+
+    @cached_property
+    def missing(self) -> dict[str, str]:
+        """Jobs that were asked for and have no result, and why."""
+        return {name: why for source in self.sources for name, why in source.missing.items()}
+
+    def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:
+        """The runs of a policy, of a scene, or of both."""
+        return [run for run in self.runs if policy in (None, run.job.policy) and scene in (None, run.scene)]
+
+    def cells(self, policy: str, key: str, scene: str | None = None) -> dict[tuple[str, int], float]:
+        """A policy's numbers by scene and seed, where they are defined."""
+        values = {(run.scene, run.job.seed): value_of(run, key) for run in self.of(policy, scene)}
+        return {cell: float(value) for cell, value in values.items() if value is not None}
+
+    def strata(self, policy: str, key: str, scene: str | None = None) -> list[np.ndarray] | None:
+        """A policy's numbers, scene by scene; None if a scene of the report has none."""
+        cells = self.cells(policy, key, scene)
+        found = [
+            np.array([value for (own, _), value in cells.items() if own == name])
+            for name in ([scene] if scene else self.scenes)
+        ]
+        return found if all(len(values) for values in found) else None
+
+    def typical(self, policy: str, scene: str, key: str = "completion_ratio") -> Run | None:
+        """The run with the median result: of an even number the lower of the middle two; None without runs."""
+        runs = self.of(policy, scene)
+        ordered = sorted(runs, key=lambda run: (value_of(run, key) or 0.0, run.job.seed))
+        return ordered[(len(ordered) - 1) // 2] if ordered else None
+
+
+def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
+    """What must not differ between compared runs, with all values found."""
+    found: dict[str, dict[str, None]] = {}
+    for run in runs:
+        job = run.job.as_dict()
+        flat = {name: job[name] for name in ("preset", "frame_budget", "start_pose")}
+        flat |= {f"set {name}": value for name, value in job["overrides"].items()}
+        flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
+        for name, value in flat.items():
+            found.setdefault(name, {})[str(value)] = None
+    return {name: list(values) for name, values in found.items()}
+
+
+def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
+    """The runs of comparisons' directories and of single runs' directories, in the order given.
+
+    A job that stands in two of them counts once. Raises `InputError` for a directory that is neither.
+    """
+    from activestructure_gym.evaluation.comparison import open_comparison
+
+    runs: dict[str, Run] = {}
+    sources = []
+    for directory in directories:
+        if (directory / store.COMPARISON).is_file():
+            found = open_comparison(directory)
+            sources.append(source_of(directory, store.read_json(directory / store.COMPARISON), found))
+        elif (directory / store.DONE).is_file():
+            found = [store.read_run(directory)]
+            sources.append(Source(directory))
+        else:
+            raise InputError(f"'{directory}' is neither a comparison ({store.COMPARISON}) nor a finished run")
+        for run in found:
+            runs.setdefault(run.job.hash, run)
+    if not runs:
+        raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
+    labels = scene_labels(run.job.scene for run in runs.values())
+    return Results([dataclasses.replace(run, scene=labels[run.job.scene]) for run in runs.values()], sources, baseline)
+
+
+def source_of(directory: Path, record: Mapping[str, Any], runs: Sequence[Run]) -> Source:
+    """A comparison as a source: what of its record (``compare.json``) has no run is missing."""
+    failed = dict(record.get("failed") or {})
+    finished = {run.job.hash for run in runs}
+    for content in (record.get("jobs") or {}).values():
+        job = Job.from_dict(content)
+        if job.hash not in finished:
+            failed.setdefault(job.title, "not run to its end")
+    return Source(directory, record.get("command", ""), record.get("workers"), failed)

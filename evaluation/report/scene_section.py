@@ -1,0 +1,190 @@
+"""The part of the page about one scene: its table, curves, views, plans, planes and every run's decisions."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+from PIL import Image
+
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import to_image
+from activestructure_gym.evaluation.report.charts import line_chart
+from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
+from activestructure_gym.evaluation.report.embedding import picture
+from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
+from activestructure_gym.evaluation.report.phases import plot_phases
+from activestructure_gym.evaluation.report.pictures import telling_views
+from activestructure_gym.evaluation.report.plan import draw_plan
+from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
+from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.tables import overview, table_rows
+from activestructure_gym.evaluation.report.traces import run_trace
+from activestructure_gym.evaluation.statistics import Statistic, mean
+from activestructure_gym.evaluation.store import Run
+
+
+def _css(colour: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+_WAY = ",".join(_css(style.path_colour(share / 4)) for share in range(5))
+_CLASSES = (f"deficit < {style.DEFICIT_BOUNDS[0]:g}", *(f"{bound:g} +" for bound in style.DEFICIT_BOUNDS))
+# Label, shape and CSS background of every sign.
+PLAN_KEY = (
+    ("start", "disc", _css(style.START)), ("end", "square", _css(style.END)),
+    ("path, first to last frame", "line", f"linear-gradient(90deg,{_WAY})"),
+    ("keyframe, looking ahead", "dotted", _css(style.INK)), ("not seen", "box", _css(style.UNKNOWN)),
+    ("free", "box", _css(style.FREE)), ("occupied", "box", _css(style.OCCUPIED)),
+)  # fmt: skip
+TYPE_KEY = (
+    ("structural plane", "box", _css(style.STRUCTURAL)), ("object plane", "box", _css(style.OBJECT)),
+    ("facing down, as the ceiling", "outline", "transparent"), ("centroid", "disc", _css(style.STRUCTURAL)),
+    ("spanning tree", "line", _css(style.TREE)), ("other edge", "hair", _css(style.EDGE)),
+)  # fmt: skip
+DEFICIT_KEY = (
+    *((label, "box", _css(colour)) for label, colour in zip(_CLASSES, style.DEFICIT_COLOURS)),
+    ("deficiency centre, by area", "ring", _css(style.PAPER)),
+)
+
+
+def scene_section(results: Results, scene: str, anchor: str) -> Html:
+    """Everything about one scene; pictures are of each policy's run with the median C.R."""
+    shown = [run for policy in results.policies if (run := results.typical(policy, scene)) is not None]
+    parts = [
+        element("h2", scene),
+        scene_facts(shown[0]),
+        html_table(overview(table_rows(results.of(None, scene)), name=anchor), colours=results.policies),
+        element("h3", "Convergence"),
+        chart_grid(results, scene),
+        element("h3", "Held-out views"),
+        views_strip(shown, results.policies),
+        element("h3", "Paths"),
+        plans(shown, results.policies),
+    ]
+    with_graph = [run for run in shown if run.graph is not None]
+    if with_graph:
+        parts += [element("h3", "Plane Scene Graphs"), planes(with_graph, results.policies)]
+    parts.append(element("h3", "Decisions"))
+    parts += [run_trace(run) for policy in results.policies for run in results.of(policy, scene)]
+    return element("section", *parts, id_=anchor)
+
+
+def scene_facts(run: Run) -> Html:
+    """What the scene is."""
+    info, metrics = run.config["scene"], run.metrics["metrics"]
+    size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
+    seen = f"{metrics['true_area_m2']:.1f} m² of surface can be seen ({metrics['true_samples']:,} samples)"
+    notes = "".join(f" Note: {note}." for note in info["notes"])
+    return element(
+        "p", f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}", class_="facts"
+    )
+
+
+def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Html:
+    """C.R. and PSNR over frames, metres and seconds."""
+    charts = [
+        line_chart(
+            convergence(results, cost.key, measure.key, scene, statistic),
+            title=f"{measure.label} over {cost.label}, {scene or 'all scenes'}",
+            x_label=cost.label,
+            y_label=measure.label,
+        )
+        for measure in MEASURES
+        for cost in COSTS
+    ]
+    return element("div", *charts, class_="charts")
+
+
+def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> Html:
+    """Rows of the same held-out views: the truth, and what every run renders there, its PSNR in the corner."""
+    true = runs[0].pictures["true"]
+    telling = telling_views(true)
+    rows = [_view_row("true view", "", [(to_image(true[i]), f"true view {i + 1}", None) for i in telling], None)]
+    best = {i: max(float(run.pictures["psnr"][i]) for run in runs) for i in telling}
+    for run in runs:
+        tiles = []
+        for i in telling:
+            psnr = float(run.pictures["psnr"][i])
+            alt = f"view {i + 1} as {run.job.policy} reconstructed it, PSNR {psnr:.2f} dB"
+            badge = element("b", f"{psnr:.2f}", class_="first" if len(runs) > 1 and psnr == best[i] else None)
+            tiles.append((to_image(run.pictures["rendered"][i]), alt, badge))
+        rows.append(_view_row(run.job.policy, _result(run), tiles, policies.index(run.job.policy)))
+    caption = element(
+        "figcaption",
+        "PSNR in dB in the corner, the best of a view in gold. The views are those with most detail in the true image. "
+        "Of each policy the run with the median C.R. is shown.",
+    )
+    return element("figure", caption, element("div", *rows, class_="strip"))
+
+
+def plans(runs: Sequence[Run], policies: Sequence[str]) -> Html:
+    """Every run's map from above, with what it knew and the way it went."""
+    tiles = []
+    for run in runs:
+        drawn = picture(draw_plan(run.pictures, run.trajectory), f"plan with the path of {run.job.policy}")
+        tiles.append(_tile(run, policies, drawn))
+    return element("figure", key(PLAN_KEY), element("div", *tiles, class_="tiles"))
+
+
+def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
+    """Every run's graph: from above and in three dimensions, by type and by deficit; and how it came about."""
+    blocks, plans_by_deficit = [], []
+    for run in runs:
+        assert run.graph is not None
+        pictures: list[Html] = []
+        for place, drawn in (
+            ("from above", draw_planes_plan(run.graph, run.pictures)),
+            ("in 3D", draw_planes_3d(run.graph)),
+        ):
+            for what, image in zip(("type", "deficit"), drawn):
+                drawing = picture(image, f"planes of {run.job.policy} {place}, by {what}", drawing=True)
+                if (place, what) == ("from above", "deficit"):
+                    plans_by_deficit.append(_tile(run, policies, drawing))
+                else:
+                    pictures.append(element("figure", drawing, element("figcaption", f"by {what}, {place}")))
+        buffer = io.BytesIO()
+        plot_phases([("", run.steps)], buffer, title="")
+        history = picture(Image.open(buffer), f"timeline of {run.job.policy}", drawing=True)
+        pictures.append(element("figure", history, element("figcaption", "quality, holes and gains over the frames")))
+        count, structural = len(run.graph["ids"]), int(run.graph["structural"].sum())
+        holes = run.graph["deficiency_areas"]
+        line = (
+            f"{run.job.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} of objects, "
+            f"{len(holes)} deficiency centres for {holes.sum():.1f} m²"
+        )
+        blocks.append(folded(line, element("div", *pictures, class_="tiles paper"), class_="planes"))
+    above = element("div", *plans_by_deficit, class_="tiles paper")
+    more = element("p", "By type, in three dimensions, and over the frames:", class_="facts")
+    return element("div", key(DEFICIT_KEY), above, more, key(TYPE_KEY), *blocks)
+
+
+def key(entries: Sequence[tuple[str, str, str]]) -> Html:
+    """What the signs of a picture mean: label, shape and CSS background of each."""
+    items = (
+        joined(element("i", class_=f"sign {shape}", style=f"background:{colour}", aria_hidden="true"), label)
+        for label, shape, colour in entries
+    )
+    return element("ul", *(element("li", item) for item in items), class_="keys")
+
+
+def _view_row(name: str, more: str, tiles: Sequence[tuple[Image.Image, str, Html | None]], index: int | None) -> Html:
+    dot = element("i", class_=f"dot p{index % 8}", aria_hidden="true") if index is not None else None
+    label = element("div", element("div", dot, element("strong", name)), element("span", more), class_="who")
+    pictures = [element("figure", picture(image, alt), badge) for image, alt, badge in tiles]
+    return element("div", label, *pictures, class_="views")
+
+
+def _tile(run: Run, policies: Sequence[str], image: Html) -> Html:
+    dot = element("i", class_=f"dot p{policies.index(run.job.policy) % 8}", aria_hidden="true")
+    caption = element("figcaption", dot, element("strong", run.job.policy), f" {_result(run)}")
+    return element("figure", image, caption)
+
+
+def _result(run: Run) -> str:
+    metrics = run.metrics["metrics"]
+    return (
+        f"seed {run.job.seed}, {metrics['frames']} frames, {metrics['metres']:.1f} m, "
+        f"C.R. {metrics['completion_ratio']:.1f} %, {metrics['psnr']:.2f} dB"
+    )

@@ -1,0 +1,93 @@
+"""A run's decisions, one after the other: where it went, what decided it, what it brought."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
+from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
+from activestructure_gym.evaluation.report.phases import bands, chosen_terms
+from activestructure_gym.evaluation.store import Run
+
+_DIGITS = 3
+_GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))
+
+
+def run_trace(run: Run) -> Html:
+    """Folded: identity and result in one line; behind it phases, decisions and where the run's files are."""
+    numbers = {key: value_of(run, key) for key in ("completion_ratio", "psnr", "metres", "collisions", "seconds")}
+    parts = [f"{run.job.policy}, seed {run.job.seed}"]
+    for key, form in (("completion_ratio", "C.R. {:.1f} %"), ("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
+        if (value := numbers[key]) is not None:
+            parts.append(form.format(value))
+    parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
+    where = element("p", "Job ", element("code", run.job.hash), ", files in ", element("code", str(run.directory)), ".")
+    return folded(" · ".join(parts), timeline(run), html_table(trace_table(run)), where, class_="trace")
+
+
+def timeline(run: Run) -> Html | None:
+    """The phases as a strip over the frames, with why each began; None for a policy without phases."""
+    found = bands(run.steps)
+    if not found:
+        return None
+    end = max(band.end for band in found)
+    order = list(dict.fromkeys(band.phase for band in found))
+    pieces, notes = [], []
+    for band in found:
+        share = 100 * (band.end - band.start) / max(end, 1)
+        says = f"{band.phase}: frames {band.start:g} to {band.end:g}"
+        kind = f"phase f{order.index(band.phase) % 4}"
+        pieces.append(element("span", band.phase, class_=kind, style=f"flex:{share:.2f}", title=says))
+        if band.reason:
+            notes.append(element("li", f"Frame {band.start:g}, {band.phase}: {band.reason}"))
+    strip = element("div", *pieces, class_="timeline", role="img", aria_label="phases over the frames")
+    return joined(strip, element("ul", *notes, class_="notes") if notes else None)
+
+
+def trace_table(run: Run) -> Table:
+    """A row per decision: cost, phase, target, the chosen view's terms, the runner-up, and what followed."""
+    steps, terms = run.steps, chosen_terms(run.steps)
+    phased = any((step.get("trace") or {}).get("phase") for step in steps)
+    second = any((step.get("trace") or {}).get("runner_up") for step in steps)
+    headings = [Heading("#"), Heading("frames"), Heading("path (m)"), Heading("s")]
+    headings += [Heading("phase", numeric=False)] if phased else []
+    headings += [Heading("to x, y, z (m)", numeric=False), Heading("way (m)"), Heading("candidates")]
+    headings += [Heading(name) for name in terms]
+    headings += [Heading("runner-up")] if second else []
+    headings += [*(Heading(name) for name, _, _ in _GRAPH), Heading("Gaussians"), Heading("C.R. (%)"), Heading("PSNR")]
+    ended = run.timing.get("decisions", [])
+    rows = []
+    for k, step in enumerate(steps):
+        trace, view, graph = (step.get(name) or {} for name in ("trace", "view", "graph"))
+        check = step.get("checkpoint") or {}
+        row = [number(step.get("decision", k), 0), number(step.get("frames"), 0), number(step.get("metres"), 1)]
+        row.append(number(ended[k] - (ended[k - 1] if k else 0.0) if k < len(ended) else None, 2))
+        if phased:
+            changed = trace.get("changed")
+            row.append(Cell(f"{trace.get('phase') or ''}{' ←' if changed else ''}", note=changed or ""))
+        row += [Cell(_place(view)), number(view.get("path_length"), 1), number(step.get("candidates"), 0)]
+        row += [_term(values[k]) for values in terms.values()]
+        if second:
+            row.append(_term((trace.get("runner_up") or {}).get("total")))
+        planes = graph["structural"] + graph["objects"] if "structural" in graph else step.get("planes")
+        for _, key, digits in _GRAPH:
+            row.append(number(planes if key is None else graph.get(key), digits, ""))
+        row.append(number(step.get("gaussians"), 0, ""))
+        row += [number(check.get("completion_ratio"), 1, ""), number(check.get("psnr"), 2, "")]
+        rows.append(row)
+    title = f"Decisions of {run.job.policy} on {run.scene}, seed {run.job.seed}"
+    return Table(f"trace-{run.job.name}", title, headings, rows)
+
+
+def _place(view: Mapping[str, Any]) -> str:
+    if not {"x", "y", "z"} <= view.keys():
+        return ""
+    return ", ".join(f"{view[axis]:.1f}" for axis in "xyz")
+
+
+def _term(value: float | None) -> Cell:
+    if value is None or value != value:  # nan: this decision has no such number
+        return Cell("")
+    return Cell(f"{value:.{_DIGITS}f}", float(value))

@@ -1,0 +1,230 @@
+"""Who is better, by how much, and whether that could be chance: tables of the statistics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.evaluation.report.columns import COSTS, MAIN, QUALITY, Column, measured
+from activestructure_gym.evaluation.report.curves import COSTS as AXES
+from activestructure_gym.evaluation.report.curves import MEASURES, areas
+from activestructure_gym.evaluation.report.layout import (
+    MISSING,
+    Cell,
+    Heading,
+    Table,
+    number,
+    ranked,
+    with_interval,
+)
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.statistics import (
+    STATISTICS,
+    Estimate,
+    PairedDifference,
+    estimate,
+    paired_difference,
+    probability_of_improvement,
+)
+
+_FEW = 6  # pairs; of fewer not even all agreeing passes a two-sided sign test at 5 % (2 / 2^6 = 3 %)
+
+
+@dataclass(frozen=True)
+class Lead:
+    """Who leads in one metric, and by how much over the next."""
+
+    column: Column
+    policy: str
+    mean: Estimate
+    runner_up: str | None = None
+    ahead: PairedDifference | None = None
+
+
+def leads(results: Results) -> list[Lead]:
+    """The best mean of every main metric, among the policies that finished on every scene."""
+    found = []
+    for column in measured(MAIN, results.runs):
+        means = {
+            policy: estimate(own)
+            for policy in results.policies
+            if (own := results.strata(policy, column.key)) is not None
+        }
+        if not means:
+            continue
+        order = sorted(means, key=lambda policy: -column.sign * means[policy].value)
+        first, second = order[0], order[1] if len(order) > 1 else None
+        ahead = None
+        if second is not None:
+            ahead = paired_difference(results.cells(first, column.key), results.cells(second, column.key))
+        found.append(Lead(column, first, means[first], second, ahead))
+    return found
+
+
+def differences(results: Results, column: Column) -> dict[str, PairedDifference]:
+    """Every policy against the baseline in one metric, paired by scene and seed."""
+    base = results.baseline
+    if base is None:
+        return {}
+    theirs = results.cells(base, column.key)
+    pairs = {p: paired_difference(results.cells(p, column.key), theirs) for p in results.policies if p != base}
+    return {policy: pair for policy, pair in pairs.items() if pair is not None}
+
+
+def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
+    """In words, and its tone: whether the interval excludes 0, and towards which side.
+
+    A resampled interval of very few pairs excludes 0 as soon as all of them agree, so below `_FEW` that is said.
+    """
+    found = pair.difference
+    if not found.has_interval:
+        return "no interval: a scene with one pair", ""
+    if not found.excludes(0.0):
+        return "0 not excluded", ""
+    better = found.value * column.sign > 0
+    words = f"0 excluded: {'better' if better else 'worse'}"
+    if pair.pairs < _FEW:
+        return f"{words}, {pair.pairs} pairs only", ""
+    return words, "good" if better else "bad"
+
+
+def difference_table(results: Results) -> Table | None:
+    """A row per policy and metric: the paired difference to the baseline with its interval, and what it excludes."""
+    rows, blocks = [], []
+    for policy in results.policies:
+        if policy == results.baseline:
+            continue
+        own = []
+        for column in measured((*MAIN, *(c for c in QUALITY if c not in MAIN)), results.runs):
+            pair = differences(results, column).get(policy)
+            if pair is None:
+                continue
+            words, tone = verdict(pair, column)
+            wins, losses = (pair.higher, pair.lower) if column.sign > 0 else (pair.lower, pair.higher)
+            chance = _improvement(results, policy, results.baseline or "", column)
+            own.append([
+                Cell(policy), Cell(column.title), with_interval(pair.difference, column.digits, signed=True),
+                Cell(words, tone=tone), Cell(f"{wins} / {pair.equal} / {losses}", wins / pair.pairs),
+                with_interval(chance, 2),
+            ])  # fmt: skip
+        if own and rows:
+            blocks.append(len(rows))
+        rows += own
+    if not rows:
+        return None
+    headings = [
+        Heading("Policy", numeric=False), Heading("Metric", numeric=False), Heading("Difference"),
+        Heading("Verdict", numeric=False), Heading("better / equal / worse", note="pairs of scene and seed"),
+        Heading("P(improvement)"),
+    ]  # fmt: skip
+    caption = (
+        f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes; 95 % stratified "
+        "bootstrap intervals"
+    )
+    return Table("differences", f"Against {results.baseline}", headings, rows, caption, blocks=blocks)
+
+
+def improvement_table(results: Results, column: Column) -> Table | None:
+    """Every policy against every other: the probability that a run of the row is better than one of the column."""
+    policies = [policy for policy in results.policies if results.strata(policy, column.key) is not None]
+    if len(policies) < 2:
+        return None
+    rows = []
+    for ours in policies:
+        row = [Cell(ours)]
+        for theirs in policies:
+            chance = None if ours == theirs else _improvement(results, ours, theirs, column)
+            cell = with_interval(chance, 2)
+            tone = ""
+            if chance is not None and chance.excludes(0.5):
+                tone = "good" if chance.value > 0.5 else "bad"
+            row.append(Cell(cell.text, cell.value, tone=tone))
+        rows.append(row)
+    return Table(
+        f"improvement_{column.key}",
+        f"Probability of improvement in {column.header}",
+        [Heading("row better than column", numeric=False), *(Heading(policy) for policy in policies)],
+        rows,
+        "P(X > Y) + P(X = Y) / 2 within a scene, averaged over the scenes; coloured where the 95 % interval excludes "
+        "1/2",
+    )
+
+
+def aggregate_table(results: Results) -> Table:
+    """Mean, median and interquartile mean of every metric, with intervals."""
+    rows, blocks = [], []
+    for column in measured(QUALITY, results.runs):
+        block = []
+        for name, statistic in STATISTICS.items():
+            found = []
+            for policy in results.policies:
+                own = results.strata(policy, column.key)
+                found.append(with_interval(None if own is None else estimate(own, statistic), column.digits))
+            block.append([Cell(column.title), Cell(name), *ranked(found, column)])
+        if rows:
+            blocks.append(len(rows))
+        rows += block
+    headings = [Heading("Metric", numeric=False), Heading("Statistic", numeric=False)]
+    headings += [Heading(policy) for policy in results.policies]
+    caption = (
+        "Mean: over scenes of the mean over runs. Median: over scenes of the mean over runs (with one scene, over its "
+        "runs). IQM: mean of the middle half of all runs"
+    )
+    return Table("aggregates", "Mean, median, interquartile mean", headings, rows, caption, blocks=blocks)
+
+
+def area_table(results: Results) -> Table:
+    """Area under the convergence curves, normalised by the budget, for every measure and cost."""
+    rows, blocks = [], []
+    for measure in MEASURES:
+        column = Column(measure.key, measure.header, measure.unit, measure.digits, "highest")
+        if rows:
+            blocks.append(len(rows))
+        for cost in AXES:
+            strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]
+            found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
+            rows.append([Cell(column.title), Cell(cost.key), *ranked(found, column)])
+    headings = [Heading("Measure", numeric=False), Heading("over", numeric=False), *map(Heading, results.policies)]
+    caption = (
+        "Mean height of the curve up to the budget: the frame budget; for metres and seconds the least that any run on "
+        "the scene spent, so that nothing is extrapolated"
+    )
+    return Table("areas", "Area under the curves", headings, rows, caption, blocks=blocks)
+
+
+def cost_table(results: Results) -> Table:
+    """What the episodes cost, planning and mapping apart; a collision is an alarm."""
+    columns = measured(COSTS, results.runs)
+    rows = []
+    for policy in results.policies:
+        row = [Cell(policy)]
+        for column in columns:
+            cells = results.cells(policy, column.key)
+            if column.key == "collisions":
+                total = int(sum(cells.values()))
+                row.append(Cell(str(total), total, tone="alarm" if total else "good"))
+            else:
+                values = np.array(list(cells.values()))
+                cell = number(float(values.mean()) if len(values) else None, column.digits, MISSING)
+                row.append(cell)
+        rows.append(row)
+    caption = (
+        "Means over all runs; collisions: executed steps through the true mesh, in all runs together (must be 0). "
+        "Seconds of wall clock: planning = candidates, paths, gains and the policy; mapping = the Gaussian map"
+    )
+    return Table("costs", "Costs", [Heading("Policy", numeric=False), *map(Heading.of, columns)], rows, caption)
+
+
+def _improvement(results: Results, ours: str, theirs: str, column: Column) -> Estimate | None:
+    """Over the scenes that both finished."""
+    strata = [
+        (mine, other)
+        for scene in results.scenes
+        if (mine := results.strata(ours, column.key, scene)) and (other := results.strata(theirs, column.key, scene))
+    ]
+    if not strata:
+        return None
+    return probability_of_improvement(
+        [column.sign * mine[0] for mine, _ in strata], [column.sign * other[0] for _, other in strata]
+    )

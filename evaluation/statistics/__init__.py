@@ -1,0 +1,36 @@
+"""What repeated runs say: aggregates, intervals, paired differences, curves. Pure functions of numbers.
+
+Everywhere a *stratum* is one scene, and its values are those of the scene's runs. Scenes are what is compared on and
+stay fixed; the runs on them are drawn again. Definitions: Agarwal et al., "Deep Reinforcement Learning at the Edge of
+the Statistical Precipice", NeurIPS 2021 (its library is rliable), with scenes for tasks and seeds for runs.
+"""
+
+from activestructure_gym.evaluation.statistics.aggregates import (
+    STATISTICS,
+    Statistic,
+    interquartile_mean,
+    mean,
+    median,
+)
+from activestructure_gym.evaluation.statistics.curves import area_under, curve_band, on_axis
+from activestructure_gym.evaluation.statistics.improvement import probability_of_improvement, win_share
+from activestructure_gym.evaluation.statistics.paired import PairedDifference, paired_difference
+from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate, stratified_draws
+
+__all__ = [
+    "STATISTICS",
+    "Estimate",
+    "PairedDifference",
+    "Statistic",
+    "area_under",
+    "curve_band",
+    "estimate",
+    "interquartile_mean",
+    "mean",
+    "median",
+    "on_axis",
+    "paired_difference",
+    "probability_of_improvement",
+    "stratified_draws",
+    "win_share",
+]

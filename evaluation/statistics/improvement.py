@@ -1,0 +1,45 @@
+"""How likely a run of one policy is better than a run of another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from activestructure_gym.evaluation.statistics.resampling import LEVEL, REPEATS, Estimate, interval
+
+
+def win_share(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:  # [n], [m] -> [n, m]
+    """1 where ours is larger, 1/2 where both are equal; the mean is Mann and Whitney's U / (n m)."""
+    difference = np.asarray(ours, np.float64)[:, None] - np.asarray(theirs, np.float64)[None, :]
+    return 0.5 * (1.0 + np.sign(difference))
+
+
+def probability_of_improvement(
+    ours: Sequence[np.ndarray],  # one [n] per scene; larger is better
+    theirs: Sequence[np.ndarray],  # one [m] per scene, the same scenes
+    *,
+    level: float = LEVEL,
+    repeats: int = REPEATS,
+    seed: int = 0,
+) -> Estimate:
+    """P(X > Y) + P(X = Y) / 2 for runs X of ours and Y of theirs on the same scene, averaged over the scenes.
+
+    rliable's ``probability_of_improvement``; for the interval the runs of both are drawn again, independently, within
+    every scene. Raises ValueError if the scenes do not match.
+    """
+    if len(ours) != len(theirs) or not ours or min(map(len, (*ours, *theirs))) < 1:
+        raise ValueError(f"both need runs on the same scenes, got {[*map(len, ours)]} and {[*map(len, theirs)]} runs")
+    shares = [win_share(x, y) for x, y in zip(ours, theirs)]
+    point = float(np.mean([share.mean() for share in shares]))
+    runs = sum(map(len, ours)) + sum(map(len, theirs))
+    if min(map(len, (*ours, *theirs))) < 2:
+        return Estimate(point, None, None, runs)
+    rng = np.random.default_rng(seed)
+    total = np.zeros(repeats)
+    for share in shares:
+        n, m = share.shape
+        drawn = [rng.multinomial(size, np.full(size, 1.0 / size), repeats) / size for size in (n, m)]  # [R, n], [R, m]
+        total += ((drawn[0] @ share) * drawn[1]).sum(axis=1)
+    low, high = interval(total / len(shares), level)
+    return Estimate(point, float(low), float(high), runs)

@@ -1,0 +1,52 @@
+"""Differences between two policies on the same scene and seed, which share start, noise and candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
+from activestructure_gym.evaluation.statistics.resampling import LEVEL, REPEATS, Estimate, estimate
+
+Cell = tuple[str, int]  # scene and seed
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Ours minus theirs."""
+
+    difference: Estimate
+    higher: int  # pairs in which ours is the larger
+    equal: int
+    lower: int
+
+    @property
+    def pairs(self) -> int:
+        """Cells that both have finished."""
+        return self.higher + self.equal + self.lower
+
+
+def paired_difference(
+    ours: Mapping[Cell, float],
+    theirs: Mapping[Cell, float],
+    statistic: Statistic = mean,
+    *,
+    level: float = LEVEL,
+    repeats: int = REPEATS,
+    seed: int = 0,
+) -> PairedDifference | None:
+    """The statistic of the differences over the cells both have, pairs drawn again within every scene.
+
+    None if they have no cell in common. What only one of them finished is not counted.
+    """
+    by_scene: dict[str, list[float]] = {}
+    for scene, number in sorted(ours.keys() & theirs.keys()):
+        by_scene.setdefault(scene, []).append(ours[scene, number] - theirs[scene, number])
+    if not by_scene:
+        return None
+    strata = [np.array(values) for values in by_scene.values()]
+    signs = np.sign(np.concatenate(strata))
+    found = estimate(strata, statistic, level=level, repeats=repeats, seed=seed)
+    return PairedDifference(found, int((signs > 0).sum()), int((signs == 0).sum()), int((signs < 0).sum()))

@@ -1,0 +1,85 @@
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation.report.charts import (
+    Bar,
+    Line,
+    interval_chart,
+    line_chart,
+    shortened,
+    standalone,
+    tick_text,
+    ticks,
+)
+
+
+@pytest.mark.parametrize(
+    "low, high, expected",
+    [(0, 100, [0, 20, 40, 60, 80, 100]), (0.0, 0.3, [0, 0.1, 0.2, 0.3]), (-3.0, 7.0, [-4, -2, 0, 2, 4, 6, 8])],
+)
+def test_ticks_are_round_and_span_the_range(low, high, expected):
+    np.testing.assert_allclose(ticks(low, high), expected, atol=1e-12)
+
+
+def test_ticks_of_one_value():
+    found = ticks(5.0, 5.0)
+    assert min(found) < 5.0 < max(found)
+
+
+def test_tick_text_has_the_digits_its_step_needs():
+    assert [tick_text(t, [0.0, 0.25, 0.5]) for t in (0.0, 0.25)] == ["0.0", "0.2"]
+    assert tick_text(-2.0, [-2.0, 0.0]) == "−2" and tick_text(2.0, [0.0, 2.0], signed=True) == "+2"
+    assert tick_text(-0.0, [-0.1, -0.0]) == "0.0"
+
+
+def line(name="a", index=0, band=True):
+    x = np.linspace(1.0, 100.0, 5)
+    return Line(name, index, x, x / 2, *((x / 2 - 1, x / 2 + 1) if band else (None, None)))
+
+
+def test_a_curve_lies_where_its_values_are():
+    chart = line_chart([line()], title="t", x_label="frames", y_label="C.R.")
+    svg = ElementTree.fromstring(chart)
+    left, top, right, bottom = (float(n) for n in svg.get("data-frame").split())
+    (y_low, y_high) = (float(n) for n in svg.get("data-y").split())
+    path = svg.find("g").find("path[@class='curve']").get("d")
+    points = np.array([[float(n) for n in pair.split()] for pair in path[1:].split("L")])
+    np.testing.assert_allclose((points[:, 0] - left) / (right - left) * 100.0, line().x, atol=0.02)
+    np.testing.assert_allclose(y_low + (bottom - points[:, 1]) / (bottom - top) * (y_high - y_low), line().y, atol=0.02)
+    assert svg.find("g").find("path[@class='band']") is not None
+    assert svg.get("role") == "img" and svg.find("title").text == "t"
+
+
+def test_names_are_escaped_and_no_curve_is_no_error():
+    chart = line_chart([line("<b>&", band=False)], title='"<', x_label="x", y_label="y")
+    assert ElementTree.fromstring(chart).find("g").get("data-name") == "<b>&"
+    assert "band" not in chart
+    ElementTree.fromstring(line_chart([], title="", x_label="x", y_label="y"))
+
+
+def test_intervals_stand_around_their_zero():
+    bars = [Bar("a", 0, 2.0, 1.0, 3.0), Bar("b", 1, -1.0, None, None)]
+    svg = ElementTree.fromstring(interval_chart(bars, title="t", label="l"))
+    zero = float(re.match(r"M([\d.]+)", svg.find("path[@class='zero']").get("d")).group(1))
+    first, second = svg.findall("g")
+    low, high = (float(n) for n in re.findall(r"[ML]([\d.]+)", first.find("path[@class='interval']").get("d")))
+    assert zero < low < high and second.find("path[@class='interval']") is None
+    place = float(re.search(r"\(([\d.]+)", second.find("path[@class='mark']").get("transform")).group(1))
+    assert place < zero
+    assert "95 % interval +1 to +3" in first.find("title").text
+
+
+def test_a_file_of_its_own_has_its_colours_and_a_legend():
+    charts = [[line_chart([line("a"), line("b", 1)], title="t", x_label="x", y_label="y")] * 2] * 2
+    text = standalone(charts, ["a", "b<"], title="whole")
+    svg = ElementTree.fromstring(text)
+    name = "{http://www.w3.org/2000/svg}"
+    assert len(svg.findall(f"{name}svg")) == 4 + 2 and "prefers-color-scheme" in svg.find(f"{name}style").text
+    assert "http" not in text.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_long_names_are_cut_in_the_middle():
+    assert shortened("activestructure-a", 11) == "activ…ure-a" and shortened("short", 11) == "short"

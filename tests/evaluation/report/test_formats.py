@@ -1,0 +1,54 @@
+import csv
+import io
+import re
+
+from activestructure_gym.evaluation.report.formats import documents, latex, latex_text, markdown, to_csv
+from activestructure_gym.evaluation.report.layout import Cell, Heading, Table
+
+TABLE = Table(
+    "quality",
+    "Title & more",
+    [Heading("Method", numeric=False), Heading("Acc (cm) ↓"), Heading("C.R. (%) ↑")],
+    [
+        [Cell("pixel_only"), Cell("1.23", 1.2345, rank=1), Cell("80.0", 80.0, rank=2)],
+        [Cell("a|b"), Cell("n/a"), Cell("−1.0 [−2.0, 0.5]", -1.0, rank=3)],
+    ],
+    "A caption",
+    groups=[("", 1), ("room?seed=4", 2)],
+    blocks=[1],
+)
+
+
+def test_markdown():
+    header, rule, first, second = markdown(TABLE).splitlines()
+    assert header == "| Method | room?seed=4 Acc (cm) ↓ | room?seed=4 C.R. (%) ↑ |"
+    assert rule == "|---|---:|---:|"
+    assert first == "| pixel_only | **1.23** ¹ | 80.0 ² |"
+    assert second == "| a\\|b | n/a | −1.0 [−2.0, 0.5] ³ |"
+
+
+def test_csv_has_full_numbers_and_plain_minus_signs():
+    rows = list(csv.reader(io.StringIO(to_csv(TABLE))))
+    assert rows[1] == ["pixel_only", "1.2345", "80.0"]
+    assert rows[2] == ["a|b", "n/a", "-1.0 [-2.0, 0.5]"]
+
+
+def test_latex():
+    text = latex(TABLE)
+    assert r"\textbf{1.23} & \underline{80.0} \\" in text and r"\textit{$-$1.0 [$-$2.0, 0.5]}" in text
+    assert r"pixel\_only" in text and r"\multicolumn{2}{c}{room?seed=4}" in text and r"Title \& more" in text
+    assert r"C.R. (\%) $\uparrow$" in text and r"\begin{tabular}{lrr}" in text
+    plain = re.sub(r"\\[{}]", "", text)
+    assert plain.count("{") == plain.count("}") and text.isascii()
+    for row in re.findall(r"^(.*) \\\\$", text, re.M)[1:]:  # the first has a cell that spans two
+        assert len(re.findall(r"(?<!\\)&", row)) == 2
+
+
+def test_what_latex_would_take_for_a_command_is_written_out():
+    assert latex_text("a_b{c}%$#~^\\") == (
+        r"a\_b\{c\}\%\$\#\textasciitilde{}\textasciicircum{}\textbackslash{}"
+    )
+
+
+def test_every_table_comes_in_three_forms():
+    assert sorted(documents([TABLE])) == ["quality.csv", "quality.md", "quality.tex"]

@@ -1,0 +1,102 @@
+import pytest
+
+from activestructure_gym.evaluation.report.columns import QUALITY
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.verdicts import (
+    aggregate_table,
+    area_table,
+    cost_table,
+    difference_table,
+    differences,
+    improvement_table,
+    leads,
+    verdict,
+)
+
+COLUMNS = {column.key: column for column in QUALITY}
+
+
+@pytest.fixture
+def grid(make_run):
+    """Policy b is better than a by 2 to 5 in PSNR and worse in accuracy, on 2 scenes x 4 seeds."""
+
+    def make(**numbers):
+        return Results(
+            [
+                make_run(
+                    scene, policy, seed, psnr=20.0 + 3 * seed + (2 + seed if policy == "b" else 0),
+                    accuracy_cm=1.0 + 0.1 * seed + (0.5 if policy == "b" else 0.0), **numbers,
+                )
+                for scene in ("room", "box") for policy in ("a", "b") for seed in range(4)
+            ],
+            [],
+            "a",
+        )  # fmt: skip
+
+    return make
+
+
+def test_a_difference_says_whether_zero_is_excluded_and_which_way_is_better(grid):
+    results = grid()
+    psnr = differences(results, COLUMNS["psnr"])["b"]
+    assert psnr.difference.value == 3.5 and psnr.difference.low > 2.0
+    assert verdict(psnr, COLUMNS["psnr"]) == ("0 excluded: better", "good")
+    accuracy = differences(results, COLUMNS["accuracy_cm"])["b"]
+    assert verdict(accuracy, COLUMNS["accuracy_cm"]) == ("0 excluded: worse", "bad")
+    ssim = differences(results, COLUMNS["ssim"])["b"]
+    assert verdict(ssim, COLUMNS["ssim"]) == ("0 not excluded", "")
+
+
+def test_few_pairs_are_said(grid):
+    results = grid()
+    few = Results([run for run in results.runs if run.job.seed < 2], [], "a")
+    words, tone = verdict(differences(few, COLUMNS["psnr"])["b"], COLUMNS["psnr"])
+    assert words == "0 excluded: better, 4 pairs only" and not tone
+    one = Results([run for run in results.runs if run.job.seed < 1], [], "a")
+    assert verdict(differences(one, COLUMNS["psnr"])["b"], COLUMNS["psnr"])[0].startswith("no interval")
+
+
+def test_the_table_of_differences(grid, make_run):
+    table = difference_table(grid())
+    row = next(row for row in table.rows if row[1].text.startswith("PSNR"))
+    assert [cell.text for cell in row][:2] == ["b", "PSNR (dB) ↑"]
+    assert row[2].text.startswith("+3.50 [+") and row[3].tone == "good" and row[4].text == "8 / 0 / 0"
+    # Of a 20, 23, 26, 29, of b 22, 26, 30, 34: b wins 1 + 2.5 + 4 + 4 of 16.
+    assert row[5].value == 11.5 / 16
+    accuracy = next(row for row in table.rows if row[1].text.startswith("Acc"))
+    assert accuracy[4].text == "0 / 0 / 8"
+    assert difference_table(Results([make_run()], [])) is None
+
+
+def test_improvement_adds_up_to_one_and_is_coloured_where_it_is_sure(grid):
+    table = improvement_table(grid(), COLUMNS["accuracy_cm"])
+    (_, nothing, a_over_b), (_, b_over_a, _) = table.rows
+    assert nothing.text == "–" and a_over_b.value + b_over_a.value == 1.0
+    assert (a_over_b.tone, b_over_a.tone) == ("good", "bad")
+
+
+def test_who_leads_and_by_how_much(grid):
+    found = {lead.column.key: lead for lead in leads(grid())}
+    assert found["psnr"].policy == "b" and found["psnr"].runner_up == "a"
+    assert found["psnr"].ahead.difference.value == 3.5
+    assert found["accuracy_cm"].policy == "a" and found["accuracy_cm"].ahead.difference.value < 0
+
+
+def test_collisions_are_an_alarm(grid):
+    table = cost_table(grid(collisions=1))
+    column = [heading.text for heading in table.headings].index("collisions")
+    assert [(row[column].text, row[column].tone) for row in table.rows] == [("8", "alarm")] * 2
+    assert cost_table(grid()).rows[0][column].tone == "good"
+    headings = [heading.text for heading in table.headings]
+    assert table.rows[0][headings.index("planning (s)")].text == "3.5"
+    assert table.rows[0][headings.index("mapping (s)")].text == "4.0"
+
+
+def test_aggregates_and_areas_name_every_statistic_and_axis(grid):
+    table = aggregate_table(grid())
+    psnr = [row for row in table.rows if row[0].text.startswith("PSNR")]
+    assert [row[1].text for row in psnr] == ["mean", "median", "IQM"]
+    assert psnr[0][2].text.startswith("24.50 [") and [cell.rank for cell in psnr[0][2:]] == [2, 1]
+    areas = area_table(grid())
+    assert [row[1].text for row in areas.rows] == ["frames", "metres", "seconds"] * 2
+    assert all(cell.value is not None for row in areas.rows for cell in row[2:])

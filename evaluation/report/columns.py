@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from activestructure_gym.evaluation.store import Run
@@ -18,7 +18,7 @@ WORLD = ("volume", "planes")
 class Column:
     """One number of a run."""
 
-    key: str  # in metrics.json, or one of the seconds below
+    key: str  # in metrics.json, "PROTOCOL/KEY" of a further protocol's numbers, or one of the seconds below
     header: str
     unit: str
     digits: int
@@ -89,11 +89,53 @@ def value_of(run: Run, key: str) -> float | None:
         "world_seconds": WORLD,
         "sensor_seconds": ("sensor",),
     }
+    if "/" in key:
+        protocol, _, name = key.partition("/")
+        found = run.protocols.get(protocol)
+        return None if found is None else found["metrics"].get(name)
     if key == "seconds":
         return run.timing["total"]
     if key in stages:
         return sum(run.timing.get("seconds", {}).get(stage, 0.0) for stage in stages[key])
     return run.metrics["metrics"].get(key)
+
+
+@dataclass(frozen=True)
+class Aspect:
+    """One way the quality of the same maps was measured."""
+
+    name: str  # of its tables' files; empty for the run's own protocol
+    title: str
+    columns: tuple[Column, ...]  # those that the runs know, defined or not
+
+    def of(self, table: str) -> str:
+        """The name of one of its tables."""
+        return f"{table}-{self.name}" if self.name else table
+
+
+def aspects(runs: Sequence[Run]) -> list[Aspect]:
+    """The runs' own protocol, its TSDF surface if there is one, and every further protocol."""
+    surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in QUALITY[:5])
+    own = runs[0].job.protocol.name
+    found = [Aspect("", own, _known(QUALITY, runs)), Aspect("tsdf", f"{own}, TSDF surface", _known(surface, runs))]
+    others = dict.fromkeys(name for run in runs for name in run.protocols if name != own)
+    for name in others:
+        columns = tuple(replace(column, key=f"{name}/{column.key}") for column in QUALITY)
+        found.append(Aspect(name, name, _known(columns, runs)))
+    return [aspect for aspect in found if aspect.columns]
+
+
+def reason_of(run: Run, key: str) -> str:
+    """Why a number is not defined, as far as the protocol said."""
+    protocol, _, name = key.rpartition("/")
+    content = run.protocols.get(protocol or run.job.protocol.name)
+    notes = content["metrics"].get("notes") or {} if content else {}
+    return notes.get(name) or notes.get(name.partition("_")[0], "")
+
+
+def _known(columns: Sequence[Column], runs: Sequence[Run]) -> tuple[Column, ...]:
+    """The columns that a run has a number for, or a reason why it has none."""
+    return tuple(c for c in columns if any(value_of(run, c.key) is not None or reason_of(run, c.key) for run in runs))
 
 
 def measured(columns: Sequence[Column], runs: Sequence[Run]) -> list[Column]:

@@ -7,6 +7,23 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import resampling
 
 
+def protocol_texts(results: Results) -> list[str]:
+    """The protocols in words, and why numbers are missing."""
+    texts = [protocol_text(results)]
+    if "activegamer" in results.runs[0].protocols:
+        texts.append(
+            "Protocol `activegamer` follows the evaluation code of ActiveGAMER (docs/protocols.md): means matched to "
+            "the 1 cm voxels of the whole surface, seen or not, so that floaters do not count; images masked where the "
+            "truth has no depth, from one small circle of views; PSNR by channel."
+        )
+    reasons: dict[str, None] = {}
+    for run in results.runs:
+        for name, content in run.protocols.items():
+            for key, reason in (content["metrics"].get("notes") or {}).items():
+                reasons[f"{key} is not defined in protocol `{name}`: {reason}."] = None
+    return [*texts, *reasons]
+
+
 def protocol_text(results: Results) -> str:
     """The metrics of the protocol in words."""
     run = results.runs[0]
@@ -63,7 +80,7 @@ def machine_text(results: Results) -> str:
 
 def definitions(results: Results) -> list[Html]:
     """All of it as paragraphs."""
-    texts = [protocol_text(results), *statistics_text(), machine_text(results)]
+    texts = [*protocol_texts(results), *statistics_text(), machine_text(results)]
     return [_paragraph(text) for text in texts]
 
 

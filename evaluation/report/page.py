@@ -8,7 +8,7 @@ from typing import Any
 
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import Bar, interval_chart, key_mark
-from activestructure_gym.evaluation.report.columns import MAIN, measured
+from activestructure_gym.evaluation.report.columns import MAIN, aspects, measured
 from activestructure_gym.evaluation.report.html import Html, element, folded, html_table
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, with_interval
 from activestructure_gym.evaluation.report.method_text import definitions
@@ -74,7 +74,7 @@ def _header(results: Results, title: str) -> Html:
         f"{_counted(len(results.runs), 'finished run')}: {_counted(len(results.scenes), 'scene')}, "
         f"{_counted(len(results.policies), 'policy', 'policies')}, {_counted(len(results.seeds), 'seed')}",
         f"preset {first.job.preset}, {first.config['configuration']['frame_budget']} frames per run",
-        f"protocol {first.job.protocol.name}",
+        f"protocol {' and '.join(first.protocols)}",
     ]
     alarms: list[Html] = []
     crossed = {run.job.title: n for run in results.runs if (n := run.metrics["metrics"]["collisions"])}
@@ -148,18 +148,24 @@ def _glance(results: Results) -> Html:
         element("h2", "At a glance"),
         element("div", *cards, class_="cards"),
         legend,
-        html_table(ablation_table(results), colours=results.policies),
+        html_table(ablation_table(results, aspects(results.runs)[0]), colours=results.policies),
         _rank_key(),
+        *(html_table(ablation_table(results, other), colours=results.policies) for other in aspects(results.runs)[1:]),
         id_="glance",
     )
 
 
 def _tables(results: Results) -> Html:
+    first, *others = aspects(results.runs)
     return element(
         "section",
         element("h2", "Quality on every scene"),
-        html_table(quality_table(results), colours=results.policies),
+        html_table(quality_table(results, first), colours=results.policies),
         _rank_key(),
+        *(
+            folded(f"Protocol {other.title}", html_table(quality_table(results, other), colours=results.policies))
+            for other in others
+        ),
         folded("Mean, median and interquartile mean", html_table(verdicts.aggregate_table(results))),
         id_="quality",
     )
@@ -235,10 +241,15 @@ def _how(results: Results) -> Html:
         rows,
         "One row per field; where policies differ, one value each",
     )
-    protocol = Table(
-        "protocol", "Protocol", _two("parameter", "value"),
-        [[Cell(name), Cell(str(value))] for name, value in first.job.protocol.parameters().items()],
-    )  # fmt: skip
+    protocols = [
+        Table(
+            f"protocol-{name}",
+            f"Protocol {name}",
+            _two("parameter", "value"),
+            [[Cell(key), Cell(str(value))] for key, value in content["parameters"].items()],
+        )
+        for name, content in first.protocols.items()
+    ]
     places = [
         [Cell(str(source.directory)), Cell(source.command or "single run"), Cell(str(source.workers or ""))]
         for source in results.sources
@@ -250,7 +261,7 @@ def _how(results: Results) -> Html:
         *definitions(results),
         html_table(made),
         html_table(_machines(results.runs)),
-        folded("Protocol", html_table(protocol)),
+        folded("Protocols", *map(html_table, protocols)),
         folded("Configuration", html_table(configuration)),
         folded("Versions", html_table(_versions(results.runs))),
         id_="how",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.evaluation.report.columns import QUALITY, Column, measured
+from activestructure_gym.evaluation.report.columns import Aspect, Column, aspects, reason_of
 from activestructure_gym.evaluation.report.layout import (
     MISSING,
     NONE,
@@ -28,9 +28,9 @@ LADDER = {
 }
 
 
-def quality_table(results: Results) -> Table:
+def quality_table(results: Results, aspect: Aspect) -> Table:
     """Tables 1 and 2: a row per method and metric, a column per scene, and the average over the scenes."""
-    columns = measured(QUALITY, results.runs)
+    columns = aspect.columns
     scenes = [*results.scenes, None] if len(results.scenes) > 1 else results.scenes
     cells: dict[tuple[str, str, str | None], Cell] = {}
     for column in columns:
@@ -49,16 +49,23 @@ def quality_table(results: Results) -> Table:
         "or not defined"
     )
     blocks = [k * len(columns) for k in range(1, len(results.policies))]
-    return Table("quality", "3D reconstruction and view synthesis", headings, rows, caption, blocks=blocks)
+    title = f"3D reconstruction and view synthesis, protocol {aspect.title}"
+    return Table(aspect.of("quality"), title, headings, rows, caption, blocks=blocks)
 
 
-def ablation_table(results: Results) -> Table:
+def ablation_table(results: Results, aspect: Aspect) -> Table:
     """Table 3: a row per policy, a column per metric, averaged over the scenes, with 95 % intervals."""
-    columns = measured(QUALITY, results.runs)
+    columns = aspect.columns
     by_column = []
     for column in columns:
-        strata = [results.strata(policy, column.key) for policy in results.policies]
-        found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
+        found = []
+        for policy in results.policies:
+            strata = results.strata(policy, column.key)
+            found.append(
+                _undefined(results, policy, column, None)
+                if strata is None
+                else with_interval(estimate(strata), column.digits)
+            )
         by_column.append(ranked(found, column))
     ladder = "activestructure-a" in results.policies
     rows = [
@@ -70,7 +77,7 @@ def ablation_table(results: Results) -> Table:
         f"Means over {_counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified bootstrap "
         "intervals of 95 %; none where a scene has a single run. Only policies that finished on every scene"
     )
-    return Table("variants", "Policies side by side", headings, rows, caption)
+    return Table(aspect.of("variants"), f"Policies side by side, protocol {aspect.title}", headings, rows, caption)
 
 
 def time_table(results: Results) -> Table:
@@ -89,17 +96,24 @@ def time_table(results: Results) -> Table:
 
 def tables_like_the_papers(results: Results) -> list[Table]:
     """All of them."""
-    return [quality_table(results), ablation_table(results), time_table(results)]
+    found = [table(results, aspect) for aspect in aspects(results.runs) for table in (quality_table, ablation_table)]
+    return [*found, time_table(results)]
 
 
 def _mean(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
     """On one scene, or averaged over all of them."""
-    if not results.of(policy, scene) or (scene is None and any(not results.of(policy, own) for own in results.scenes)):
-        return Cell(MISSING)
     strata = results.strata(policy, column.key, scene)
     if strata is None:
-        return Cell(NONE)
+        return _undefined(results, policy, column, scene)
     return number(float(mean(np.concatenate(strata), [len(values) for values in strata])), column.digits)
+
+
+def _undefined(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
+    """What stands for a number that is not there: no run on a scene, or not defined in a run, and why."""
+    if not all(results.of(policy, own) for own in ([scene] if scene else results.scenes)):
+        return Cell(MISSING)
+    reasons = [reason for run in results.of(policy, scene) if (reason := reason_of(run, column.key))]
+    return Cell(NONE, note=reasons[0] if reasons else "")
 
 
 def _counted(number_of: int, one: str) -> str:

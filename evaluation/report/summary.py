@@ -10,10 +10,11 @@ from typing import Any
 from activestructure_gym.evaluation.jobs import slug
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import line_chart, standalone
+from activestructure_gym.evaluation.report.columns import aspects
 from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
 from activestructure_gym.evaluation.report.formats import documents, markdown
 from activestructure_gym.evaluation.report.layout import Table
-from activestructure_gym.evaluation.report.method_text import machine_text, protocol_text, statistics_text
+from activestructure_gym.evaluation.report.method_text import machine_text, protocol_texts, statistics_text
 from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.paper_tables import ablation_table, tables_like_the_papers
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views
@@ -63,7 +64,8 @@ def write_results(directory: Path, results: Results) -> list[Path]:
 
 def all_tables(results: Results) -> list[Table]:
     """Every table of the report, those in the paper's layout first."""
-    tables = [*tables_like_the_papers(results), verdicts.difference_table(results), verdicts.aggregate_table(results)]
+    tables: list[Table | None] = [*tables_like_the_papers(results), verdicts.difference_table(results)]
+    tables.append(verdicts.aggregate_table(results))
     tables += [verdicts.area_table(results), verdicts.cost_table(results), overview(table_rows(results.runs))]
     return [table for table in tables if table is not None]
 
@@ -138,8 +140,8 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     missing = [f"- {name}: {reason}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
-    compared = [ablation_table(results), verdicts.difference_table(results), verdicts.area_table(results)]
-    compared.append(verdicts.cost_table(results))
+    compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
+    compared += [verdicts.difference_table(results), verdicts.area_table(results), verdicts.cost_table(results)]
     parts = [
         "# Comparison",
         "",
@@ -156,7 +158,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     for table in compared:
         if table is not None:
             parts += [f"## {table.title}", "", markdown(table), f"{table.caption}.", ""]
-    parts += [*sections, "## How it was measured", "", protocol_text(results), ""]
+    parts += [*sections, "## How it was measured", "", *(f"{text}\n" for text in protocol_texts(results))]
     for text in statistics_text():
         parts += [text, ""]
     workers = {source.workers for source in results.sources if source.workers}

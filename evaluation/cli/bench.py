@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.evaluation.cli.commands import Bench
@@ -18,6 +19,7 @@ _TITLES = {
     "planes": "planes found on this machine, beside those of OpenCV",
     "mapping": "quality of maps on held-out views",
     "growth": "cost of one place while the map grows elsewhere",
+    "grid": "the same jobs by hand and through the supervisor",
 }
 
 
@@ -40,6 +42,13 @@ def bench(options: Bench) -> int:
             rows = [row for scene in loaded for row in benchmark.detection_rows(scene, sizes=sizes, views=views)]
             costs = [row for scene in loaded for row in benchmark.graph_rows(scene, keyframes=keyframes)]
         print_whole(console, rows_table(costs, title="processor time of the planes, 256 candidates"))
+    elif options.what == "grid":
+        from activestructure_gym.evaluation.grid_benchmark import run_grid_benchmark
+
+        size: dict[str, Any] = {"frames": 8, "seeds": (0,), "repeats": 1} if options.quick else {}
+        with console.status("measuring the grid") as status:
+            chosen = scenes or (["box"] if options.quick else ["room"])
+            rows = run_grid_benchmark(chosen, notify=lambda line: status.update(escape(line)), **size)
     else:
         with console.status(f"measuring the {options.what}") as status:
             if options.what == "sensor":

@@ -91,17 +91,17 @@ class Doctor:
 @dataclass(frozen=True)
 class Bench:
     """Measure a part on this machine: speed of the sensor or the rasteriser, planes found, quality of maps, cost of
-    their growth."""
+    their growth, what the supervisor of a comparison costs."""
 
-    what: Annotated[Literal["sensor", "splatting", "planes", "mapping", "growth"], tyro.conf.Positional]
+    what: Annotated[Literal["sensor", "splatting", "planes", "mapping", "growth", "grid"], tyro.conf.Positional]
     """The part to measure."""
     scene: str | None = None
-    """The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), or that are mapped (two
-    apartments); separated by commas."""
+    """The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), that are mapped (two
+    apartments), or that a grid explores (room); separated by commas."""
     out: str | None = None
     """Directory for the figure and the numbers of mapping and growth; only printed if not given."""
     quick: Switch = False
-    """Planes, mapping and growth in small, to see that they run."""
+    """Planes, mapping, growth and grid in small, to see that they run."""
 
     workloads: tuple[str, ...] = ("W1", "W2", "W3", "W4")
     """Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k

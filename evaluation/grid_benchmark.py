@@ -1,0 +1,114 @@
+"""What the supervisor costs: the same jobs through it and by hand, in turn."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.progress import LiveProgress
+from activestructure_gym.evaluation.comparison import Comparison, run_comparison
+from activestructure_gym.evaluation.engines.base import Limits
+from activestructure_gym.evaluation.engines.local import count_slots
+from activestructure_gym.evaluation.engines.process import search_path
+from activestructure_gym.evaluation.holding import hold
+from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.threads import worker_environment
+
+# One job in a fresh process, as a shell loop would start it.
+BY_HAND = """
+import json, sys
+from pathlib import Path
+import cv2
+from activestructure_gym.evaluation.episode import run_job
+from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.threads import thread_cap
+cv2.setNumThreads(thread_cap())
+run_job(Job.from_dict(json.loads(Path(sys.argv[1]).read_text())), Path(sys.argv[2]))
+"""
+
+
+def run_grid_benchmark(
+    scenes: Sequence[str] = ("room",),
+    *,
+    frames: int = 60,
+    seeds: Sequence[int] = (0, 1),
+    repeats: int = 3,
+    notify: Callable[[str], None] = lambda _: None,
+) -> list[dict[str, Any]]:
+    """Seconds and processor seconds of both ways, a row per repetition and one of medians.
+
+    Two policies per scene and seed, as many jobs at a time as there are cores, the same caps on threads. The live
+    display is on. What `asg compare` does once before (checking, compiling) and after (drawing) is not in it: jobs
+    run by hand need the one and have nothing of the other. The two ways take turns in beginning.
+    """
+    if shutil.which("xargs") is None:
+        raise InputError("asg bench grid runs jobs by hand with xargs, which is not here")
+    comparison = Comparison(
+        scenes, ("random", "pixel_only"), seeds, frame_budget=frames, protocol=StandardProtocol(views=8)
+    )
+    jobs = comparison.prepare(notify)
+    ways = {"by_hand": _by_hand, "supervisor": _supervised}
+    rows: list[dict[str, Any]] = []
+    for repeat in range(repeats):
+        row: dict[str, Any] = {"repetition": str(repeat + 1), "jobs": len(jobs)}
+        for name in sorted(ways, reverse=bool(repeat % 2)):
+            notify(f"repetition {repeat + 1} of {repeats}: {name.replace('_', ' ')}")
+            with tempfile.TemporaryDirectory(prefix="asg-bench-grid-") as directory:
+                began, spent = time.perf_counter(), _processor_seconds()
+                ways[name](jobs, Path(directory))
+                row[f"{name}_s"] = time.perf_counter() - began
+                row[f"{name}_cpu_s"] = _processor_seconds() - spent
+        rows.append(_with_shares(row))
+    names = [name for name in rows[0] if name.endswith("_s")]
+    median = {name: statistics.median(row[name] for row in rows) for name in names}
+    return [*rows, _with_shares({"repetition": "median", "jobs": len(jobs)} | median)]
+
+
+def _with_shares(row: dict[str, Any]) -> dict[str, Any]:
+    shares = {
+        "overhead_%": 100 * (row["supervisor_s"] / row["by_hand_s"] - 1),
+        "overhead_cpu_%": 100 * (row["supervisor_cpu_s"] / row["by_hand_cpu_s"] - 1),
+    }
+    return row | shares
+
+
+def _by_hand(jobs: Sequence[Job], directory: Path) -> None:
+    """`xargs` runs one command per job, as many at a time as there are cores."""
+    slots = count_slots(len(jobs), Limits())
+    lines = []
+    for number, job in enumerate(jobs):
+        file = directory / f"{number}.json"
+        file.write_text(json.dumps(job.as_dict()), encoding="utf-8")
+        lines.append(f"{file} {directory / job.name}\n")
+    environment = worker_environment(slots) | {"PYTHONPATH": os.pathsep.join(search_path())}
+    command = ["xargs", "-P", str(slots), "-L", "1", sys.executable, "-c", BY_HAND]
+    subprocess.run(command, input="".join(lines), text=True, env=environment, check=True, capture_output=True)
+
+
+def _supervised(jobs: Sequence[Job], directory: Path) -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=120)
+    with hold(directory / "out") as held, LiveProgress(console) as live:
+        result = run_comparison(jobs, directory / "out", live, held=held)
+    if result.failed:
+        raise RuntimeError(f"a run failed: {result.failed[0].error}")
+
+
+def _processor_seconds() -> float:
+    import resource  # not on Windows, which has no xargs either
+
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(entry.ru_utime + entry.ru_stime for entry in used)

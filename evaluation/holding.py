@@ -63,18 +63,19 @@ def check_free(directory: Path) -> None:
 
 
 def _take(descriptor: int, directory: Path) -> None:
-    began = time.monotonic()
+    waited = 0.0  # not by the clock: time during which everything is suspended does not count
     while not _try(descriptor):
         process, _, machine = _owner(descriptor).partition(" ")
         if not process.isdigit() or machine != machine_mark() or is_alive(int(process)):
             who = f"process {process}" if machine == machine_mark() else "a process of another machine"
             raise InputError(f"{who} is at work in '{directory}': wait until it has ended, or choose another --out")
-        if time.monotonic() - began > _PATIENCE:
+        if waited > _PATIENCE:
             raise InputError(
                 f"runs that process {process} began before it was killed have not ended in '{directory}': "
                 "try again in a moment, or end them yourself"
             )
         time.sleep(_TICK)
+        waited += _TICK
 
 
 def _try(descriptor: int) -> bool:

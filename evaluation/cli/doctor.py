@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 from rich.console import Console
 from rich.markup import escape
 
@@ -44,6 +46,8 @@ def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
     rows += [("rasteriser", name, state) for name, state in backend_status().items()]
     rows.append(("engine", "inline", "works"))
     rows.append(("engine", "local", "works"))
+    with_ray = importlib.util.find_spec("ray") is not None
+    rows.append(("engine", "ray", "works" if with_ray else "not installed: pip install 'activestructure-gym[ray]'"))
     rows.append(("cache", str(cache_directory()), _cache_state()))
     return {"raycast", "cpu"}, rows
 

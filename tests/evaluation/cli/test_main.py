@@ -181,6 +181,18 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
     assert "160 .. 90" in out and "123" in out and "n/a" in out
 
 
+def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
+    from activestructure_gym.evaluation import grid_benchmark
+
+    def measured(scenes, **options):
+        return [{"repetition": "1", "scenes": scenes, **{name: options[name] for name in ("frames", "repeats")}}]
+
+    monkeypatch.setattr(grid_benchmark, "run_grid_benchmark", measured)
+    assert main(["bench", "grid", "--quick"]) == 0
+    said = capsys.readouterr().out
+    assert "the same jobs by hand and through" in said and "box" in said
+
+
 def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
     from activestructure_gym.planes import benchmark
 

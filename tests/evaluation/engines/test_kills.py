@@ -106,9 +106,7 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
     while any(words_of(orphan) for orphan in orphans) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not [orphan for orphan in orphans if "evaluation.worker" in words_of(orphan)]
-    say(
-        f"killed in {grid} grids: {victims['supervisor']} supervisors, {victims['worker']} workers; no process is left"
-    )
+    say(f"killed in {grid} grids: {victims['supervisor']} supervisors, {victims['worker']} workers; no process is left")
 
 
 def check_finished(out: Path, expected: dict[str, list[bytes]], stamps: dict[str, int]) -> int:

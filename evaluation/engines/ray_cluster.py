@@ -9,6 +9,7 @@ by itself, because its standard input does.
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
 import queue
 import time
@@ -128,7 +129,7 @@ def _attempt(order: _Order, board: Any) -> Ended:
         return Ended()
     messages: Messages = queue.SimpleQueue()
     worker = WorkerProcess(
-        job, directory, messages, environment=capped_environment(order.threads) | order.variables,
+        job, directory, messages, environment=capped_environment(order.threads) | dict(order.variables),
         command=order.command, minutes=order.minutes, attempt=order.attempt,
     )  # fmt: skip
     try:
@@ -181,7 +182,7 @@ def _connect() -> tuple[bool, Any]:
     if ray.is_initialized():
         return False, ray
     try:
-        ray.init(include_dashboard=False, log_to_driver=False, logging_level="error")
+        ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, ValueError, RuntimeError) as error:
         address = os.environ.get("RAY_ADDRESS", "")
         where = f"the Ray cluster at RAY_ADDRESS={address}" if address else "the Ray cluster of this machine"

@@ -68,15 +68,19 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
         while code != 0:
             sittings += 1
             supervisor, code = started(out), None
+            sitting = time.monotonic()
             while code is None:
-                moment = chance.uniform(0, 0.6 * length) if kills < KILLS else 600.0
-                sitting = time.monotonic()
+                # Two of three while jobs run, the others from the start on, when scenes are prepared.
+                wait = kills < KILLS and chance.random() < 2 / 3
+                while wait and supervisor.poll() is None and not workers_of(supervisor):
+                    time.sleep(0.1)
+                moment = chance.uniform(0, min(0.6 * length, 15.0)) if kills < KILLS else 600.0
                 try:
                     code = supervisor.wait(moment)
                     break
                 except subprocess.TimeoutExpired:
                     assert kills < KILLS, "a run that nobody disturbs does not end"
-                workers = [child for child in children(supervisor.pid) if "evaluation.worker" in words_of(child)]
+                workers = workers_of(supervisor)
                 victim = chance.choice(("supervisor", "worker")) if workers else "supervisor"
                 try:
                     os.kill(supervisor.pid if victim == "supervisor" else chance.choice(workers), signal.SIGKILL)
@@ -119,15 +123,15 @@ def check_finished(out: Path, expected: dict[str, list[bytes]], stamps: dict[str
     return len(finished)
 
 
-def children(process: int) -> list[int]:
+def workers_of(supervisor: subprocess.Popen) -> list[int]:
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            if int(stat.read_text().rpartition(")")[2].split()[1]) == process:
+            if int(stat.read_text().rpartition(")")[2].split()[1]) == supervisor.pid:
                 found.append(int(stat.parent.name))
         except OSError:
             continue
-    return found
+    return [process for process in found if "evaluation.worker" in words_of(process)]
 
 
 def words_of(process: int) -> str:

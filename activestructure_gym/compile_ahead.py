@@ -118,7 +118,7 @@ def calls_of_the_map() -> dict[str, tuple[Any, tuple[Any, ...]]]:
 
 def compile_rasteriser() -> None:
     """What a first use comes to late, and then what is left; not what another process is at, or needs less time for."""
-    done = set()
+    done: set[str] = set()
     for name in _ORDER:
         if _ONLY_AFTER.get(name, name) in {name, *done} and _compile(name):
             done.add(name)

@@ -127,8 +127,8 @@ def runs_csv(runs: Sequence[Run]) -> str:
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    identity = ["scene", "policy", "seed", "preset", "protocol", "job"]
-    writer.writerow([*identity, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
+    titles = ["scene", "policy", "seed", "preset", "protocol", "job"]
+    writer.writerow([*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
     for run, numbers in zip(runs, scalars):
         job = run.job
         identity = [job.scene, job.policy, job.seed, job.preset, job.protocol.name, job.hash]

@@ -91,7 +91,8 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
 
 def difference_table(results: Results) -> Table | None:
     """A row per policy and metric: the paired difference to the baseline with its interval, and what it excludes."""
-    rows, blocks = [], []
+    rows: list[list[Cell]] = []
+    blocks: list[int] = []
     for policy in results.policies:
         if policy == results.baseline:
             continue
@@ -153,7 +154,8 @@ def improvement_table(results: Results, column: Column) -> Table | None:
 
 def aggregate_table(results: Results) -> Table:
     """Mean, median and interquartile mean of every metric, with intervals."""
-    rows, blocks = [], []
+    rows: list[list[Cell]] = []
+    blocks: list[int] = []
     for column in measured(QUALITY, results.runs):
         block = []
         for name, statistic in STATISTICS.items():
@@ -176,7 +178,8 @@ def aggregate_table(results: Results) -> Table:
 
 def area_table(results: Results) -> Table:
     """Area under the convergence curves, normalised by the budget, for every measure and cost."""
-    rows, blocks = [], []
+    rows: list[list[Cell]] = []
+    blocks: list[int] = []
     for measure in MEASURES:
         column = Column(measure.key, measure.header, measure.unit, measure.digits, "highest")
         if rows:

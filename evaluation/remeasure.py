@@ -60,14 +60,18 @@ def measure_file(
 ) -> dict[str, Any]:
     """A protocol's numbers of a map of any origin: our ``map.npz``, SplaTAM's ``params.npz``, or a 3DGS PLY.
 
-    The map must lie in the scene's frame (z up, metres); a ``params.npz`` is brought there if ``poses`` or its own
-    recorded poses say how. ``poses`` is a ``trajectory.npz``; what needs poses is None without. Raises `InputError`.
+    A PLY must lie in the scene's frame (z up, metres); a ``params.npz`` lies in its first camera's, which is the first
+    of ``poses``, a ``trajectory.npz``. What needs poses is None without them. Raises `InputError`.
     """
-    from activestructure_gym.mapping.files import read_map
+    from activestructure_gym.mapping.files import map_kind, read_map
+    from activestructure_gym.mapping.splatam_file import splatam_path
     from activestructure_gym.scenes import load_scene
 
     path = read_path(poses) if poses is not None else None
-    gaussians = read_map(map_file)
+    gaussians = read_map(map_file, None if path is None else path.start)
+    if path is None and map_kind(map_file) == "splatam":
+        arrays = splatam_path(map_file)
+        path = CameraPath.from_arrays(arrays) if arrays is not None else None
     return plain(protocol.evaluate(gaussians, protocol.truth(load_scene(scene)), path))
 
 

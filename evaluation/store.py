@@ -57,14 +57,18 @@ class Run:
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:
-        """``parameters`` and ``metrics`` by protocol: the run's own first, then those measured on top of it."""
+        """``parameters`` and ``metrics`` by protocol: the run's own first, then those measured on top of it.
+
+        The run's own numbers are `metrics`, completed by an LPIPS that was measured later.
+        """
         own = self.job.protocol
         found = {own.name: {"parameters": own.parameters(), "metrics": self.metrics["metrics"]}}
         for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
             content = read_json(path)
-            name = content["protocol"]["name"]
-            if name != own.name:
-                found[name] = {"parameters": content["protocol"], "metrics": content["metrics"]}
+            name, numbers = content["protocol"]["name"], content["metrics"]
+            if name == own.name:
+                numbers = {**numbers, **{k: v for k, v in self.metrics["metrics"].items() if v is not None}}
+            found[name] = {"parameters": content["protocol"], "metrics": numbers}
         return found
 
     @cached_property

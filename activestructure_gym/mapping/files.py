@@ -3,21 +3,45 @@
 from __future__ import annotations
 
 import os
+import zipfile
+
+import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.ply import read_ply
+from activestructure_gym.mapping.splatam_file import read_splatam
 
 
-def read_map(path: str | os.PathLike[str]) -> GaussianMap:
-    """The Gaussians of a file; raises `InputError` if it is none that is known."""
+def map_kind(path: str | os.PathLike[str]) -> str:
+    """ "ply", "splatam" or "npz" (ours); raises `InputError` for a file that is none of them."""
     try:
         with open(path, "rb") as file:
             start = file.read(4)
+        if start[:3] == b"ply":
+            return "ply"
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                names = set(archive.namelist())
+            if "parameters.npy" in names:
+                return "npz"
+            if "means3D.npy" in names:
+                return "splatam"
     except FileNotFoundError:
         raise InputError(f"expected a map, but there is no file '{path}'") from None
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
-    if start[:3] == b"ply":
-        return read_ply(path)
-    return GaussianMap.load_npz(path)
+    except (OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"'{path}' cannot be read: {error}") from error
+    raise InputError(
+        f"'{path}' is no map that is known here: expected a 3DGS PLY, SplaTAM's params.npz, or a run's map.npz"
+    )
+
+
+def read_map(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:
+    """The Gaussians of a file of any of these kinds; raises `InputError`.
+
+    ``world_from_first`` [4, 4] brings SplaTAM's maps, which lie in their first camera's frame, into the world's.
+    """
+    kind = map_kind(path)
+    if kind == "splatam":
+        return read_splatam(path, world_from_first)
+    return read_ply(path) if kind == "ply" else GaussianMap.load_npz(path)

@@ -49,6 +49,10 @@ class Compare:
     """Held-out views that PSNR and SSIM are measured on."""
     protocols: tuple[str, ...] = ("standard",)
     """What finished maps are measured by: standard always is, activegamer can be as well (docs/protocols.md)."""
+    lpips_weights: str | None = None
+    """Folder with AlexNet's and LPIPS's weights; see docs/protocols.md. Also: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+    samples: int | None = None
+    """Points of the true surface that geometry is measured on, seen or not; 200000 if not given."""
     view_source: Literal["free_space", "recorded"] = "free_space"
     """Drawn in the scene's free space, or recorded with the scene."""
     baseline: str | None = None
@@ -91,9 +95,11 @@ class Doctor:
 @dataclass(frozen=True)
 class Bench:
     """Measure a part on this machine: speed of the sensor or the rasteriser, planes found, quality of maps, cost of
-    their growth, what the supervisor of a comparison costs."""
+    their growth, what the supervisor of a comparison costs, time of an episode's evaluation."""
 
-    what: Annotated[Literal["sensor", "splatting", "planes", "mapping", "growth", "grid"], tyro.conf.Positional]
+    what: Annotated[
+        Literal["sensor", "splatting", "planes", "mapping", "growth", "grid", "evaluation"], tyro.conf.Positional
+    ]
     """The part to measure."""
     scene: str | None = None
     """The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), that are mapped (two
@@ -101,7 +107,7 @@ class Bench:
     out: str | None = None
     """Directory for the figure and the numbers of mapping and growth; only printed if not given."""
     quick: Switch = False
-    """Planes, mapping, growth and grid in small, to see that they run."""
+    """Planes, mapping, growth, grid and evaluation in small, to see that they run."""
 
     workloads: tuple[str, ...] = ("W1", "W2", "W3", "W4")
     """Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k
@@ -137,6 +143,8 @@ class Evaluate:
     """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
     out: str | None = None
     """Write the numbers of --map to this JSON file."""
+    lpips_weights: str | None = None
+    """Folder with AlexNet's and LPIPS's weights; see docs/protocols.md. Also: ASG_LPIPS_WEIGHTS, torch's hub cache."""
 
     def run(self) -> int:
         """See `evaluate.evaluate`."""
@@ -164,6 +172,24 @@ class Report:
         return report(self)
 
 
+@dataclass(frozen=True)
+class Export:
+    """Write a run's map in a format that other programs read."""
+
+    run_directory: Annotated[str, tyro.conf.Positional]
+    """The directory of a finished run."""
+    format: Literal["ply", "splatam"] = "ply"
+    """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splatam: SplaTAM's params.npz, with the path."""
+    out: str | None = None
+    """The file; map.ply or params.npz in the working directory if not given."""
+
+    def run(self) -> int:
+        """See `export.export`."""
+        from activestructure_gym.evaluation.cli.export import export
+
+        return export(self)
+
+
 class Command(Protocol):
     """What a subcommand is: options, and what to do with them."""
 
@@ -178,4 +204,5 @@ COMMANDS: dict[str, type[Command]] = {
     "bench": Bench,
     "evaluate": Evaluate,
     "report": Report,
+    "export": Export,
 }

@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.cli.options import (
     parse_start,
     split_list,
     split_scenes,
+    use_lpips_weights,
 )
 from activestructure_gym.evaluation.cli.output import print_whole
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.comparison import Comparison, Result
 
 # What runs without any option: chosen to end within a minute on two cores from a cold start.
-DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16)
+DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples=50_000)
 
 
 # What decides how and where a comparison runs, or how it is told, and not what is compared.
@@ -98,6 +99,7 @@ def _with_demo_defaults(options: Compare) -> Compare:
         preset=options.preset or DEMO.preset,
         frames=DEMO.frames if options.frames is None and options.preset is None else options.frames,
         views=options.views or DEMO.views,
+        samples=options.samples or DEMO.samples,
     )
 
 
@@ -105,7 +107,10 @@ def _comparison(options: Compare) -> Comparison:
     from activestructure_gym.evaluation.comparison import Comparison
     from activestructure_gym.evaluation.protocols import StandardProtocol
 
+    use_lpips_weights(options.lpips_weights)
     protocol = StandardProtocol(view_source=options.view_source)
+    if options.samples is not None:
+        protocol = dataclasses.replace(protocol, surface_samples=options.samples)
     if options.views is not None:
         protocol = dataclasses.replace(protocol, views=options.views)
     return Comparison(

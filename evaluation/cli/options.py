@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -68,3 +69,13 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
         except json.JSONDecodeError:
             overrides[key] = {"True": True, "False": False, "None": None}.get(value, value)
     return overrides
+
+
+def use_lpips_weights(place: str | None) -> None:
+    """Make the weights known to this process and all that it starts; raises `InputError` if they are not there."""
+    from activestructure_gym.evaluation.metrics import lpips
+
+    if place is not None:
+        os.environ[lpips.VARIABLE] = str(Path(place).expanduser().absolute())
+    if os.environ.get(lpips.VARIABLE):
+        lpips.weights_name()

@@ -7,14 +7,16 @@ from activestructure_gym.evaluation.metrics.geometry import (
     geometry_scores,
     nearest_distances,
 )
-from activestructure_gym.evaluation.metrics.image import depth_l1, psnr, ssim
+from activestructure_gym.evaluation.metrics.image import channel_psnr, depth_l1, ms_ssim, psnr, ssim
 
 __all__ = [
     "GeometryScores",
     "SurfaceSamples",
+    "channel_psnr",
     "completion_distances",
     "depth_l1",
     "geometry_scores",
+    "ms_ssim",
     "nearest_distances",
     "psnr",
     "ssim",

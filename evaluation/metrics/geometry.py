@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from activestructure_gym.evaluation.threads import thread_cap
-
-# A point's nearest surface need not be that of its nearest sample; 8 neighbours find it unless the surface is
-# curved within one sample spacing.
-_NEIGHBOURS = 8
+from activestructure_gym.evaluation.metrics.nearest import PointTree
 
 
 @dataclass(frozen=True)
@@ -27,24 +23,32 @@ class SurfaceSamples:
         """Radius of a disc of twice one sample's share of the area: 86 % of the surface lies below random discs."""
         return float(np.sqrt(2.0 * self.area / (np.pi * max(len(self.points), 1))))
 
+    @cached_property
+    def discs(self) -> PointTree:
+        """The samples as discs, to be asked for the nearest one."""
+        return PointTree(self.points, self.normals, self.disc_radius)
+
+    @cached_property
+    def samples(self) -> PointTree:
+        """The samples as points, to be asked for the nearest one."""
+        return PointTree(self.points)
+
 
 @dataclass(frozen=True)
 class GeometryScores:
-    """The six numbers; None where they are not defined (no reconstructed point)."""
+    """The six numbers; None where they are not defined (no reconstructed point) or not measured."""
 
     accuracy_cm: float | None  # mean distance from a reconstructed point to the true surface
     sample_accuracy_cm: float | None  # the same to the nearest true *sample*, as most papers print it
     completion_cm: float | None  # mean distance from a true sample to the nearest reconstructed point
-    completion_ratio: float  # % of the true samples with a reconstructed point nearer than the threshold
-    precision: float  # % of the reconstructed points nearer to the surface than the threshold
-    f_score: float  # % harmonic mean of precision and completion ratio
+    completion_ratio: float | None  # % of the true samples with a reconstructed point nearer than the threshold
+    precision: float | None  # % of the reconstructed points nearer to the surface than the threshold
+    f_score: float | None  # % harmonic mean of precision and completion ratio
 
 
 def nearest_distances(queries: np.ndarray, points: np.ndarray) -> np.ndarray:  # [Q] metres
     """Distance from every query [Q, 3] to the nearest of ``points`` [P, 3]; inf where there are none."""
-    if not len(points) or not len(queries):
-        return np.full(len(queries), np.inf)
-    return np.asarray(cKDTree(points).query(queries, workers=thread_cap())[0])
+    return PointTree(points).query(queries)[0]
 
 
 def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:  # [Q], [Q]
@@ -54,17 +58,7 @@ def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.
     twentieth of the bias of the distance to the nearest sample, which for points exactly on the surface is half the
     sample spacing: 3.4 cm with 200,000 samples on 900 m^2. At an open edge a disc may stick out by its radius.
     """
-    if not len(surface.points) or not len(queries):
-        nothing = np.full(len(queries), np.inf)
-        return nothing, nothing.copy()
-    neighbours = min(_NEIGHBOURS, len(surface.points))
-    found = cKDTree(surface.points).query(queries, k=neighbours, workers=thread_cap())
-    distance, index = (np.asarray(part).reshape(len(queries), -1) for part in found)
-    offset = queries[:, None, :] - surface.points[index]
-    height = np.abs((offset * surface.normals[index]).sum(axis=-1))
-    sideways = np.sqrt(np.maximum(distance**2 - height**2, 0.0))
-    to_disc = np.hypot(height, np.maximum(sideways - surface.disc_radius, 0.0))
-    return to_disc.min(axis=1), distance[:, 0]
+    return surface.discs.query(queries)[0], surface.samples.query(queries)[0]
 
 
 def completion_distances(surface: SurfaceSamples, reconstructed: np.ndarray) -> np.ndarray:  # [S] metres
@@ -77,6 +71,7 @@ def geometry_scores(
     surface: SurfaceSamples,
     *,
     threshold_m: float = 0.05,  # "5 cm" of all the literature; a distance must be below it (strictly)
+    to_samples: bool = True,  # also measure to the nearest sample
 ) -> GeometryScores:
     """Acc, Com., C.R., precision and F-score of a set of points against the true surface."""
     reconstructed = np.asarray(reconstructed, dtype=np.float64).reshape(-1, 3)
@@ -84,12 +79,13 @@ def geometry_scores(
     ratio = _percent(to_points < threshold_m)
     if not len(reconstructed):
         return GeometryScores(None, None, None, ratio, 0.0, 0.0)
-    to_surface, to_sample = surface_distances(reconstructed, surface)
+    to_surface = surface.discs.query(reconstructed)[0]
+    to_sample = surface.samples.query(reconstructed)[0] if to_samples else None
     precision = _percent(to_surface < threshold_m)
     f_score = 2.0 * precision * ratio / (precision + ratio) if precision + ratio else 0.0
     return GeometryScores(
         accuracy_cm=100.0 * float(to_surface.mean()),
-        sample_accuracy_cm=100.0 * float(to_sample.mean()),
+        sample_accuracy_cm=None if to_sample is None else 100.0 * float(to_sample.mean()),
         completion_cm=100.0 * float(to_points.mean()),
         completion_ratio=ratio,
         precision=precision,

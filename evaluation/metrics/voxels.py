@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.evaluation.metrics.nearest import PointTree
 
 
 def nearest_per_voxel(
@@ -40,9 +39,7 @@ def matched_distances(
     """
     if not len(points) or not len(true):
         return np.full(len(true), np.inf), np.full(len(true), np.inf)
-    threads = thread_cap()
-    match = np.asarray(cKDTree(points).query(centres, workers=threads)[1])
+    match = PointTree(points).query(centres)[1]
     used, back = np.unique(match, return_inverse=True)
-    to_true = np.asarray(cKDTree(true).query(points[used], workers=threads)[0])[back]
-    from_true = np.asarray(cKDTree(points[used]).query(true, workers=threads)[0])
-    return to_true, from_true
+    to_true = PointTree(true).query(points[used])[0][back]
+    return to_true, PointTree(points[used]).query(true)[0]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.metrics import lpips
 from activestructure_gym.evaluation.metrics.image import channel_psnr, similarities
 from activestructure_gym.evaluation.metrics.voxels import matched_distances, nearest_per_voxel
 from activestructure_gym.evaluation.protocols.base import CameraPath
@@ -19,6 +20,7 @@ from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_k
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_points
 
 if TYPE_CHECKING:
+    from activestructure_gym.evaluation.metrics.lpips import Distance
     from activestructure_gym.evaluation.views import HeldOutViews
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
@@ -121,24 +123,35 @@ class ActiveGamerProtocol:
 
     def evaluate(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None = None) -> dict[str, Any]:
         """All numbers of a finished map; the map's own frame is that of the path's first pose, or the world's."""
+        notes: dict[str, str] = {}
+        with lpips.measuring(notes) as distance:
+            views = every_view(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
+        return {
+            **self.geometry(gaussians, truth, path),
+            "true_samples": len(truth.points),
+            **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ms_ssim", "lpips")},
+            "lpips_weights": lpips.weights_name(),
+            "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
+            "views": views,
+            "notes": notes,
+        }
+
+    def geometry(self, gaussians: GaussianMap, truth: MatchedTruth, path: CameraPath | None) -> dict[str, float | None]:
+        """Acc, Com. and C.R.; None where the map is empty."""
         start = np.eye(4) if path is None else path.start
         means = np.asarray(gaussians.means, dtype=np.float64)
         chosen, _ = nearest_per_voxel(transform_points(invert_rigid(start), means), self.voxel_m)
         to_true, from_true = matched_distances(means[chosen], truth.points, truth.centres)
         defined = len(chosen) > 0
-        views = every_view(lambda index: self._view(gaussians, truth, index), len(truth.views))
         return {
             "accuracy_cm": 100.0 * float(to_true.mean()) if defined else None,
             "completion_cm": 100.0 * float(from_true.mean()) if defined else None,
             "completion_ratio": 100.0 * float(np.mean(from_true < self.threshold_m)),
-            "true_samples": len(truth.points),
-            **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ms_ssim", "lpips")},
-            "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
-            "views": views,
-            "notes": {},
         }
 
-    def _view(self, gaussians: GaussianMap, truth: MatchedTruth, index: int) -> dict[str, float | None]:
+    def _view(
+        self, gaussians: GaussianMap, truth: MatchedTruth, index: int, distance: Distance | None
+    ) -> dict[str, float | None]:
         from activestructure_gym.splatting import cpu
 
         pose = truth.views.world_from_camera[index]
@@ -152,7 +165,7 @@ class ActiveGamerProtocol:
         return {
             "psnr": channel_psnr(shown, true),
             "ms_ssim": similarities(shown, true)[1],
-            "lpips": None,
+            "lpips": None if distance is None else distance(np.clip(shown, 0.0, 1.0), true),
             "depth_l1_cm": 100.0 * float(error.mean()) if len(error) else None,
         }
 

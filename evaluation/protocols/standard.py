@@ -10,23 +10,29 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import (
+    GeometryScores,
     SurfaceSamples,
     completion_distances,
     depth_l1,
     geometry_scores,
+    lpips,
     psnr,
 )
+from activestructure_gym.evaluation.metrics.fusion import fused_surface
 from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarities
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.scenes.surface_samples import uniform_samples
 
 if TYPE_CHECKING:
+    from activestructure_gym.evaluation.metrics.lpips import Distance
     from activestructure_gym.evaluation.views import HeldOutViews
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
     from activestructure_gym.splatting.cpu import Rendering
 
+POINTS_SOURCES = ("both", "means")
 VIEW_SOURCES = ("free_space", "recorded")
 
 
@@ -47,7 +53,8 @@ class StandardProtocol:
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
-    surface_samples: int = 200_000  # on the whole mesh; those that some free pose can see are the truth, about half
+    # On the whole mesh, where those that some free pose can see are the truth, about half; and on the TSDF surface.
+    surface_samples: int = 200_000
     views: int = 64
     view_width: int = 320  # pixels, whatever the sensor's size: numbers of other sizes cannot be compared
     view_height: int = 180
@@ -55,6 +62,10 @@ class StandardProtocol:
     view_supersample: int = 4  # rays per pixel and axis in the true views
     view_source: str = "free_space"  # or "recorded": the views that came with the scene
     coverage_alpha: float = 0.5  # a rendered pixel shows the map where its alpha is above this
+    points_source: str = "both"  # "means" leaves the TSDF surface out
+    tsdf_voxel_m: float = 0.03  # metres
+    tsdf_truncation_m: float = 0.1  # metres
+    tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.opacity_threshold < 1.0:
@@ -65,6 +76,14 @@ class StandardProtocol:
             raise InputError("surface_samples, views and view_supersample must be at least 1")
         if min(self.view_width, self.view_height) < 11:
             raise InputError(f"held-out views need 11 x 11 pixels for SSIM, got {self.view_width}x{self.view_height}")
+        if self.points_source not in POINTS_SOURCES:
+            raise InputError(f"points_source must be one of {', '.join(POINTS_SOURCES)}, got '{self.points_source}'")
+        if not 0.0 < self.tsdf_voxel_m <= self.tsdf_truncation_m:
+            raise InputError(
+                f"expected 0 < tsdf_voxel_m <= tsdf_truncation_m, got {self.tsdf_voxel_m} and {self.tsdf_truncation_m}"
+            )
+        if self.tsdf_image_width < 16:
+            raise InputError(f"tsdf_image_width must be at least 16 pixels, got {self.tsdf_image_width}")
         if self.view_source not in VIEW_SOURCES:
             raise InputError(f"view_source must be one of {', '.join(VIEW_SOURCES)}, got '{self.view_source}'")
 
@@ -92,23 +111,69 @@ class StandardProtocol:
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:
         """All numbers of a finished map. ``views`` lists those of every view; the rest are their means.
 
-        What is not defined is None, and ``notes`` says why.
+        Numbers that begin with ``tsdf_`` are those of the surface, which needs the ``path``; the others those of the
+        means. What is not defined is None, and ``notes`` says why.
         """
         notes: dict[str, str] = {}
-        geometry = geometry_scores(self.points(gaussians), truth.surface, threshold_m=self.threshold_m)
-        views = every_view(lambda index: self._view(gaussians, truth, index), len(truth.views))
-        if views[0]["ms_ssim"] is None:
-            notes["ms_ssim"] = f"its five scales need images of at least {MS_SSIM_SIDE} pixels on the smaller side"
+        means = geometry_scores(self.points(gaussians), truth.surface, threshold_m=self.threshold_m)
+        fused = self._fused_scores(gaussians, truth, path, notes)
+        views = self.looks(gaussians, truth, notes)
         return {
-            **dataclasses.asdict(geometry),
+            **dataclasses.asdict(means),
+            **fused,
             "true_area_m2": truth.surface.area,
             "true_samples": len(truth.surface.points),
             **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ssim", "ms_ssim", "lpips")},
+            "lpips_weights": lpips.weights_name(),
             "depth_l1_cm": mean_of_known(view["depth_l1_cm"] for view in views),
             "view_coverage": mean_of_known(view["coverage"] for view in views),
             "views": views,
             "notes": notes,
         }
+
+    def _fused_scores(
+        self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None, notes: dict[str, str]
+    ) -> dict[str, float | None]:
+        if self.points_source == "both" and path is not None:
+            surface = self.surface(gaussians, path)
+            scores = geometry_scores(
+                self.on_surface(surface), truth.surface, threshold_m=self.threshold_m, to_samples=False
+            )
+            area: float | None = triangle_area(surface)
+        else:
+            scores, area = GeometryScores(None, None, None, None, None, None), None
+            reason = "no poses of keyframes came with the map" if path is None else "this protocol asks for means only"
+            notes["tsdf"] = reason
+        found = dataclasses.asdict(scores)
+        del found["sample_accuracy_cm"]
+        return {f"tsdf_{name}": value for name, value in found.items()} | {"tsdf_area_m2": area}
+
+    def surface(self, gaussians: GaussianMap, path: CameraPath) -> np.ndarray:  # [T, 3, 3] metres
+        """The triangles of the TSDF surface: the map's own depth at the keyframes, fused."""
+        from activestructure_gym.splatting import cpu
+
+        size = (self.tsdf_image_width, round(self.tsdf_image_width * path.camera.height / path.camera.width))
+        camera = path.camera.resized(*size)
+        poses = path.keyframes
+        depth, alpha = cpu.render_depth_alpha(gaussians.parameters, gaussians.count, camera, poses)
+        covered = alpha > self.coverage_alpha
+        np.divide(depth, alpha, out=depth, where=covered)
+        depth[~covered] = 0.0
+        return fused_surface(depth, camera, poses, voxel=self.tsdf_voxel_m, truncation=self.tsdf_truncation_m)
+
+    def on_surface(self, surface: np.ndarray) -> np.ndarray:  # [surface_samples, 3] metres, [0, 3] without triangles
+        """Points on triangles, uniform by area, the same ones for the same triangles."""
+        if triangle_area(surface) == 0.0:
+            return np.zeros((0, 3))
+        faces = np.arange(3 * len(surface)).reshape(-1, 3)
+        return uniform_samples(surface.reshape(-1, 3), faces, self.surface_samples, np.random.default_rng(0))[0]
+
+    def looks(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
+        """The numbers of every held-out view."""
+        if min(truth.views.camera.width, truth.views.camera.height) < MS_SSIM_SIDE:
+            notes["ms_ssim"] = f"its five scales need images of at least {MS_SSIM_SIDE} pixels on the smaller side"
+        with lpips.measuring(notes) as distance:
+            return every_view(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
 
     def checkpoint(self, gaussians: GaussianMap, truth: Truth, *, views: int, samples: int) -> dict[str, float]:
         """C.R. and PSNR of an unfinished map on about ``samples`` surface points and the first ``views`` views."""
@@ -137,7 +202,9 @@ class StandardProtocol:
         pose = truth.views.world_from_camera[index]
         return cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=threads)
 
-    def _view(self, gaussians: GaussianMap, truth: Truth, index: int) -> dict[str, float | None]:
+    def _view(
+        self, gaussians: GaussianMap, truth: Truth, index: int, distance: Distance | None
+    ) -> dict[str, float | None]:
         rendering = self._render(gaussians, truth, index, threads=1)
         picture, true = np.clip(rendering.color, 0.0, 1.0), _unit(truth.views.rgb[index])
         covered = rendering.alpha > self.coverage_alpha
@@ -148,10 +215,16 @@ class StandardProtocol:
             "psnr": psnr(picture, true),
             "ssim": single,
             "ms_ssim": multi,
-            "lpips": None,
+            "lpips": None if distance is None else distance(picture, true),
             "depth_l1_cm": None if error is None else 100.0 * error,
             "coverage": float(covered.mean()),
         }
+
+
+def triangle_area(triangles: np.ndarray) -> float:  # m^2
+    """Of all triangles [T, 3, 3] together."""
+    edges = triangles[:, 1:] - triangles[:, :1]
+    return 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum())
 
 
 def _unit(rgb: np.ndarray) -> np.ndarray:

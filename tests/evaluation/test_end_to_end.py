@@ -1,6 +1,7 @@
 """The main job on the smallest scene: compared, resumed, measured again."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from activestructure_gym.evaluation import episode, store
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.comparison import open_comparison
+from activestructure_gym.evaluation.protocols import ActiveGamerProtocol
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """
@@ -35,7 +37,7 @@ def place(tmp_path_factory):
 
 COMMAND = [
     "compare", "--scenes", "box", "--policies", "random,pixel_only,third_party:Crashing", "--preset", "fast",
-    "--frames", "25", "--views", "3", "--out", "out",
+    "--frames", "25", "--views", "3", "--samples", "20000", "--out", "out",
 ]  # fmt: skip
 
 
@@ -145,6 +147,72 @@ def test_measuring_again_gives_the_same_bits_and_a_wrong_number_is_found(runs, c
     (forged / "metrics.json").write_text(json.dumps(metrics))
     assert main(["evaluate", str(forged)]) == 1
     assert "1 of 1 differ" in capsys.readouterr().out
+
+
+@dataclass(frozen=True)
+class SmallActiveGamer(ActiveGamerProtocol):
+    """The same with fewer pixels and samples."""
+
+    surface_samples: int = 5000
+    image_divisor: int = 4
+
+
+def test_a_further_protocol_is_measured_kept_and_reproduced(runs, capsys, monkeypatch, tmp_path):
+    import shutil
+
+    from activestructure_gym.evaluation.protocols import PROTOCOLS
+
+    monkeypatch.setitem(PROTOCOLS, "activegamer", SmallActiveGamer)
+    copy = shutil.copytree(runs[0].directory, tmp_path / "run")
+    assert main(["evaluate", str(copy), "--protocol", "activegamer"]) == 0
+    assert "measured for the first time" in capsys.readouterr().out
+    run = store.read_run(copy)
+    assert list(run.protocols) == ["standard", "activegamer"]
+    assert run.protocols["standard"]["metrics"] == run.metrics["metrics"]
+    kept = run.protocols["activegamer"]
+    assert kept["parameters"]["image_divisor"] == 4 and len(kept["metrics"]["views"]) == 36
+    assert 0 < kept["metrics"]["completion_ratio"] < 100 and 0 < kept["metrics"]["ms_ssim"] < 1
+    assert main(["evaluate", str(copy)]) == 0  # both again
+    assert "first time" not in capsys.readouterr().out
+    path = copy / store.EVALUATIONS / "activegamer.json"
+    content = json.loads(path.read_text())
+    content["metrics"]["accuracy_cm"] += 1e-9
+    path.write_text(json.dumps(content))
+    assert main(["evaluate", str(copy)]) == 1
+    assert "1 of 1 differ" in capsys.readouterr().out
+
+
+def test_a_job_that_asks_for_a_further_protocol_writes_its_numbers(runs, monkeypatch, tmp_path):
+    from dataclasses import replace
+
+    from activestructure_gym.evaluation.protocols import PROTOCOLS
+
+    monkeypatch.setitem(PROTOCOLS, "activegamer", SmallActiveGamer)
+    job = replace(runs[0].job, frame_budget=3, also=("activegamer",))
+    assert job.hash != replace(job, also=()).hash
+    run = episode.run_job(job, tmp_path / "run")
+    assert run.protocols["activegamer"]["metrics"]["true_samples"] > 1000
+
+
+def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys):
+    run = runs[1]
+    stored = run.metrics["metrics"]
+    for form in ("ply", "splatam"):
+        file = tmp_path / f"map.{form}"
+        assert main(["export", str(run.directory), "--format", form, "--out", str(file)]) == 0
+        poses = ["--poses", str(run.directory / "trajectory.npz")] if form == "ply" else []
+        numbers = tmp_path / f"{form}.json"
+        assert main(["evaluate", "--map", str(file), "--scene", "box", "--out", str(numbers), *poses]) == 0
+        capsys.readouterr()
+        measured = json.loads(numbers.read_text())["protocols"]["standard"]["metrics"]
+        # Another number of samples and views than the run's, and a map moved to another frame and back.
+        for name in ("completion_ratio", "precision", "tsdf_precision", "tsdf_completion_ratio"):
+            assert measured[name] == pytest.approx(stored[name], abs=1.5), (form, name)
+        assert len(measured["views"]) == 64
+    without = tmp_path / "without.json"
+    assert main(["evaluate", "--map", str(tmp_path / "map.ply"), "--scene", "box", "--out", str(without)]) == 0
+    measured = json.loads(without.read_text())["protocols"]["standard"]["metrics"]
+    assert measured["tsdf_precision"] is None and "poses" in measured["notes"]["tsdf"]
 
 
 def test_a_scene_that_changed_is_not_taken_for_the_old_one(runs):

@@ -126,3 +126,29 @@ def test_files_that_are_no_splats_are_refused(tmp_path, content, message):
         (tmp_path / "map.ply").write_bytes(content)
     with pytest.raises(InputError, match=message):
         read_ply(tmp_path / "map.ply")
+
+
+@pytest.mark.slow
+def test_splat_transform_reads_the_file_and_writes_it_back(tmp_path):
+    """The converter behind SuperSplat, where node and the package (installed or in npm's reach) are."""
+    import shutil
+    import subprocess
+
+    if shutil.which("npx") is None:
+        pytest.skip("npx is not here")
+    gaussians = _filled(500)
+    gaussians.parameters[3:7] /= np.linalg.norm(gaussians.parameters[3:7], axis=0)
+    write_ply(gaussians, tmp_path / "map.ply")
+    command = ["npx", "--yes", "@playcanvas/splat-transform", "map.ply", "again.ply"]
+    try:
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    except subprocess.TimeoutExpired:
+        pytest.skip("npm does not answer")
+    if done.returncode and not (tmp_path / "again.ply").exists() and "npm" in done.stderr and "ERR" in done.stderr:
+        pytest.skip(f"the package cannot be had: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    again = read_ply(tmp_path / "again.ply")
+    order, back = (np.lexsort(g.means.T) for g in (gaussians, again))  # it may sort them
+    np.testing.assert_allclose(again.means[back], gaussians.means[order], atol=1e-6)
+    np.testing.assert_allclose(again.colors[back], gaussians.colors[order], atol=1e-6)
+    np.testing.assert_allclose(again.scales[back], gaussians.scales[order], rtol=1e-5)

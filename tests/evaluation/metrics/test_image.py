@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.metrics.image import depth_l1, psnr, ssim
+from activestructure_gym.evaluation.metrics.image import (
+    channel_psnr,
+    depth_l1,
+    halved,
+    ms_ssim,
+    psnr,
+    similarities,
+    ssim,
+)
 
 
 def pair(rng, shape=(48, 64, 3), noise=0.1):
@@ -51,3 +59,42 @@ def test_depth_error_counts_holes_in_full_and_ignores_open_windows():
     rendered = np.array([[2.1, 0.0], [4.0, 7.0]])
     assert depth_l1(rendered, true) == pytest.approx((0.1 + 2.0 + 0.0) / 3)
     assert depth_l1(rendered, np.zeros((2, 2))) is None
+
+
+@pytest.mark.parametrize("shape, noise", [((161, 200, 3), 0.05), ((180, 320, 3), 0.3), ((163, 171, 3), 0.1)])
+def test_ms_ssim_equals_pytorch_msssim(rng, shape, noise):
+    torch = pytest.importorskip("torch")
+    oracle = pytest.importorskip("pytorch_msssim")
+    smooth = np.linspace(0, 1, shape[1])[None, :, None] * np.linspace(1, 0.2, shape[0])[:, None, None]
+    true = np.clip(np.broadcast_to(smooth, shape) + rng.normal(scale=0.03, size=shape), 0, 1)
+    rendered = np.clip(true + rng.normal(scale=noise, size=shape), 0, 1)
+    # Its window is rounded to single precision.
+    first, second = (torch.tensor(image).permute(2, 0, 1)[None] for image in (rendered, true))
+    assert ms_ssim(rendered, true) == pytest.approx(float(oracle.ms_ssim(first, second, data_range=1.0)), abs=1e-5)
+    single = float(oracle.ssim(first, second, data_range=1.0))
+    assert ssim(rendered, true) == pytest.approx(single, abs=1e-5)
+
+
+def test_ms_ssim_needs_161_pixels(rng):
+    image = rng.uniform(size=(160, 300, 3))
+    assert ms_ssim(image, image) is None
+    assert similarities(image, image) == (pytest.approx(1.0), None)
+
+
+@pytest.mark.parametrize("shape", [(6, 8, 3), (7, 9, 3), (6, 9, 1)])
+def test_halving_equals_torch(rng, shape):
+    functional = pytest.importorskip("torch.nn.functional")
+    import torch
+
+    image = rng.uniform(size=shape)
+    padding = [side % 2 for side in shape[:2]]
+    expected = functional.avg_pool2d(torch.tensor(image).permute(2, 0, 1)[None], 2, padding=padding)
+    np.testing.assert_allclose(halved(image), expected[0].permute(1, 2, 0).numpy(), atol=1e-15)
+
+
+def test_psnr_by_channel_is_blind_to_one_bad_channel():
+    # 0.1, 0.1 and 0.4 off: 20, 20 and 7.96 dB; pooled MSE = (0.01 + 0.01 + 0.16) / 3 = 0.06, 12.22 dB.
+    true = np.zeros((4, 4, 3))
+    rendered = true + [0.1, 0.1, 0.4]
+    assert channel_psnr(rendered, true) == pytest.approx((20 + 20 - 10 * np.log10(0.16)) / 3)
+    assert psnr(rendered, true) == pytest.approx(-10 * np.log10(0.06))

@@ -1,0 +1,188 @@
+"""Gaussian maps as SplaTAM's ``params.npz``, the checkpoint that its descendants read and write as well.
+
+Keys and conventions: peers_active.md 4.6 and backbones.md 1.1. The map and all poses lie in the frame
+of the first camera, and no key of the original says where in the world that was; files written here add
+``world_from_first_camera`` [4, 4].
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.mapping.gaussian_map import (
+    COLOR,
+    LOG_SCALE,
+    MEAN,
+    OPACITY_LOGIT,
+    QUATERNION,
+    ROWS,
+    GaussianMap,
+)
+
+_PLACE = "world_from_first_camera"
+_NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
+
+
+def write_splatam(
+    gaussians: GaussianMap,
+    path: str | os.PathLike[str],
+    world_from_camera: np.ndarray,  # [T, 4, 4] the first one's frame becomes the file's
+    camera: PinholeCamera,
+    keyframes: np.ndarray,  # [K] indices into the poses
+) -> None:
+    """Write the live Gaussians and the path they were made along, atomically."""
+    live = gaussians.parameters[:, : gaussians.count].astype(np.float64)
+    poses = np.asarray(world_from_camera, np.float64)
+    first = invert_rigid(poses[0])
+    in_first = invert_rigid(poses) @ poses[0]  # camera t from camera 0, [T, 4, 4]
+    content = {
+        "means3D": (live[MEAN].T @ first[:3, :3].T + first[:3, 3]).astype(np.float32),
+        "rgb_colors": live[COLOR].T.astype(np.float32),
+        "unnorm_rotations": turned(quaternion_of(first[:3, :3]), live[QUATERNION].T).astype(np.float32),
+        "logit_opacities": live[OPACITY_LOGIT][:, None].astype(np.float32),
+        "log_scales": live[LOG_SCALE].T.astype(np.float32),
+        "cam_unnorm_rots": np.stack([quaternion_of(pose[:3, :3]) for pose in in_first], axis=1)[None].astype(
+            np.float32
+        ),
+        "cam_trans": in_first[:, :3, 3].T[None].astype(np.float32),
+        "timestep": np.zeros(gaussians.count, np.float32),
+        "intrinsics": camera.matrix,
+        "w2c": np.eye(4),
+        "org_width": np.array(camera.width),
+        "org_height": np.array(camera.height),
+        "gt_w2c_all_frames": in_first,
+        _PLACE: poses[0],
+        "keyframe_time_indices": np.asarray(keyframes, np.int64),
+    }
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            np.savez(file, **content)  # type: ignore[arg-type]
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:
+    """Read a ``params.npz`` into the world's frame, if the file or ``world_from_first`` [4, 4] says where it lies.
+
+    Without either, the map stays in its first camera's frame, with a warning.
+
+    Isotropic scales [N, 1] become balls. Gaussians with a value that is not finite are dropped, with a warning. Raises
+    `InputError` for anything that is no such file.
+    """
+    content = _read(path)
+    for name in _NEEDED:
+        if name not in content:
+            found = ", ".join(sorted(content)) or "none"
+            raise InputError(f"'{path}' is not a SplaTAM params.npz: expected the array '{name}', found {found}")
+    count = len(content["means3D"])
+    widths = {
+        "means3D": (3,),
+        "rgb_colors": (3,),
+        "unnorm_rotations": (4,),
+        "logit_opacities": (1,),
+        "log_scales": (1, 3),
+    }
+    for name, allowed in widths.items():
+        shape = content[name].shape
+        if len(shape) != 2 or shape[0] != count or shape[1] not in allowed or content[name].dtype.kind != "f":
+            wanted = " or ".join(f"({count}, {width})" for width in allowed)
+            raise InputError(
+                f"'{path}': expected '{name}' as floats of shape {wanted}, got {content[name].dtype} {shape}"
+            )
+    block = np.empty((ROWS, count))
+    block[MEAN] = content["means3D"].T
+    block[COLOR] = content["rgb_colors"].T
+    block[OPACITY_LOGIT] = content["logit_opacities"][:, 0]
+    block[LOG_SCALE] = np.broadcast_to(content["log_scales"], (count, 3)).T
+    block[QUATERNION] = content["unnorm_rotations"].T
+    first = _place(content, path, world_from_first)
+    block[MEAN] = first[:3, :3] @ block[MEAN] + first[:3, 3:]
+    block[QUATERNION] = turned(quaternion_of(first[:3, :3]), block[QUATERNION].T).T
+    with np.errstate(over="ignore"):
+        block32 = block.astype(np.float32)
+    usable = np.isfinite(block32).all(axis=0)
+    if not usable.all():
+        dropped = f"dropped {np.count_nonzero(~usable)} of {count} Gaussians"
+        warnings.warn(f"{path}: {dropped} with values that are not finite", stacklevel=2)
+    gaussians = GaussianMap(max(1, int(usable.sum())))
+    gaussians.append(block32[:, usable])
+    return gaussians
+
+
+def splatam_path(
+    path: str | os.PathLike[str], world_from_first: np.ndarray | None = None
+) -> dict[str, np.ndarray] | None:
+    """Poses and camera of a ``params.npz`` as the arrays of a ``trajectory.npz``; None where the file has none."""
+    content = _read(path)
+    needed = ("gt_w2c_all_frames", "intrinsics", "org_width", "org_height", "keyframe_time_indices")
+    if any(name not in content for name in needed):
+        return None
+    poses, matrix = np.asarray(content["gt_w2c_all_frames"], np.float64), np.asarray(content["intrinsics"], np.float64)
+    keyframes = np.asarray(content["keyframe_time_indices"]).astype(np.int64).reshape(-1)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or matrix.shape[0] < 3 or not len(keyframes):
+        return None
+    if keyframes.min() < 0 or keyframes.max() >= len(poses):
+        raise InputError(f"'{path}': keyframe_time_indices point outside the {len(poses)} frames")
+    return {
+        "world_from_camera": _place(content, path, world_from_first) @ poses[0] @ invert_rigid(poses),
+        "keyframes": keyframes,
+        "intrinsics": np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
+        "image_size": np.array([int(content["org_width"]), int(content["org_height"])]),
+    }
+
+
+def turned(rotation: np.ndarray, quaternions: np.ndarray) -> np.ndarray:  # [N, 4] wxyz
+    """``quaternions`` [N, 4] turned by another one [4]: the Hamilton product, rotation first."""
+    w, x, y, z = rotation
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return quaternions @ matrix.T
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
+    """The unit quaternion of a rotation matrix [3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
+
+
+def _place(
+    content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
+) -> np.ndarray:  # [4, 4] world from the first camera
+    """As given, as the file's own key says, or as true poses that do not begin with the identity say."""
+    if given is not None:
+        return np.asarray(given, np.float64)
+    if _PLACE in content:
+        place = np.asarray(content[_PLACE], np.float64)
+        if place.shape != (4, 4):
+            raise InputError(f"'{path}': expected {_PLACE} of shape (4, 4), got {place.shape}")
+        return place
+    poses = np.asarray(content.get("gt_w2c_all_frames", np.eye(4)[None]), np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+        raise InputError(f"'{path}': expected gt_w2c_all_frames of shape (T, 4, 4), got {poses.shape}")
+    if np.allclose(poses[0], np.eye(4), atol=1e-6):
+        warnings.warn(
+            f"{path} does not say where its first camera stood; its frame is taken for the world", stacklevel=3
+        )
+        return np.eye(4)
+    return invert_rigid(poses[0])
+
+
+def _read(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise InputError(f"expected a SplaTAM params.npz, but there is no file '{path}'") from None
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"'{path}' is not a SplaTAM params.npz ({error})") from error

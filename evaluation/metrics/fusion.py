@@ -1,0 +1,272 @@
+"""A surface out of depth images: truncated signed distances on blocks of voxels, and triangles where they change sign.
+
+Curless and Levoy (1996) with projective distances and equal weights. Only blocks that some depth image's surface runs
+through are kept; each of them is carved by every image that looks through it.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
+
+_SIDE = 8  # voxels of a block
+_CHUNK = 64  # blocks that one thread takes at a time
+_MOST_BLOCKS = 200_000  # 100 million voxels: a gigabyte
+_MOST_CELLS = 20_000_000  # of the coarse grid of blocks; more means depths without any sense
+
+
+def fused_surface(
+    depth: np.ndarray,  # [K, H, W] float32 metres along the optical axis, 0 = nothing there
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [K, 4, 4]
+    *,
+    voxel: float,  # metres
+    truncation: float,  # metres
+) -> np.ndarray:  # [T, 3, 3] metres, the corners of triangles
+    """The zero surface of the fused distances, where all corners of a voxel cell have been seen.
+
+    Raises `InputError` where the images span more than memory can hold.
+    """
+    empty = np.zeros((0, 3, 3))
+    depth = np.ascontiguousarray(depth, np.float32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    poses = np.ascontiguousarray(world_from_camera, np.float64)
+    bounds = np.array([[np.inf] * 3, [-np.inf] * 3])
+    _span(depth, intrinsics, poses, truncation, bounds)
+    if not np.isfinite(bounds).all():
+        return empty
+    block = _SIDE * voxel
+    # Multiples of the block, so that the same surface meets the same grid whatever else was seen.
+    first = np.floor(bounds[0] / block).astype(np.int64) - 1
+    shape = tuple(np.floor(bounds[1] / block).astype(np.int64) - first + 2)
+    if float(np.prod(np.array(shape, float))) > _MOST_CELLS:
+        raise InputError(f"the depth images span {np.ptp(bounds, axis=0).round(1)} m; expected a scene in metres")
+    marked = np.zeros(shape, np.bool_)
+    _mark(depth, intrinsics, poses, truncation, first, block, marked)
+    blocks = np.argwhere(marked)
+    if len(blocks) > _MOST_BLOCKS:
+        raise InputError(f"the surface needs {len(blocks)} blocks of voxels of {voxel} m; choose larger voxels")
+    slots = np.full(shape, -1, np.int32)
+    slots[tuple(blocks.T)] = np.arange(len(blocks))
+    camera_from_world = np.ascontiguousarray(invert_rigid(poses)[:, :3])
+    distance = np.zeros((len(blocks), _SIDE, _SIDE, _SIDE), np.float32)
+    weight = np.zeros(distance.shape, np.float32)
+    origin = first * block
+
+    def integrate(start: int) -> None:
+        part = slice(start, start + _CHUNK)
+        _integrate(
+            depth, intrinsics, camera_from_world, origin, voxel, truncation, blocks[part], distance[part], weight[part]
+        )
+
+    def extract(start: int) -> np.ndarray:
+        part = blocks[start : start + _CHUNK]
+        count = _triangles(distance, weight, slots, part, origin, voxel, np.zeros((0, 3, 3)))
+        corners = np.empty((count, 3, 3))
+        _triangles(distance, weight, slots, part, origin, voxel, corners)
+        return corners
+
+    starts = range(0, len(blocks), _CHUNK)
+    with ThreadPoolExecutor(max(1, min(thread_cap(), len(starts)))) as pool:
+        list(pool.map(integrate, starts))
+        pieces = list(pool.map(extract, starts))
+    return np.concatenate(pieces) if pieces else empty
+
+
+@kernel
+def _span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncation: float, bounds: np.ndarray) -> None:
+    """Grow ``bounds`` [2, 3] to hold everything within the truncation of a seen point."""
+    fx, fy, cx, cy = intrinsics
+    for image in range(len(depth)):
+        for v in range(depth.shape[1]):
+            for u in range(depth.shape[2]):
+                z = depth[image, v, u]
+                if not z > 0.0:
+                    continue
+                x, y = (u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z
+                reach = truncation * np.sqrt(x * x + y * y + z * z) / z
+                for axis in range(3):
+                    pose = poses[image, axis]
+                    place = pose[0] * x + pose[1] * y + pose[2] * z + pose[3]
+                    bounds[0, axis] = min(bounds[0, axis], place - reach)
+                    bounds[1, axis] = max(bounds[1, axis], place + reach)
+
+
+@kernel
+def _mark(
+    depth: np.ndarray,
+    intrinsics: np.ndarray,
+    poses: np.ndarray,
+    truncation: float,
+    first: np.ndarray,
+    block: float,
+    marked: np.ndarray,
+) -> None:
+    """Mark the blocks that the truncation band around each seen point runs through."""
+    fx, fy, cx, cy = intrinsics
+    where = np.empty(3, np.int64)
+    steps = int(np.ceil(4.0 * truncation / block))  # at most half a block apart on the axis
+    for image in range(len(depth)):
+        for v in range(depth.shape[1]):
+            for u in range(depth.shape[2]):
+                middle = depth[image, v, u]
+                if not middle > 0.0:
+                    continue
+                for step in range(steps + 1):
+                    z = middle + truncation * (2.0 * step / steps - 1.0)
+                    x, y = (u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z
+                    pose = poses[image]
+                    for axis in range(3):
+                        place = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z + pose[axis, 3]
+                        where[axis] = int(np.floor(place / block)) - first[axis]
+                    marked[where[0], where[1], where[2]] = True
+
+
+@kernel
+def _integrate(
+    depth: np.ndarray,  # [K, H, W]
+    intrinsics: np.ndarray,
+    camera_from_world: np.ndarray,  # [K, 3, 4]
+    origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
+    voxel: float,
+    truncation: float,
+    blocks: np.ndarray,  # [B, 3]
+    distance: np.ndarray,  # [B, 8, 8, 8] out, mean of the distances seen, metres, cut at +truncation
+    weight: np.ndarray,  # [B, 8, 8, 8] out, how many
+) -> None:
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape[1], depth.shape[2]
+    block = 8 * voxel
+    radius = 0.5 * np.sqrt(3.0) * block
+    # How far beyond the image's edge a sphere of that radius still touches the frustum, per metre of radius.
+    slack_x = np.sqrt(1.0 + (max(cx, width - cx) / fx) ** 2)
+    slack_y = np.sqrt(1.0 + (max(cy, height - cy) / fy) ** 2)
+    for b in range(len(blocks)):
+        corner_x = origin[0] + blocks[b, 0] * block
+        corner_y = origin[1] + blocks[b, 1] * block
+        corner_z = origin[2] + blocks[b, 2] * block
+        for image in range(len(depth)):
+            pose = camera_from_world[image]
+            mx, my, mz = corner_x + 0.5 * block, corner_y + 0.5 * block, corner_z + 0.5 * block
+            z = pose[2, 0] * mx + pose[2, 1] * my + pose[2, 2] * mz + pose[2, 3]
+            if z < -radius:
+                continue
+            x = pose[0, 0] * mx + pose[0, 1] * my + pose[0, 2] * mz + pose[0, 3]
+            y = pose[1, 0] * mx + pose[1, 1] * my + pose[1, 2] * mz + pose[1, 3]
+            if x < -cx / fx * z - radius * slack_x or x > (width - cx) / fx * z + radius * slack_x:
+                continue
+            if y < -cy / fy * z - radius * slack_y or y > (height - cy) / fy * z + radius * slack_y:
+                continue
+            for i in range(8):
+                for j in range(8):
+                    px, py = corner_x + (i + 0.5) * voxel, corner_y + (j + 0.5) * voxel
+                    for k in range(8):
+                        pz = corner_z + (k + 0.5) * voxel
+                        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+                        if z < 0.05:
+                            continue
+                        u = fx * (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z + cx
+                        v = fy * (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z + cy
+                        if not (0.0 <= u < width and 0.0 <= v < height):
+                            continue
+                        seen = depth[image, int(v), int(u)]
+                        ahead = seen - z
+                        if not seen > 0.0 or ahead < -truncation:
+                            continue
+                        count = weight[b, i, j, k]
+                        ahead = min(ahead, truncation)
+                        distance[b, i, j, k] = (distance[b, i, j, k] * count + ahead) / (count + 1.0)
+                        weight[b, i, j, k] = count + 1.0
+
+
+# The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell; corner n lies at the bits (x, y, z) of n.
+# Every cell is cut alike, so neighbours agree on the diagonals of their common faces and the surface has no cracks.
+_TETRAHEDRA = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
+)
+
+
+@kernel
+def _triangles(
+    distance: np.ndarray,
+    weight: np.ndarray,
+    slots: np.ndarray,  # [X, Y, Z] index of a block, -1 = none
+    blocks: np.ndarray,  # [B, 3] whose cells are looked at
+    origin: np.ndarray,
+    voxel: float,
+    corners: np.ndarray,  # [T, 3, 3] out, filled as far as it reaches
+) -> int:
+    """Marching tetrahedra over the cells between voxel centres; returns how many triangles there are."""
+    value, place = np.empty(8), np.empty((8, 3))
+    crossing = np.empty((4, 3))
+    count = 0
+    for b in range(len(blocks)):
+        for cell in range(512):
+            i, j, k = cell >> 6, (cell >> 3) & 7, cell & 7
+            inside = 0
+            known = True
+            for corner in range(8):
+                gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
+                slot = slots[blocks[b, 0] + (gi >> 3), blocks[b, 1] + (gj >> 3), blocks[b, 2] + (gk >> 3)]
+                if slot < 0 or weight[slot, gi & 7, gj & 7, gk & 7] == 0.0:
+                    known = False
+                    break
+                value[corner] = distance[slot, gi & 7, gj & 7, gk & 7]
+                if value[corner] < 0.0:
+                    inside += 1
+                place[corner, 0] = origin[0] + (blocks[b, 0] * 8 + gi + 0.5) * voxel
+                place[corner, 1] = origin[1] + (blocks[b, 1] * 8 + gj + 0.5) * voxel
+                place[corner, 2] = origin[2] + (blocks[b, 2] * 8 + gk + 0.5) * voxel
+            if not known or inside == 0 or inside == 8:
+                continue
+            for tetrahedron in _TETRAHEDRA:
+                found = 0
+                behind = 0
+                for a in range(4):
+                    behind += value[tetrahedron[a]] < 0.0
+                if behind == 0 or behind == 4:
+                    continue
+                # Cut edges in an order that goes round: from each corner of the smaller side to the others.
+                if behind == 2:
+                    low, high = np.empty(2, np.int64), np.empty(2, np.int64)
+                    nl, nh = 0, 0
+                    for a in range(4):
+                        if value[tetrahedron[a]] < 0.0:
+                            low[nl] = tetrahedron[a]
+                            nl += 1
+                        else:
+                            high[nh] = tetrahedron[a]
+                            nh += 1
+                    for a, c in ((low[0], high[0]), (low[0], high[1]), (low[1], high[1]), (low[1], high[0])):
+                        _cut(value, place, a, c, crossing[found])
+                        found += 1
+                else:
+                    lonely = behind == 1
+                    tip = 0
+                    for a in range(4):
+                        if (value[tetrahedron[a]] < 0.0) == lonely:
+                            tip = tetrahedron[a]
+                    for a in range(4):
+                        if tetrahedron[a] != tip:
+                            _cut(value, place, tip, tetrahedron[a], crossing[found])
+                            found += 1
+                for third in range(2, found):
+                    if count < len(corners):
+                        corners[count, 0] = crossing[0]
+                        corners[count, 1] = crossing[third - 1]
+                        corners[count, 2] = crossing[third]
+                    count += 1
+    return count
+
+
+@kernel
+def _cut(value: np.ndarray, place: np.ndarray, a: int, b: int, out: np.ndarray) -> None:
+    share = value[a] / (value[a] - value[b])
+    for axis in range(3):
+        out[axis] = place[a, axis] + share * (place[b, axis] - place[a, axis])

@@ -1,0 +1,177 @@
+"""Nearest points and nearest discs, exactly: a tree of boxes over points sorted along a space-filling curve.
+
+scipy's k-d tree takes 5 to 14 microseconds for a query far from all points, and a half-explored scene has a hundred
+thousand of these. Queries sorted along the same curve begin with their predecessor's answer as a bound; then most of
+the tree is never looked at. The answer does not depend on the order, nor on the number of threads.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.evaluation.threads import thread_cap
+
+_LEAF = 8  # points
+_CHUNK = 8192  # queries that one thread takes at a time
+_DEEPEST = 64  # entries of the stack: one per level, and 2^64 leaves are out of reach
+_BITS = 16  # per axis of the curve
+
+
+class PointTree:
+    """Points that can be asked for the nearest one; with normals, for the nearest of flat discs around them."""
+
+    def __init__(
+        self,
+        points: np.ndarray,  # [N, 3] metres
+        normals: np.ndarray | None = None,  # [N, 3] unit
+        radius: float = 0.0,  # metres, of every disc
+    ) -> None:
+        points = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
+        self.order = curve_order(points)
+        self._points = points[self.order]
+        self._discs = normals is not None
+        self._normals = np.zeros((0, 3)) if normals is None else np.ascontiguousarray(normals, np.float64)[self.order]
+        self._radius = float(radius) if self._discs else 0.0
+        leaves = max(1, -(-len(points) // _LEAF))
+        self._first_leaf = 1 << (leaves - 1).bit_length()
+        self._boxes = np.empty((2 * self._first_leaf, 6))
+        self._boxes[:, :3], self._boxes[:, 3:] = np.inf, -np.inf
+        _build(self._points, self._first_leaf, self._boxes)
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def query(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [Q] metres, [Q] index
+        """Distance to the nearest point (or disc) and which one it is; inf and -1 where there are no points."""
+        queries = np.ascontiguousarray(queries, np.float64).reshape(-1, 3)
+        distance = np.full(len(queries), np.inf)
+        index = np.full(len(queries), -1, np.int64)
+        if not len(self) or not len(queries):
+            return distance, index
+        order = curve_order(queries)
+        ordered = queries[order]
+        near, which = np.empty(len(queries)), np.empty(len(queries), np.int64)
+
+        def work(first: int) -> None:
+            part = slice(first, first + _CHUNK)
+            _search(
+                self._points, self._normals, self._radius, self._discs, self._first_leaf, self._boxes,
+                ordered[part], near[part], which[part],
+            )  # fmt: skip
+
+        starts = range(0, len(queries), _CHUNK)
+        threads = min(thread_cap(), len(starts))
+        if threads <= 1:
+            for start in starts:
+                work(start)
+        else:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(work, starts))
+        distance[order] = np.sqrt(near)
+        index[order] = self.order[which]
+        return distance, index
+
+
+def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
+    """The order of points [N, 3] along a Morton curve through their bounding box."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    low = points.min(axis=0)
+    extent = max(float((points.max(axis=0) - low).max()), 1e-9)
+    cell = ((points - low) * ((2**_BITS - 1) / extent)).astype(np.uint64)
+    code = np.zeros(len(points), np.uint64)
+    for axis in range(3):
+        code |= _spread(cell[:, axis]) << np.uint64(axis)
+    return np.argsort(code, kind="stable")
+
+
+def _spread(value: np.ndarray) -> np.ndarray:
+    """The 16 bits of every number, three apart."""
+    for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value
+
+
+@kernel
+def _build(points: np.ndarray, first_leaf: int, boxes: np.ndarray) -> None:
+    for i in range(len(points)):
+        box = boxes[first_leaf + i // 8]
+        for axis in range(3):
+            box[axis] = min(box[axis], points[i, axis])
+            box[3 + axis] = max(box[3 + axis], points[i, axis])
+    for node in range(first_leaf - 1, 0, -1):
+        for axis in range(3):
+            boxes[node, axis] = min(boxes[2 * node, axis], boxes[2 * node + 1, axis])
+            boxes[node, 3 + axis] = max(boxes[2 * node, 3 + axis], boxes[2 * node + 1, 3 + axis])
+
+
+@kernel
+def _box_distance(boxes: np.ndarray, node: int, x: float, y: float, z: float, spare: float) -> float:
+    """Squared distance to a box, at least ``spare`` nearer than measured."""
+    dx = max(max(boxes[node, 0] - x, x - boxes[node, 3]), 0.0)
+    dy = max(max(boxes[node, 1] - y, y - boxes[node, 4]), 0.0)
+    dz = max(max(boxes[node, 2] - z, z - boxes[node, 5]), 0.0)
+    squared = dx * dx + dy * dy + dz * dz
+    if spare == 0.0:
+        return squared
+    left = max(np.sqrt(squared) - spare, 0.0)
+    return left * left
+
+
+@kernel
+def _squared(
+    points: np.ndarray, normals: np.ndarray, radius: float, discs: bool, i: int, x: float, y: float, z: float
+) -> float:
+    dx, dy, dz = x - points[i, 0], y - points[i, 1], z - points[i, 2]
+    squared = dx * dx + dy * dy + dz * dz
+    if not discs:
+        return squared
+    height = dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]
+    beside = max(np.sqrt(max(squared - height * height, 0.0)) - radius, 0.0)
+    return height * height + beside * beside
+
+
+@kernel
+def _search(
+    points: np.ndarray,  # [N, 3] sorted
+    normals: np.ndarray,  # [N, 3], or [0, 3] without discs
+    radius: float,
+    discs: bool,
+    first_leaf: int,
+    boxes: np.ndarray,  # [2 first_leaf, 6] lower and upper corners; 1 is the root, 2 n and 2 n + 1 are below n
+    queries: np.ndarray,  # [Q, 3] sorted
+    near: np.ndarray,  # [Q] out, squared metres
+    which: np.ndarray,  # [Q] out, index into points
+) -> None:
+    stack = np.empty(64, np.int64)
+    below = np.empty(64)
+    best_index = 0
+    for q in range(len(queries)):
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        best = _squared(points, normals, radius, discs, best_index, x, y, z)
+        stack[0], below[0], depth = 1, _box_distance(boxes, 1, x, y, z, radius), 1
+        while depth > 0:
+            depth -= 1
+            # Not "nearer or equal": among equals the answer may be any, and its distance is the same.
+            if below[depth] >= best:
+                continue
+            node = stack[depth]
+            if node >= first_leaf:
+                start = (node - first_leaf) * 8
+                for i in range(start, min(start + 8, len(points))):
+                    squared = _squared(points, normals, radius, discs, i, x, y, z)
+                    if squared < best:
+                        best, best_index = squared, i
+                continue
+            left, right = 2 * node, 2 * node + 1
+            to_left = _box_distance(boxes, left, x, y, z, radius)
+            to_right = _box_distance(boxes, right, x, y, z, radius)
+            if to_left < to_right:
+                left, right, to_left, to_right = right, left, to_right, to_left
+            stack[depth], below[depth] = left, to_left
+            stack[depth + 1], below[depth + 1] = right, to_right
+            depth += 2
+        near[q], which[q] = best, best_index

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.metrics import fusion
+from activestructure_gym.evaluation.metrics.fusion import fused_surface
+from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
+
+CAMERA = PinholeCamera.from_size(120, 90, 60.0)
+
+
+def sphere_depth(pose: np.ndarray, radius: float = 1.0) -> np.ndarray:
+    """Depth of a sphere around the origin, in closed form."""
+    eye, rays = pose[:3, 3], CAMERA.rays() @ pose[:3, :3].T
+    a, b, c = (rays**2).sum(-1), (rays * eye).sum(-1), (eye**2).sum() - radius**2
+    root = b * b - a * c
+    return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, 0).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def around() -> np.ndarray:
+    return np.stack([look_along(-3 * direction, direction) for direction in fibonacci_directions(24)])
+
+
+def area(triangles: np.ndarray) -> float:
+    return 0.5 * float(np.linalg.norm(np.cross(*(triangles[:, i] - triangles[:, 0] for i in (1, 2))), axis=1).sum())
+
+
+def test_a_sphere_comes_back(around):
+    depth = np.stack([sphere_depth(pose) for pose in around])
+    triangles = fused_surface(depth, CAMERA, around, voxel=0.05, truncation=0.1)
+    radii = np.linalg.norm(triangles.reshape(-1, 3), axis=1)
+    assert radii.mean() == pytest.approx(1.0, abs=0.003)
+    assert radii.std() < 0.006 and abs(radii - 1).max() < 0.03
+    # A pixel is 3 cm wide there and the nearest one is taken: the surface is a few percent rough, and has no holes.
+    assert area(triangles) == pytest.approx(4 * np.pi, rel=0.05)
+    inner = triangles.mean(axis=1)
+    assert len({tuple(octant) for octant in np.sign(inner).astype(int)}) >= 8
+
+
+def test_a_wall_lies_where_it_was_measured_to_a_fraction_of_a_voxel():
+    depth = np.full((1, 90, 120), 2.0, np.float32)
+    pose = look_along(np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    triangles = fused_surface(depth, CAMERA, pose[None], voxel=0.05, truncation=0.1)
+    np.testing.assert_allclose(triangles[..., 0], 2.0, atol=1e-5)
+    seen = (2 * 2.0 * 60 / CAMERA.fx) * (2 * 2.0 * 45 / CAMERA.fy)
+    assert area(triangles) == pytest.approx(seen, rel=0.1)
+
+
+def test_what_was_seen_through_is_carved_away(around):
+    wall = np.full((4, 90, 120), 2.0, np.float32)
+    phantom = wall.copy()
+    phantom[0, 30:60, 40:80] = 1.0  # in one of four images something stood before the wall
+    poses = np.repeat(look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))[None], 4, axis=0)
+    alone = fused_surface(phantom[:1], CAMERA, poses[:1], voxel=0.05, truncation=0.1)
+    together = fused_surface(phantom, CAMERA, poses, voxel=0.05, truncation=0.1)
+    assert (np.abs(alone[..., 0] - 1.0) < 0.2).any()
+    assert not (np.abs(together[..., 0] - 1.0) < 0.2).any()
+
+
+def test_nothing_seen_and_nonsense():
+    assert fused_surface(np.zeros((2, 9, 12), np.float32), CAMERA, np.tile(np.eye(4), (2, 1, 1)), voxel=0.05,
+                         truncation=0.1).shape == (0, 3, 3)  # fmt: skip
+    with pytest.raises(InputError, match="expected a scene in metres"):
+        fused_surface(np.full((1, 90, 120), 3000.0, np.float32), CAMERA, np.eye(4)[None], voxel=0.05, truncation=0.1)
+
+
+def test_the_number_of_threads_changes_nothing(around, monkeypatch):
+    depth = np.stack([sphere_depth(pose) for pose in around[:4]])
+    surfaces = []
+    for threads in (1, 3):
+        monkeypatch.setattr(fusion, "thread_cap", lambda threads=threads: threads)
+        surfaces.append(fused_surface(depth, CAMERA, around[:4], voxel=0.1, truncation=0.2))
+    np.testing.assert_array_equal(*surfaces)

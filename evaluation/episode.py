@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
 
-_CHECKPOINTS = 20  # points of the convergence curve, besides the first
-_CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
-_CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
+CHECKPOINTS = 20  # points of the convergence curve, besides the first
+CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
+CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
 
 
 @dataclass(frozen=True)
@@ -210,11 +210,11 @@ class _Episode:
         began = time.perf_counter()
         reconstruction = self.env.reconstruction
         scores = self.job.protocol.checkpoint(
-            reconstruction.mapper.map, self.truth, views=_CHECKPOINT_VIEWS, samples=_CHECKPOINT_SAMPLES
+            reconstruction.mapper.map, self.truth, views=CHECKPOINT_VIEWS, samples=CHECKPOINT_SAMPLES
         )
         point = {"decision": reconstruction.decisions, "frames": reconstruction.frames, "metres": reconstruction.metres}
         self.curve.append(point | scores)
-        spacing = max(1, reconstruction.frame_budget // _CHECKPOINTS)
+        spacing = max(1, reconstruction.frame_budget // CHECKPOINTS)
         self._next_checkpoint = (reconstruction.frames // spacing + 1) * spacing
         self.evaluation_seconds += time.perf_counter() - began
         return scores
@@ -258,7 +258,7 @@ def _write_record(
         "scene": scene.content_hash,
         "metrics": metrics,
         "curve": episode.curve,
-        "curve_views": min(_CHECKPOINT_VIEWS, len(episode.truth.views)),
+        "curve_views": min(CHECKPOINT_VIEWS, len(episode.truth.views)),
     }
     store.write_json(part / "config.json", config)
     store.write_json(part / "metrics.json", results)

@@ -20,6 +20,7 @@ _TITLES = {
     "mapping": "quality of maps on held-out views",
     "growth": "cost of one place while the map grows elsewhere",
     "grid": "the same jobs by hand and through the supervisor",
+    "evaluation": "cost of an episode's evaluation, the truth in the cache",
 }
 
 
@@ -32,6 +33,10 @@ def bench(options: Bench) -> int:
 
         measure = bench_mapping.measure_quality if options.what == "mapping" else bench_mapping.measure_growth
         rows = measure(console, scenes, quick=options.quick, out=options.out)
+    elif options.what == "evaluation":
+        from activestructure_gym.evaluation.cli.bench_evaluation import measure_evaluation
+
+        rows = measure_evaluation(console, scenes, quick=options.quick)
     elif options.what == "planes":
         from activestructure_gym.planes import benchmark
         from activestructure_gym.scenes.library import load_scene

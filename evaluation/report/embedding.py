@@ -14,10 +14,10 @@ _QUALITY = 80  # of JPEG
 _COLOURS = 64  # of a drawing's palette
 
 
-def data_uri(image: Image.Image, *, drawing: bool = False) -> str:
+def data_uri(image: Image.Image, *, drawing: bool = False, widest: int = _WIDEST) -> str:
     """The image as JPEG; a drawing as PNG with a palette where that is smaller, which keeps its lines clean."""
-    if image.width > _WIDEST:
-        size = _WIDEST, max(1, round(image.height * _WIDEST / image.width))
+    if image.width > widest:
+        size = widest, max(1, round(image.height * widest / image.width))
         image = image.resize(size, Image.Resampling.LANCZOS)
     image = image.convert("RGB")
     kind, content = "jpeg", _encoded(image, "JPEG", quality=_QUALITY, optimize=True, progressive=True)
@@ -28,11 +28,10 @@ def data_uri(image: Image.Image, *, drawing: bool = False) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def picture(image: Image.Image, alt: str, *, drawing: bool = False, class_: str | None = None) -> Html:
+def picture(image: Image.Image, alt: str, *, drawing: bool = False, widest: int = _WIDEST) -> Html:
     """An ``img`` that needs nothing but the page."""
-    return element(
-        "img", src=data_uri(image, drawing=drawing), alt=alt, width=image.width, height=image.height, class_=class_
-    )
+    source = data_uri(image, drawing=drawing, widest=widest)
+    return element("img", src=source, alt=alt, width=image.width, height=image.height)
 
 
 def _encoded(image: Image.Image, kind: str, **options: int | bool) -> bytes:

@@ -24,6 +24,8 @@ from activestructure_gym.evaluation.report.traces import run_trace
 from activestructure_gym.evaluation.statistics import Statistic, mean
 from activestructure_gym.evaluation.store import Run
 
+_TIMELINE = 900  # pixels; its words must be legible
+
 
 def _css(colour: tuple[int, int, int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
@@ -146,15 +148,15 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
                     pictures.append(element("figure", drawing, element("figcaption", f"by {what}, {place}")))
         buffer = io.BytesIO()
         plot_phases([("", run.steps)], buffer, title="")
-        history = picture(Image.open(buffer), f"timeline of {run.job.policy}", drawing=True)
-        pictures.append(element("figure", history, element("figcaption", "quality, holes and gains over the frames")))
+        history = picture(Image.open(buffer), f"timeline of {run.job.policy}", drawing=True, widest=_TIMELINE)
+        over_time = element("figure", history, class_="over-time")
         count, structural = len(run.graph["ids"]), int(run.graph["structural"].sum())
         holes = run.graph["deficiency_areas"]
         line = (
             f"{run.job.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} of objects, "
             f"{len(holes)} deficiency centres for {holes.sum():.1f} m²"
         )
-        blocks.append(folded(line, element("div", *pictures, class_="tiles paper"), class_="planes"))
+        blocks.append(folded(line, element("div", *pictures, class_="tiles paper"), over_time, class_="planes"))
     above = element("div", *plans_by_deficit, class_="tiles paper")
     more = element("p", "By type, in three dimensions, and over the frames:", class_="facts")
     return element("div", key(DEFICIT_KEY), above, more, key(TYPE_KEY), *blocks)

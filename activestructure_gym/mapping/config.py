@@ -13,7 +13,7 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 from activestructure_gym.mapping.tracking import TrackingConfig
 
 _COUNTS = ("seed_stride", "window", "overlap_pixels", "max_gaussians", "max_seed_stride")
-_POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon")
+_POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon", "wide_sigma")
 _NOT_NEGATIVE = ("iterations", "psnr_refresh", "global_psnr", "in_front_factor", "in_front_floor",
                  "image_weight", "depth_weight", "alpha_weight")  # fmt: skip
 _SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
@@ -75,6 +75,8 @@ class MapperConfig:
     in_front_floor: float = 0.03  # metres, least of that tolerance (dossier 5.3; keeps sensor noise from being seeded)
 
     coarse_ratio: float | None = 3.0  # Gaussians larger than so many seeds are replaced; None = never (measured)
+    wide_sigma: float = 0.03  # metres: a larger one leaves gaps of 5 cm and is replaced sooner (method.md)
+    wide_ratio: float = 1.5  # as coarse_ratio, for those
 
     # Optimisation
     iterations: int = 5  # per observed frame (ablation C15; 15 for quality)
@@ -132,7 +134,7 @@ class MapperConfig:
         for name in ("seed_opacity", "adam_beta1", "adam_beta2"):
             if not 0 < values[name] < 1:
                 raise ValueError(f"{name} must lie in (0, 1), got {values[name]}")
-        for name in ("seed_elongation", "coarse_ratio"):
+        for name in ("seed_elongation", "coarse_ratio", "wide_ratio"):
             if values[name] is not None and not values[name] >= 1:
                 raise ValueError(f"{name} must be at least 1, got {values[name]}")
         for name in ("scene_radius", "mean_rate_radius"):

@@ -91,9 +91,9 @@ class Mapper:
             )
         iterations = self.config.iterations if iterations is None else iterations
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
-        replaced = self._remove_coarse(frame)
+        replaced, bared = self._remove_coarse(frame)
         boxes = MapParts(self.map, **self._slack(iterations))
-        stride, added, dropped, new_share = self._seed(frame, boxes)
+        stride, added, dropped, new_share = self._seed(frame, boxes, bared)
         parts = None if dropped else boxes.extended(added)
         index = self._store.append(frame, new_share=new_share)
         views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
@@ -148,8 +148,13 @@ class Mapper:
         self._measure_psnr(self._store.stalest(len(self.keyframes) if renders is None else renders))
         return np.array(self._store.psnr, dtype=np.float64)
 
-    def _seed(self, frame: Frame, parts: MapParts) -> tuple[int, int, int, float]:
-        """Insert Gaussians where the map lacks them; returns seed stride, added, dropped, share of new pixels."""
+    def _seed(
+        self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None
+    ) -> tuple[int, int, int, float]:
+        """Insert Gaussians where the map lacks them, and in the pixels ``bared`` [H, W] bool.
+
+        Returns seed stride, added, dropped, share of new pixels.
+        """
         config = self.config
         if self.map.count:
             camera, pose = frame.camera, frame.world_from_camera
@@ -167,6 +172,8 @@ class Mapper:
             )
         else:
             missing = frame.depth > 0
+        if bared is not None:
+            missing |= bared
         new_share = float(np.count_nonzero(missing)) / missing.size
         stride, rows, columns = self._grid_within_room(missing)
         dropped = 0
@@ -200,14 +207,23 @@ class Mapper:
             min_cosine=config.min_incidence_cosine,
         )
 
-    def _remove_coarse(self, frame: Frame) -> int:
-        """Make way for finer Gaussians; the holes this leaves are seeded like any other."""
+    def _remove_coarse(self, frame: Frame) -> tuple[int, np.ndarray | None]:  # number, [H, W] bool
+        """Make way for finer Gaussians; returns how many went, and the pixels to seed in their place."""
         config = self.config
         whole_frame = frame.depth.size / config.seed_stride**2
         if config.coarse_ratio is None or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
-            return 0  # Near the cap the new ones might be coarser still.
-        limit = config.coarse_ratio * config.seed_footprint * config.seed_stride
-        return self.map.keep(~too_coarse(self.map.parameters, frame, limit=limit, count=self.map.count))
+            return 0, None  # Near the cap the new ones might be coarser still.
+        seed = config.seed_footprint * config.seed_stride  # pixels, sigma
+        coarse, bared = too_coarse(
+            self.map.parameters,
+            frame,
+            limit=config.coarse_ratio * seed,
+            wide=config.wide_sigma,
+            limit_wide=config.wide_ratio * seed,
+            spacing=1.0 / config.seed_footprint,
+            count=self.map.count,
+        )
+        return self.map.keep(~coarse), bared
 
     def _grid_within_room(self, missing: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """Stride and seed pixels (rows, columns) as the cap allows them (see the class)."""

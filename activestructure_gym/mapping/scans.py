@@ -55,10 +55,16 @@ def larger_in_view(
     camera_from_world: np.ndarray,  # [3, 4] float32
     intrinsics: np.ndarray,  # [4] float32 pixels: fx, fy, cx, cy
     depth: np.ndarray,  # [H, W] float32 metres, measured; 0 = no return
-    limit: float,  # pixels, sigma
-) -> np.ndarray:  # [count] bool
-    """On the measured surface in view, within one sigma, and appearing larger than ``limit``."""
-    found = np.empty(count, np.bool_)
+    limit: float,  # pixels, largest sigma
+    wide: float,  # metres, middle sigma: from here on the second limit holds as well
+    limit_wide: float,  # pixels, middle sigma
+    spacing: float,  # distance of neighbouring seeds in sigmas
+) -> tuple[np.ndarray, np.ndarray]:  # [count] bool, [H, W] bool
+    """On the measured surface in view, within one sigma, and appearing larger than the limit for their size.
+
+    Also the pixels that those were the seeds of: a square of the seeds' spacing around each, on the same surface.
+    """
+    found, pixels = np.empty(count, np.bool_), np.zeros(depth.shape, np.bool_)
     m, height, width = camera_from_world, depth.shape[0], depth.shape[1]
     focal = np.float32(0.5) * (intrinsics[0] + intrinsics[1])
     for i in range(count):
@@ -72,6 +78,15 @@ def larger_in_view(
         if not (u >= 0.0 and v >= 0.0 and u < width and v < height):
             continue
         measured = depth[int(v), int(u)]
-        sigma = np.exp(max(max(parameters[7, i], parameters[8, i]), parameters[9, i]))
-        found[i] = measured > 0.0 and sigma * focal > limit * z and abs(z - measured) <= sigma
-    return found
+        p, q, r = parameters[7, i], parameters[8, i], parameters[9, i]
+        sigma = np.exp(max(max(p, q), r))
+        middle = np.exp(max(min(p, q), min(max(p, q), r)))
+        coarse = sigma * focal > limit * z or (middle > wide and middle * focal > limit_wide * z)
+        found[i] = measured > 0.0 and coarse and abs(z - measured) <= sigma
+        if found[i]:
+            half = 0.5 * spacing * middle * focal / z
+            for row in range(max(0, int(v - half)), min(height, int(v + half) + 1)):
+                for column in range(max(0, int(u - half)), min(width, int(u + half) + 1)):
+                    if abs(depth[row, column] - measured) <= 2.0 * sigma and depth[row, column] > 0.0:
+                        pixels[row, column] = True
+    return found, pixels

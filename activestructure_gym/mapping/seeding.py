@@ -50,13 +50,17 @@ def too_coarse(
     parameters: np.ndarray,  # [14, capacity] Gaussians
     frame: Frame,
     *,
-    limit: float,  # pixels, sigma
+    limit: float,  # pixels, largest sigma
+    wide: float = np.inf,  # metres, middle sigma: from here on ``limit_wide`` holds as well
+    limit_wide: float = np.inf,  # pixels, middle sigma
+    spacing: float = 1.0,  # distance of neighbouring seeds in sigmas
     count: int | None = None,  # of the columns, the live ones; None = all
-) -> np.ndarray:  # [count] bool
-    """The Gaussians on the surface in view that appear larger than ``limit``: this frame could hold finer ones.
+) -> tuple[np.ndarray, np.ndarray]:  # [count] bool, [H, W] bool
+    """The Gaussians on the surface in view that appear larger than the limit, and the pixels to seed in their place.
 
     On the surface means that the depth of the centre agrees with what is measured at its pixel within one sigma. What
-    is hidden, outside the image, or without a return stays.
+    is hidden, outside the image, or without a return stays. The pixels are those that the Gaussians were seeds of: what
+    else covers them may be their neighbours' rims.
     """
     camera = frame.camera
     return larger_in_view(
@@ -66,6 +70,9 @@ def too_coarse(
         np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
         np.ascontiguousarray(frame.depth, dtype=np.float32),
         float(limit),
+        float(wide),
+        float(limit_wide),
+        float(spacing),
     )
 
 

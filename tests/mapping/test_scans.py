@@ -53,10 +53,14 @@ def test_larger_in_view_is_what_projecting_says():
     measured = np.zeros(COUNT)
     measured[inside] = depth[v[inside].astype(int), u[inside].astype(int)]
     sigma = np.exp(parameters[7:10, :COUNT].max(axis=0))
-    expected = inside & (measured > 0) & (sigma * 26.0 > 1.5 * z) & (np.abs(z - measured) <= sigma)
+    middle = np.exp(np.median(parameters[7:10, :COUNT], axis=0))
+    large = (sigma * 26.0 > 2.0 * z) | ((middle > 0.05) & (middle * 26.0 > z))
+    expected = inside & (measured > 0) & large & (np.abs(z - measured) <= sigma)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    found = larger_in_view(parameters, COUNT, invert_rigid(pose)[:3].astype(np.float32), intrinsics, depth, 1.5)
+    to_camera = invert_rigid(pose)[:3].astype(np.float32)
+    found, pixels = larger_in_view(parameters, COUNT, to_camera, intrinsics, depth, 2.0, 0.05, 1.0, 1.0)
     assert expected.sum() > 10
+    assert pixels.any() and not pixels[depth == 0].any()
     assert (found != expected).sum() <= 1  # float32 at a pixel's border
 
 

@@ -177,12 +177,37 @@ def test_coarse_ones_on_the_surface_in_view():
         (0.1, 0.1, -2.0),  # behind the camera
         (-1.75, -1.25, 2.0),  # where there is no return
     ]
-    assert too_coarse(_balls(positions, 0.6), frame, limit=0.9).tolist() == [True, True, *[False] * 5]
-    assert not too_coarse(_balls(positions, 0.6), frame, limit=1.21).any()
-    assert too_coarse(_balls(positions, 0.6)[:, :0], frame, limit=1.0).shape == (0,)
+    assert too_coarse(_balls(positions, 0.6), frame, limit=0.9)[0].tolist() == [True, True, *[False] * 5]
+    assert not too_coarse(_balls(positions, 0.6), frame, limit=1.21)[0].any()
+    assert too_coarse(_balls(positions, 0.6)[:, :0], frame, limit=1.0)[0].shape == (0,)
+
+
+def test_wide_ones_have_a_limit_of_their_own():
+    """Wall at 2 m, f = 4: sigmas of .3 and .6 m appear as .6 and 1.2 pixels."""
+    both = np.concatenate([_balls([(0.1, 0.1, 2.0)], sigma) for sigma in (0.3, 0.6)], axis=1)
+    for wide, expected in ((0.7, [False, False]), (0.5, [False, True]), (0.2, [True, True])):
+        assert too_coarse(both, _frame(2.0), limit=3.0, wide=wide, limit_wide=0.5)[0].tolist() == expected
+    # The middle one of the three sigmas decides: a disk along a slope is no wider than its short axis.
+    needle = _balls([(0.1, 0.1, 2.0)], 0.01)
+    needle[8] = np.log(0.6)
+    assert not too_coarse(needle, _frame(2.0), limit=3.0, wide=0.2, limit_wide=0.5)[0].any()
+
+
+def test_the_pixels_to_seed_are_those_around_what_goes():
+    """A seed every 2 pixels has a sigma of 1.2 pixels here, so its square is 2 pixels wide; a foreground stays out."""
+    frame = _frame(2.0)
+    u, v = (frame.camera.fx * 0.1 / 2.0 + frame.camera.cx, frame.camera.fy * 0.1 / 2.0 + frame.camera.cy)
+    _, pixels = too_coarse(_balls([(0.1, 0.1, 2.0)], 0.6), frame, limit=0.9, spacing=2.0 / 1.2)
+    rows, columns = np.nonzero(pixels)
+    assert (int(v - 1), int(v + 1)) == (rows.min(), rows.max())
+    assert (int(u - 1), int(u + 1)) == (columns.min(), columns.max())
+    frame.depth[int(v - 1)] = 0.5
+    _, fewer = too_coarse(_balls([(0.1, 0.1, 2.0)], 0.6), frame, limit=0.9, spacing=2.0 / 1.2)
+    assert not fewer[int(v - 1)].any() and fewer.sum() < pixels.sum()
+    assert not too_coarse(_balls([(0.1, 0.1, 2.0)], 0.6), frame, limit=1.21)[1].any()
 
 
 def test_the_largest_axis_counts():
     needle = _balls([(0.1, 0.1, 2.0)], 0.01)
     needle[8] = np.log(0.6)
-    assert too_coarse(needle, _frame(2.0), limit=1.19).all()
+    assert too_coarse(needle, _frame(2.0), limit=1.19)[0].all()

@@ -86,14 +86,14 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
 def compile_views() -> None:
     """What gains and visibility need besides the map's pictures."""
     from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.views.gains.unexplained import meets_unknown_space
+    from activestructure_gym.views.gains.hole_area import hidden_distances
     from activestructure_gym.views.visibility import cosines_in_sight
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
     camera = PinholeCamera.from_size(16, 9)
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [3.0, 3.0, 2.0]]), VolumeConfig())
     pose, points = np.eye(4)[None], np.ones((1, 1, 3))
-    meets_unknown_space(volume, camera, pose, 2.0, np.ones((1, 9, 16), bool))
+    hidden_distances(volume, camera, pose, 2.0, np.ones((1, 9, 16), bool), stride=1)
     cosines_in_sight(points, points[0], camera, pose, volume)
 
 

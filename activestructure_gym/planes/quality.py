@@ -84,6 +84,7 @@ class Deficiencies:
     areas: np.ndarray  # [D] m^2 of the part of the hole the centre stands for
     planes: np.ndarray  # [D] int64 index of the plane
     sizes: np.ndarray  # [D] metres, of the Gaussians on a patch that is too coarse; inf in a hole, where there are none
+    explained: np.ndarray  # [D] bool: an image showed what is there instead, and no other image will fill the hole
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -241,6 +242,7 @@ def find_deficiencies(
     """
     config = config or QualityConfig()
     centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
+    explained = [np.zeros(0, bool)]
     for k, node in enumerate(nodes):
         inside = interior(node.surface, config)
         if len(inside.holes):
@@ -248,6 +250,7 @@ def find_deficiencies(
             normals.append(np.repeat(node.normal[None], len(inside.holes), axis=0))
             areas.append(inside.hole_cells * node.surface.cell**2)
             owner.append(np.full(len(inside.holes), k, np.int64))
+            explained.append(node.surface.beside[inside.holes[:, 0], inside.holes[:, 1]] != kernels.UNKNOWN)
     sizes = [np.full(sum(map(len, areas)), np.inf)]
     if map_points is not None and nodes:
         sparse = sparse_patches(
@@ -262,7 +265,8 @@ def find_deficiencies(
         areas.append(sparse.areas)
         owner.append(sparse.planes)
         sizes.append(sparse.sizes)
+        explained.append(np.zeros(len(sparse.sizes), bool))
     return Deficiencies(
         np.concatenate(centres), np.concatenate(normals), np.concatenate(areas), np.concatenate(owner),
-        np.concatenate(sizes),
+        np.concatenate(sizes), np.concatenate(explained),
     )  # fmt: skip

@@ -52,7 +52,7 @@ class Terms:
         return {name: float(values[index]) for name, values in vars(self).items()}
 
 
-VISIBILITY_FLOOR = 0.01  # a view of any tracked plane is worth at least this (Sec. 3.4)
+VISIBILITY_FLOOR = 1e-4  # a view of any tracked plane is worth at least this (Sec. 3.4)
 GOOD_QUALITY = 0.8  # q from which a structural plane counts as well reconstructed
 BLEND = 0.5  # eta of Eq. 11
 DISCOUNT_PLANES = 3.0  # visible planes at which the discount has reached 1 - 1/e of its cap

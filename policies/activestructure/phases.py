@@ -27,15 +27,15 @@ PHASES = (
     # Structural deficit attracts. The scaffold stands when no view is left that would show much of the unknown.
     Phase(
         "I scaffold",
-        Weights(structural=0.1, objects=0.03, deficiency=0.2, max_discount=0.3),
-        pool_share=0.10,
+        Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1),
+        pool_share=0.02,
     ),
     # The same planes suppress, objects attract; the cap of the discount rises, smaller gaps are worth a view.
     Phase(
         "II objects",
-        Weights(structural=-0.05, objects=0.1, deficiency=1.0, max_discount=0.8, suppression=0.5),
-        pool_share=0.02,
-        deficit_share=0.05,
+        Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),
+        pool_share=0.003,
+        deficit_share=0.01,
     ),
     # The keyframes that render worst are revisited, with more iterations.
     Phase("III post-refinement", Weights(structural=0.0, objects=0.0, coupling=0.0, deficiency=0.0), refines=True),

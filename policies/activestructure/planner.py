@@ -52,11 +52,11 @@ class StructurePolicy(Policy):
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
         """The terms of Eqs. 12 to 14; a gain the rung does not ask for counts as 0."""
         nothing = np.zeros(len(observation["action_mask"]))
-        pixel, unexplained, deficiency = (
+        pixel, hole_area, deficiency = (
             self.gain(observation, name).astype(np.float64) if name in self.required_gains else nothing
-            for name in ("pixel", "unexplained", "deficiency")
+            for name in ("pixel", "hole_area", "deficiency")
         )
-        pixel = unexplained if "unexplained" in self.required_gains else pixel
+        pixel = hole_area if "hole_area" in self.required_gains else pixel
         return information_gain(pixel, deficiency, planes, weights)
 
     def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
@@ -87,7 +87,7 @@ class ActiveStructureB(StructurePolicy):
     """Rung B: A and the raw gain of the Plane Scene Graph, 1 - q_i of every visible plane."""
 
     required_gains = ("pixel",)
-    weights = Weights(surprise=False)
+    weights = Weights(structural=0.1, objects=0.1, surprise=False)
 
 
 @POLICIES.register("activestructure-c")
@@ -95,7 +95,7 @@ class ActiveStructureC(StructurePolicy):
     """Rung C: B with the anomaly indicators, gamma_i instead of 1 - q_i and the discount of Eq. 12."""
 
     required_gains = ("pixel",)
-    weights = Weights(max_discount=0.3)
+    weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
 
 @POLICIES.register("activestructure-d")
@@ -103,14 +103,14 @@ class ActiveStructureD(StructurePolicy):
     """Rung D: C and the deficiency centres."""
 
     required_gains = ("pixel", "deficiency")
-    weights = Weights(max_discount=0.3)
+    weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
 
 @POLICIES.register("activestructure")
 class ActiveStructure(StructurePolicy):
     """The full model, rung E: D with three phases and the reversal of polarity between them."""
 
-    required_gains = ("unexplained", "deficiency")
+    required_gains = ("hole_area", "deficiency")
 
     def __init__(self) -> None:
         super().__init__()

@@ -134,9 +134,9 @@ def test_total_by_hand() -> None:
     terms = information_gain(np.array([0.5, 0.4, 0.3]), np.array([0.1, 0.2, 0.0]), THREE, weights)
     rho = 0.3 * (1 - np.exp(-2 / 3)) * (1 - 0.5 / 0.9) * 0.7
     expected = [
-        0.5 * (1 - rho) + 0.4 * ((2.0 * 0.1 + 0.5 * 0.06) / 0.88 + 3.0 * 0.1 + 0.01),
+        0.5 * (1 - rho) + 0.4 * ((2.0 * 0.1 + 0.5 * 0.06) / 0.88 + 3.0 * 0.1 + VISIBILITY_FLOOR),
         0.4 + 0.4 * 3.0 * 0.2,
-        0.3 + 0.4 * (0.5 * 0.72 / 0.88 + 0.01),
+        0.3 + 0.4 * (0.5 * 0.72 / 0.88 + VISIBILITY_FLOOR),
     ]
     np.testing.assert_allclose(terms.total, expected)
 
@@ -200,7 +200,7 @@ def test_polarity_reverses_between_the_first_two_phases() -> None:
 def test_the_pool_holds_views_with_enough_pixels_or_deficit() -> None:
     first, second = PHASES[0], PHASES[1]
     nothing = planes(np.zeros((4, 1)), [0.5], [0.5], [1])
-    pixel = np.array([first.pool_share + 0.01, first.pool_share - 0.01, 0.0, 0.9])
+    pixel = np.array([first.pool_share + 0.001, first.pool_share - 0.001, 0.0, 0.9])
     terms = information_gain(pixel, np.array([0.0, 0.0, 1.0, 0.0]), nothing, first.weights)
     valid = np.array([True, True, True, False])
     np.testing.assert_array_equal(in_pool(terms, valid, first), [True, False, False, False])
@@ -261,7 +261,7 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
     policy = ActiveStructure()
     policy.reset(0)
     names = []
-    rich, poor = [[0.5, 0.0]] * 3, [[0.05, 0.0]] * 3  # poor: enough for phase II, not for phase I
+    rich, poor = [[0.5, 0.0]] * 3, [[0.01, 0.0]] * 3  # poor: enough for phase II, not for phase I
     for gains in [rich] * 40 + [poor] * (PATIENCE + 40) + [NOTHING] * (PATIENCE + 5):
         policy.act(observation(gains))
         names.append(policy.trace()["phase"])

@@ -11,7 +11,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.views import GAINS, GainContext, evaluate_gains
-from activestructure_gym.views.gains.hole_area import exit_distances, solid_angles
+from activestructure_gym.views.gains.hole_area import hidden_distances, largest_area, solid_angles
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
 
 CAMERA = PinholeCamera.from_size(40, 24)
@@ -44,8 +44,8 @@ def test_pixel_gain_is_the_share_of_uncovered_pixels() -> None:
 def test_a_covered_view_hides_no_area_and_a_wall_nearer_by_hides_less() -> None:
     empty = np.zeros((1, 24, 40), np.float32)
     covered = np.ones((1, 24, 40), np.float32)
-    far = np.full((40, 40, 40), FREE, np.uint8)
-    near = far.copy()
+    far = np.full((40, 40, 40), UNKNOWN, np.uint8)
+    near = np.full((40, 40, 40), FREE, np.uint8)
     near[30:] = OCCUPIED  # a wall 1 m ahead
     assert evaluate_gains(("hole_area",), context(covered, far))[0, 0] == 0.0
     gain_far = evaluate_gains(("hole_area",), context(empty, far))[0, 0]
@@ -53,20 +53,22 @@ def test_a_covered_view_hides_no_area_and_a_wall_nearer_by_hides_less() -> None:
     assert 0 < gain_near < gain_far
     # Frontal wall at depth 1: solid angle x distance^2 is the wall's area seen along the ray, dA cos. The frustum cuts
     # 2 x 1.2 = 2.4 m^2 out of the wall, and the steepest cosine is 0.65.
-    assert 2.4 * 0.65 < gain_near < 2.4
+    assert 2.4 * 0.65 < gain_near * largest_area(CAMERA) < 2.4
 
 
-def test_exit_distance_against_the_box() -> None:
-    state = np.full((40, 40, 40), FREE, np.uint8)
-    pose = look_along(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.0, 0.0]))[None]
-    rays = CAMERA.rays().astype(np.float64)
-    distance = exit_distances(state, np.zeros(3), 0.1, pose, rays, 100.0, np.ones((1, 24, 40), bool))[0]
+def test_hidden_distance_against_the_box() -> None:
+    unknown = context(np.zeros((1, 24, 40)))
+    pose, rays = unknown.world_from_camera, CAMERA.rays().astype(np.float64)
+    wanted = np.ones((1, 24, 40), bool)
+    distance = hidden_distances(unknown.volume, CAMERA, pose, 100.0, wanted, stride=1)[0]
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True) @ pose[0, :3, :3].T
     with np.errstate(divide="ignore"):
         expected = np.min(2.0 / np.abs(directions), axis=-1)
-    # Marching overshoots by at most its step of half a voxel.
-    assert (distance >= expected - 1e-9).all()
-    assert (distance <= expected + 0.05 + 1e-9).all()
+    # Marching stops at most its step of half a voxel before the end.
+    assert (distance <= expected + 1e-9).all()
+    assert (distance >= expected - 0.05 - 1e-9).all()
+    wanted[0, ::2] = False
+    assert not hidden_distances(unknown.volume, CAMERA, pose, 100.0, wanted, stride=1)[0, ::2].any()
 
 
 def test_solid_angles_add_up_to_that_of_the_frustum() -> None:

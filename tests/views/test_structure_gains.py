@@ -12,6 +12,7 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.planes import Deficiencies
 from activestructure_gym.views import GainContext, evaluate_gains
 from activestructure_gym.views.gains.deficiency import refining_distance
+from activestructure_gym.views.gains.hole_area import REACH, largest_area, solid_angles
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
@@ -22,7 +23,9 @@ AHEAD = look_along(HERE, np.array([1.0, 0.0, 0.0]))
 BACK = look_along(HERE, np.array([-1.0, 0.0, 0.0]))
 
 
-def holes(centres: list, areas: float = 0.04, sizes: float = np.inf, normal: tuple = (-1.0, 0, 0)) -> Deficiencies:
+def holes(
+    centres: list, areas: float = 0.04, sizes: float = np.inf, normal: tuple = (-1.0, 0, 0), explained: bool = False
+) -> Deficiencies:
     count = len(centres)
     return Deficiencies(
         np.array(centres, float).reshape(count, 3),
@@ -30,6 +33,7 @@ def holes(centres: list, areas: float = 0.04, sizes: float = np.inf, normal: tup
         np.full(count, areas),
         np.zeros(count, np.int64),
         np.full(count, sizes),
+        np.full(count, explained),
     )
 
 
@@ -44,7 +48,9 @@ def context(
     images = np.broadcast_to(np.asarray(alpha, np.float32), (len(poses), CAMERA.height, CAMERA.width)).copy()
     mapper = SimpleNamespace(
         render_depth_alpha=lambda camera, poses: (np.zeros_like(images), images),
-        config=SimpleNamespace(coarse_ratio=coarse_ratio, seed_footprint=0.6, seed_stride=2),
+        config=SimpleNamespace(
+            coarse_ratio=coarse_ratio, wide_sigma=0.1, wide_ratio=1.5, seed_footprint=0.6, seed_stride=2
+        ),
         keyframes=[SimpleNamespace(camera=SENSOR)],
     )
     options: dict[str, Any] = {
@@ -70,32 +76,38 @@ def slab(low: float, high: float) -> np.ndarray:  # [X, Y, Z] bool, between two 
     return (x > low) & (x < high)
 
 
+WHOLE = largest_area(CAMERA)  # m^2
+
+
 def test_deficiency_by_hand_and_only_where_one_looks() -> None:
-    ctx = context([AHEAD, BACK], holes([[3.0, 2.0, 2.0]]))
-    # 0.04 m^2 seen frontally from 2 m: fx fy 0.04 / 4 pixels.
-    expected = CAMERA.fx * CAMERA.fy * 0.01 / (40 * 24)
-    np.testing.assert_allclose(column("deficiency", ctx), [expected, 0.0], rtol=1e-6)
+    near, far = [2.0, 2.0, 2.0], [3.9, 2.0, 2.0]
+    np.testing.assert_allclose(column("deficiency", context([AHEAD, BACK], holes([near]))), [0.04 / WHOLE, 0.0])
+    # An area counts the same from wherever it is in reach.
+    assert column("deficiency", context([AHEAD], holes([far])))[0] == pytest.approx(0.04 / WHOLE)
     np.testing.assert_array_equal(column("deficiency", context([AHEAD, BACK])), 0.0)
 
 
-def test_deficiency_counts_the_side_it_was_seen_from_and_the_slant() -> None:
-    behind = holes([[3.0, 2.0, 2.0]], normal=(1.0, 0, 0))
-    slanted = holes([[3.0, 2.0, 2.0]], normal=(-0.5, np.sqrt(0.75), 0))
-    frontal = column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]])))[0]
-    assert column("deficiency", context([AHEAD], behind))[0] == 0.0
-    assert column("deficiency", context([AHEAD], slanted))[0] == pytest.approx(0.5 * frontal, rel=1e-6)
+def test_deficiency_counts_the_side_it_was_seen_from_up_to_the_reach() -> None:
+    assert column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]], normal=(1.0, 0, 0))))[0] == 0.0
+    beyond = holes([HERE + [REACH + 0.01, 0, 0]])
+    within = holes([HERE + [REACH - 0.01, 0, 0]])
+    assert [column("deficiency", context([AHEAD], h))[0] > 0 for h in (beyond, within)] == [False, True]
 
 
-def test_deficiency_adds_up_and_stays_a_share(rng: np.random.Generator) -> None:
+def test_a_hole_that_an_image_explained_does_not_count() -> None:
+    window = holes([[3.0, 2.0, 2.0]], explained=True)
+    assert column("deficiency", context([AHEAD], window))[0] == 0.0
+
+
+def test_deficiency_adds_up(rng: np.random.Generator) -> None:
     one, other = [3.0, 2.2, 2.0], [3.0, 1.8, 2.1]
     values = [column("deficiency", context([AHEAD], holes(h)))[0] for h in ([one], [other], [one, other])]
     assert values[2] == pytest.approx(values[0] + values[1], rel=1e-6)
     many = rng.uniform([2, 0, 0], 4, (500, 3))
-    poses = [AHEAD, BACK, *(look_along(rng.uniform(0.5, 3.5, 3), rng.normal(size=3)) for _ in range(30))]
+    poses = [look_along(rng.uniform(0.5, 3.5, 3), rng.normal(size=3)) for _ in range(30)]
     gain = column("deficiency", context(poses, holes(list(many), areas=0.25)))
-    assert gain[0] == 1.0
-    assert ((gain >= 0) & (gain <= 1)).all()
-    assert ((gain > 0) & (gain < 1)).any()
+    assert ((gain >= 0) & (gain <= 500 * 0.25 / WHOLE)).all()
+    assert len(np.unique(gain)) > 10
 
 
 def test_deficiency_is_zero_behind_what_is_occupied() -> None:
@@ -109,57 +121,77 @@ def test_deficiency_is_zero_behind_what_is_occupied() -> None:
 
 
 def test_a_coarse_patch_counts_from_where_its_gaussians_would_be_replaced() -> None:
-    # Gaussians of s metres fill s f / z pixels; the limit is 3 x 0.6 x 2 = 3.6 pixels.
+    # Gaussians of s metres fill s f / z pixels; the limit is 3 x 0.6 x 2 = 3.6 pixels, and half that from 10 cm on.
     focal = 0.5 * (SENSOR.fx + SENSOR.fy)
     for size, counts in ((2.01 * 3.6 / focal, True), (1.99 * 3.6 / focal, False)):
         found = holes([[3.0, 2.0, 2.0]], sizes=size)
+        assert size < 0.1
         assert (column("deficiency", context([AHEAD], found))[0] > 0) == counts
         nearer = look_along(HERE + [0.5, 0, 0], np.array([1.0, 0.0, 0.0]))
         assert column("deficiency", context([nearer], found))[0] > 0
         assert column("deficiency", context([nearer], found, coarse_ratio=None))[0] == 0.0  # nothing is ever replaced
-    np.testing.assert_array_equal(refining_distance(context([AHEAD]), np.array([np.inf])), [np.inf])
+    distances = refining_distance(context([AHEAD]), np.array([0.099, 0.1, np.inf]))
+    np.testing.assert_allclose(distances, [0.099 * focal / 3.6, 0.1 * focal / 1.8, np.inf])
     assert column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]]), coarse_ratio=None))[0] > 0
 
 
-def test_space_known_to_be_free_to_the_end_explains_a_pixel() -> None:
+def test_space_known_to_be_free_to_the_end_hides_nothing() -> None:
     free = context([AHEAD, BACK])
     np.testing.assert_array_equal(column("pixel", free), 1.0)
-    np.testing.assert_array_equal(column("unexplained", free), 0.0)
+    np.testing.assert_array_equal(column("hole_area", free), 0.0)
     # Unknown ahead: all rays that go forward meet it, none of those that go back.
     ahead = context([AHEAD, BACK], state=np.where(slab(2.0, 4.0), UNKNOWN, FREE), max_range=2.0)
-    gain = column("unexplained", ahead)
-    assert gain[0] == 1.0
+    gain = column("hole_area", ahead)
+    assert gain[0] > 0.2
     assert gain[1] == 0.0
 
 
-def test_a_surface_ends_the_search_and_so_does_the_range() -> None:
+def test_a_surface_without_gaussians_is_a_hole_and_ends_the_search() -> None:
     state = np.where(slab(3.0, 4.0), UNKNOWN, FREE)
-    assert column("unexplained", context([AHEAD], state=state))[0] > 0.5
-    walled = np.where(slab(2.4, 2.6), OCCUPIED, state)
-    assert column("unexplained", context([AHEAD], state=walled))[0] == 0.0
-    assert column("unexplained", context([AHEAD], state=state, max_range=1.5))[0] == 0.0
+    beyond = column("hole_area", context([AHEAD], state=state))[0]
+    # A wall at 1.4 m fills the image: the area in view is what the image cuts out of it, seen along the rays.
+    walled = column("hole_area", context([AHEAD], state=np.where(slab(2.4, 2.6), OCCUPIED, state)))[0]
+    assert 0 < walled < beyond
+    distance = 1.4 * np.linalg.norm(CAMERA.rays(), axis=-1)
+    expected = (solid_angles(CAMERA) * distance**2).sum() / WHOLE
+    assert walled == pytest.approx(expected, rel=0.05)  # marched in steps of half a voxel
+    assert column("hole_area", context([AHEAD], state=state, max_range=1.5))[0] == 0.0
 
 
-def test_covered_pixels_are_never_unexplained() -> None:
+def test_covered_pixels_hide_nothing_and_half_covered_ones_half() -> None:
+    whole = column("hole_area", context([AHEAD], state=UNKNOWN))[0]
     alpha = np.ones((1, 24, 40), np.float32)
-    alpha[:, :6] = 0.0
-    unknown = context([AHEAD], alpha=alpha, state=UNKNOWN)
-    assert column("unexplained", unknown)[0] == pytest.approx(0.25)
-    assert column("pixel", unknown)[0] == pytest.approx(0.25)
+    assert column("hole_area", context([AHEAD], alpha=alpha, state=UNKNOWN))[0] == 0.0
+    assert column("hole_area", context([AHEAD], alpha=0.5 * alpha, state=UNKNOWN))[0] == pytest.approx(whole / 2)
 
 
-def test_unexplained_is_at_most_pixel(rng: np.random.Generator) -> None:
+def test_what_lies_beyond_the_reach_counts_as_at_the_reach() -> None:
+    bounds = np.array([[0.0, 0, 0], [14.0, 4, 4]])
+    volume = VoxelVolume(bounds, VolumeConfig())
+    volume.state[:] = FREE
+    volume.state[volume.shape[0] - 20 :] = UNKNOWN
+    ahead = look_along(np.array([1.0, 2.0, 2.0]), np.array([1.0, 0.0, 0.0]))
+    gain = column("hole_area", context([ahead], volume=volume, bounds=bounds, max_range=20.0))[0]
+    # Unknown begins 11 m ahead or half a voxel farther; the walls of the box are 2 m away on every side.
+    rays = CAMERA.rays()[::2, ::2]
+    least, most = (
+        4 * solid_angles(CAMERA)[::2, ::2][(np.abs(rays) <= [slope, slope, 1]).all(axis=-1)].sum() * REACH**2 / WHOLE
+        for slope in (2 / 11.3, 2 / 10.9)
+    )
+    assert 0 < least <= gain <= most
+
+
+def test_hole_area_is_a_share(rng: np.random.Generator) -> None:
     poses = [look_along(rng.uniform(0.5, 3.5, 3), rng.normal(size=3)) for _ in range(20)]
-    # Blocks of 2 x 2 alike, as every second pixel is asked.
-    alpha = rng.uniform(0, 1, (20, 12, 20)).repeat(2, axis=1).repeat(2, axis=2)
+    alpha = rng.uniform(0, 1, (20, 24, 40))
     shape = VoxelVolume(BOUNDS, VolumeConfig()).shape
     blocks = rng.choice([FREE, OCCUPIED, UNKNOWN], p=[0.9, 0.05, 0.05], size=tuple(-(-n // 4) for n in shape))
     state = np.kron(blocks, np.ones((4, 4, 4), np.uint8))[: shape[0], : shape[1], : shape[2]]
-    ctx = context(poses, alpha=alpha, state=state)
-    gains, pixels = column("unexplained", ctx), column("pixel", ctx)
-    assert (gains <= pixels + 1e-6).all()
-    assert (gains > 0).any()
-    assert (gains < pixels - 0.01).any()
+    gains = column("hole_area", context(poses, alpha=alpha, state=state))
+    assert ((gains >= 0) & (gains <= 1)).all()
+    assert len(np.unique(gains)) > 10
+    opaque = column("hole_area", context(poses, alpha=0.5 + 0.5 * alpha, state=state))
+    assert (opaque <= 0.5 * gains + 1e-6).all()
 
 
 def test_structure_is_the_deficit_of_the_planes_in_view() -> None:

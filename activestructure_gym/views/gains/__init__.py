@@ -15,7 +15,6 @@ from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.pixel import pixel
 from activestructure_gym.views.gains.structure import structure
-from activestructure_gym.views.gains.unexplained import unexplained
 
 __all__ = [
     "GAINS",
@@ -26,5 +25,4 @@ __all__ = [
     "hole_area",
     "pixel",
     "structure",
-    "unexplained",
 ]

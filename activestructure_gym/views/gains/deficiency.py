@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.views.gains.base import GAINS, GainContext
+from activestructure_gym.views.gains.hole_area import REACH, largest_area
 from activestructure_gym.views.visibility import cosines_in_sight
 
 
 @GAINS.register("deficiency")
 def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
-    """Share of the image that deficiency centres C_def inside the frustum take up, occlusion included.
+    """Area of the deficiency centres C_def that a view would mend, in the unit of `hole_area`.
 
-    A centre stands for a patch of area a; seen at distance z and under the angle theta it covers f_x f_y a cos / z^2
-    pixels. So the term counts in the same unit as the pixel gain, and goes to 0 with the last hole. A patch that the
-    map covers too coarsely counts only from where its Gaussians would be replaced by finer ones.
+    A centre stands for a patch of known area. It counts where it is in sight and near enough for the surface there to
+    become reconstructed: a hole up to the reach of `hole_area`, a patch that the map covers too coarsely from where its
+    Gaussians would be replaced by finer ones. A hole in which some image showed something else, such as a window, does
+    not count: no view will ever fill it.
     """
     holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
     if not len(holes) or not len(poses):
         return np.zeros(len(poses))
     cosines, _ = cosines_in_sight(
         holes.centres[:, None], holes.normals, camera, poses, context.volume,
-        farthest=refining_distance(context, holes.sizes),
+        farthest=np.minimum(refining_distance(context, holes.sizes), REACH),
     )  # fmt: skip
-    view, hole = np.nonzero(cosines[:, :, 0])
-    depth = ((holes.centres[hole] - poses[view, :3, 3]) * poses[view, :3, 2]).sum(axis=1)
-    pixels = camera.fx * camera.fy * holes.areas[hole] * cosines[view, hole, 0] / depth**2
-    return np.minimum(np.bincount(view, pixels, minlength=len(poses)) / (camera.width * camera.height), 1.0)
+    area = (cosines[:, :, 0] > 0) @ np.where(holes.explained, 0.0, holes.areas)
+    return area / largest_area(camera)
 
 
 def refining_distance(context: GainContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
@@ -34,5 +34,6 @@ def refining_distance(context: GainContext, sizes: np.ndarray) -> np.ndarray:  #
     config, sensor = context.mapper.config, context.mapper.keyframes[-1].camera
     if config.coarse_ratio is None:
         return np.where(np.isinf(sizes), np.inf, 0.0)
-    limit = config.coarse_ratio * config.seed_footprint * config.seed_stride  # pixels
+    ratio = np.where(sizes < config.wide_sigma, config.coarse_ratio, config.wide_ratio)
+    limit = ratio * config.seed_footprint * config.seed_stride  # pixels
     return sizes * 0.5 * (sensor.fx + sensor.fy) / limit

@@ -8,6 +8,8 @@ from activestructure_gym.policies.activestructure import (
     ActiveStructureD,
 )
 from activestructure_gym.policies.base import POLICIES, Policy, travel_discount
+from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
 
@@ -18,6 +20,8 @@ __all__ = [
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "Greedy",
+    "HoleArea",
     "PixelOnly",
     "Policy",
     "Random",

@@ -75,8 +75,8 @@ class MapperConfig:
     in_front_floor: float = 0.03  # metres, least of that tolerance (dossier 5.3; keeps sensor noise from being seeded)
 
     coarse_ratio: float | None = 3.0  # Gaussians larger than so many seeds are replaced; None = never (measured)
-    wide_sigma: float = 0.03  # metres: a larger one leaves gaps of 5 cm and is replaced sooner (method.md)
-    wide_ratio: float = 1.5  # as coarse_ratio, for those
+    wide_sigma: float = 0.03  # metres, middle sigma: neighbours stand 5 cm apart; such are replaced sooner (measured)
+    wide_ratio: float = 1.5  # as coarse_ratio, for those (measured)
 
     # Optimisation
     iterations: int = 5  # per observed frame (ablation C15; 15 for quality)

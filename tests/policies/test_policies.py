@@ -9,7 +9,7 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.planes import PLANE_FEATURES
-from activestructure_gym.policies import POLICIES, PixelOnly, Policy, Random, travel_discount
+from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, Random, travel_discount
 from activestructure_gym.policies.base import best_valid
 
 ALL = sorted(POLICIES)
@@ -65,15 +65,17 @@ def test_random_reaches_every_valid_row_and_no_other(rng: np.random.Generator) -
     assert counts[:5].min() > 300  # 400 expected, standard deviation 18
 
 
-def test_pixel_only_by_hand(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(("greedy", "gain"), [(PixelOnly, "pixel"), (HoleArea, "hole_area")])
+def test_greedy_by_hand(greedy: type[Policy], gain: str, rng: np.random.Generator) -> None:
+    assert greedy.required_gains == (gain,)
     observed = observation(rng, rows=3, valid=3)
     observed["candidate_gains"][:, 0] = [0.5, 0.6, 0.9]
     observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [5.0, 10.0, 45.0]
     # 0.5 / 2 = 0.25, 0.6 / 3 = 0.2, 0.9 / 10 = 0.09
-    policy = PixelOnly()
+    policy = greedy()
     policy.reset(0)
     assert policy.act(observed) == 0
-    assert policy.trace() == {"pixel": pytest.approx(0.5), "travel": pytest.approx(0.5)}
+    assert policy.trace() == {gain: pytest.approx(0.5), "travel": pytest.approx(0.5)}
     observed["candidate_gains"][1, 0] = 0.9  # 0.3
     assert policy.act(observed) == 1
     observed["candidate_gains"][:, 0] = 0.0  # everything covered: the nearest

@@ -23,7 +23,8 @@ def hole_area(context: GainContext) -> np.ndarray:  # [K] in 0..1
 
     Area instead of pixels: a hole in a wall counts the same from near and from afar, so the gain has no liking for
     standing close to what is unseen. d_exit is where the ray must end at the latest: at the first occupied voxel or
-    where it leaves the workspace, at most at the sensor's range. A pixel whose ray is free all that way counts nothing. An open window, or a scan's missing ceiling, is transparent for ever: once it was looked through, the
+    where it leaves the workspace, at most at the sensor's range. A pixel whose ray is free all that way counts
+    nothing. An open window, or a scan's missing ceiling, is transparent for ever: once it was looked through, the
     volume knows it to be free, and the view leaves the pool ("coupling pool dynamics to reconstruction state",
     Sec. 3.4). GS-Planner's volume of the unobserved is the gain's ancestor.
     """

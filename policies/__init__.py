@@ -1,6 +1,7 @@
 """Who chooses the next view. A policy is a pure function of the observation and its own state."""
 
 from activestructure_gym.policies.activestructure import (
+    LADDER,
     ActiveStructure,
     ActiveStructureA,
     ActiveStructureB,
@@ -14,6 +15,7 @@ from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
 
 __all__ = [
+    "LADDER",
     "POLICIES",
     "ActiveStructure",
     "ActiveStructureA",

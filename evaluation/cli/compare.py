@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.cli.options import (
     parse_seeds,
     parse_start,
     split_list,
+    split_policies,
     split_scenes,
     use_lpips_weights,
 )
@@ -115,7 +116,7 @@ def _comparison(options: Compare) -> Comparison:
         protocol = dataclasses.replace(protocol, views=options.views)
     return Comparison(
         scenes=split_scenes(options.scenes),
-        policies=split_list(options.policies),
+        policies=split_policies(options.policies),
         seeds=parse_seeds(options.seeds),
         preset=options.preset or "default",
         frame_budget=options.frames,

@@ -36,6 +36,14 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(items)
 
 
+def split_policies(words: Sequence[str]) -> tuple[str, ...]:
+    """Names of policies; ``ladder`` stands for the rungs A to E of the paper's Table 3, ``all`` for all registered."""
+    from activestructure_gym.policies import LADDER, POLICIES
+
+    groups: dict[str, Sequence[str]] = {"ladder": LADDER, "all": tuple(POLICIES)}
+    return tuple(name for word in split_list(words) for name in groups.get(word, (word,)))
+
+
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
     """Whole numbers from 0 on."""
     seeds = []

@@ -7,6 +7,7 @@ Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phas
 from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
 from activestructure_gym.policies.activestructure.phases import PHASES, Phase, PhaseMachine
 from activestructure_gym.policies.activestructure.planner import (
+    LADDER,
     ActiveStructure,
     ActiveStructureA,
     ActiveStructureB,
@@ -15,6 +16,7 @@ from activestructure_gym.policies.activestructure.planner import (
 )
 
 __all__ = [
+    "LADDER",
     "PHASES",
     "ActiveStructure",
     "ActiveStructureA",

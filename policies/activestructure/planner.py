@@ -145,3 +145,7 @@ class ActiveStructure(StructurePolicy):
         if revisit.any() and lowest < GOOD_PSNR:
             return self._choose(revisit.astype(np.float64), terms, observation, more)
         return self._choose(discovering(terms.total, observation), terms, observation, more)
+
+
+# Table 3 in its order; each rung adds one component.
+LADDER = ("activestructure-a", "activestructure-b", "activestructure-c", "activestructure-d", "activestructure")

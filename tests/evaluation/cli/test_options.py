@@ -6,8 +6,10 @@ from activestructure_gym.evaluation.cli.options import (
     parse_seeds,
     parse_start,
     split_list,
+    split_policies,
     split_scenes,
 )
+from activestructure_gym.policies import LADDER, POLICIES
 
 
 @pytest.mark.parametrize(
@@ -56,3 +58,9 @@ def test_overrides():
     for word in ("sensor.width", "=3"):
         with pytest.raises(InputError, match="key=value"):
             parse_overrides([word])
+
+
+def test_groups_of_policies() -> None:
+    assert split_policies(["random,ladder", "mine:Mine"]) == ("random", *LADDER, "mine:Mine")
+    assert set(split_policies(["all"])) == set(POLICIES)
+    assert LADDER[0] == "activestructure-a" and LADDER[-1] == "activestructure" and len(LADDER) == 5

@@ -58,15 +58,15 @@ def test_two_finish_and_the_third_is_named(finished, runs):
     assert [run.job.policy for run in runs] == ["random", "pixel_only"]
     summary = (out / "summary.md").read_text()
     assert "box · third_party:Crashing · seed 0: RuntimeError: lost the way (exit code 1)" in summary
-    (log,) = (out / "logs").iterdir()
+    # A worker that waits for a kernel on a busy machine says so in a log of its own.
+    (log,) = (out / "logs").glob("*Crashing*")
     assert "noise on standard output" in log.read_text() and "Traceback" in log.read_text()
     assert {path.name for path in (out / "jobs").iterdir()} == {run.directory.name for run in runs}
 
 
 def test_the_archive_holds_everything(finished, runs):
     _, out = finished
-    files = {"summary.md", "results.csv", "convergence.png", "views.png", "plans.png", "compare.json"}
-    files |= {"psg_plans.png", "psg_3d.png", "phases.png"}
+    files = {"report.html", "summary.md", "results.csv", "convergence.svg", "views.png", "plans.png", "compare.json"}
     assert files <= {path.name for path in out.iterdir()}
     for run in runs:
         config, metrics = run.config, run.metrics["metrics"]

@@ -33,7 +33,8 @@ def evaluate(options: Evaluate) -> int:
     console = Console(highlight=False)
     runs = _open(options.runs)
     table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
-    different, added, reasons = 0, 0, {}
+    different, added = 0, 0
+    reasons: dict[str, str] = {}
     for run in runs:
         for protocol, stored in protocols_of(run, split_list(options.protocol)):
             with console.status(f"measuring {run.job.title} by {protocol.name}"):

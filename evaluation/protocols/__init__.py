@@ -25,7 +25,7 @@ def get_protocol(name: str) -> EvaluationProtocol:
 
 def protocol_from(parameters: Mapping[str, Any]) -> EvaluationProtocol:
     """The protocol that `parameters()` described; raises `InputError` if this version measures something else."""
-    values = dict(parameters)
+    values: dict[str, Any] = dict(parameters)
     name, version = values.pop("name", None), values.pop("version", None)
     known = PROTOCOLS.get(str(name))
     if known is None or version != known.version:
@@ -34,7 +34,8 @@ def protocol_from(parameters: Mapping[str, Any]) -> EvaluationProtocol:
             f"the run was made with protocol '{name}' version {version}, this version knows {have}; run it again"
         )
     try:
-        return known(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+        constants: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return known(**constants)
     except TypeError as error:
         raise InputError(f"protocol '{name}' version {version} has other parameters here: {error}") from error
 

@@ -10,7 +10,7 @@ import pytest
 from activestructure_gym.evaluation import episode, store
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.comparison import open_comparison
-from activestructure_gym.evaluation.protocols import ActiveGamerProtocol
+from activestructure_gym.evaluation.protocols import ActiveGamerProtocol, StandardProtocol
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """
@@ -194,7 +194,18 @@ def test_a_job_that_asks_for_a_further_protocol_writes_its_numbers(runs, monkeyp
     assert run.protocols["activegamer"]["metrics"]["true_samples"] > 1000
 
 
-def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys):
+@dataclass(frozen=True)
+class SmallStandard(StandardProtocol):
+    """The constants of this module's comparison."""
+
+    surface_samples: int = 20_000
+    views: int = 3
+
+
+def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys, monkeypatch):
+    from activestructure_gym.evaluation.protocols import PROTOCOLS
+
+    monkeypatch.setitem(PROTOCOLS, "standard", SmallStandard)
     run = runs[1]
     stored = run.metrics["metrics"]
     for form in ("ply", "splatam"):
@@ -205,10 +216,9 @@ def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys):
         assert main(["evaluate", "--map", str(file), "--scene", "box", "--out", str(numbers), *poses]) == 0
         capsys.readouterr()
         measured = json.loads(numbers.read_text())["protocols"]["standard"]["metrics"]
-        # Another number of samples and views than the run's, and a map moved to another frame and back.
-        for name in ("completion_ratio", "precision", "tsdf_precision", "tsdf_completion_ratio"):
-            assert measured[name] == pytest.approx(stored[name], abs=1.5), (form, name)
-        assert len(measured["views"]) == 64
+        # Colours are rounded on the way into a PLY; SplaTAM's file moves the map to another frame and back.
+        for name in ("completion_ratio", "precision", "psnr", "tsdf_precision", "tsdf_completion_ratio"):
+            assert measured[name] == pytest.approx(stored[name], abs=0.1), (form, name)
     without = tmp_path / "without.json"
     assert main(["evaluate", "--map", str(tmp_path / "map.ply"), "--scene", "box", "--out", str(without)]) == 0
     measured = json.loads(without.read_text())["protocols"]["standard"]["metrics"]

@@ -74,7 +74,7 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
                 wait = kills < KILLS and chance.random() < 2 / 3
                 while wait and supervisor.poll() is None and not workers_of(supervisor):
                     time.sleep(0.1)
-                moment = chance.uniform(0, min(0.6 * length, 15.0)) if kills < KILLS else 600.0
+                moment = chance.uniform(0, 0.4 * length) if kills < KILLS else 600.0
                 try:
                     code = supervisor.wait(moment)
                     break

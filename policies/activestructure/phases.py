@@ -18,8 +18,8 @@ class Phase:
 
     name: str
     weights: Weights
-    pool_share: float = 0.0  # of the image: a view that would show less uncovered pixels is pruned from the pool
-    deficit_share: float = np.inf  # of the image: a view that would show so much of known deficiencies stays
+    pool_share: float = 0.0  # in the unit of `hole_area`: a view that would show less is pruned from the pool (rho)
+    deficit_share: float = np.inf  # in the same unit: a view that would mend so much of known deficiencies stays
     refines: bool = False  # True: keyframes are revisited instead of views being scored
 
 
@@ -45,7 +45,7 @@ GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's thres
 
 
 def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
-    """The views still worth going to: enough uncovered pixels after the discount, or enough deficit (Eq. 12)."""
+    """The views still worth going to: enough uncovered after the discount, or enough deficit (Eq. 12)."""
     pixels = terms.pixel * (1.0 - terms.discount) * terms.suppressed >= phase.pool_share
     return valid & (pixels | (terms.deficiency >= phase.deficit_share))
 

@@ -108,7 +108,11 @@ class ActiveStructureD(StructurePolicy):
 
 @POLICIES.register("activestructure")
 class ActiveStructure(StructurePolicy):
-    """The full model, rung E: D with three phases and the reversal of polarity between them."""
+    """The full model, rung E: D with three phases and the reversal of polarity between them.
+
+    What is left to discover is counted from the state of the volume (`hole_area`), not in uncovered pixels: a pool that
+    is to run empty must not hold views through an open window.
+    """
 
     required_gains = ("hole_area", "deficiency")
 
@@ -138,7 +142,7 @@ class ActiveStructure(StructurePolicy):
         return self._choose(discovering(gain, observation), terms, observation, more)
 
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
-        """The nearest of the worst rendered keyframes on offer; pixels again once nine tenths of all are good."""
+        """The nearest of the worst rendered keyframes on offer; discovery again once nine tenths of all are good."""
         revisit = (observation["candidates"][:, _REVISIT] > 0) & observation["action_mask"].astype(bool)
         lowest = float(observation["fidelity"][0])
         more = {**more, "fidelity": lowest}

@@ -130,23 +130,22 @@ def _series(steps: Steps, name: str) -> tuple[np.ndarray, np.ndarray]:
     return frames, np.array([np.nan if value is None else value for value in values], float)
 
 
-def _deficit(axis: Axes, steps: Steps) -> None:
+def _by_kind(axis: Axes, steps: Steps, quantity: str) -> None:
+    """Means over structural planes, over objects and over all."""
     for kind, colour, dash in _KINDS:
-        axis.plot(
-            *_series(steps, f"deficit_{kind}"), color=_hex(colour), linestyle=dash, marker="o", markersize=3, label=kind
-        )
-    axis.plot(*_series(steps, "deficit"), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
-    axis.set_ylabel("mean deficit")
+        series = _series(steps, f"{quantity}_{kind}")
+        axis.plot(*series, color=_hex(colour), linestyle=dash, marker="o", markersize=3, label=kind)
+    axis.plot(*_series(steps, quantity), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
+    axis.set_ylabel(f"mean {quantity}")
+
+
+def _deficit(axis: Axes, steps: Steps) -> None:
+    _by_kind(axis, steps, "deficit")
     axis.set_ylim(bottom=0)
 
 
 def _quality(axis: Axes, steps: Steps) -> None:
-    for kind, colour, dash in _KINDS:
-        axis.plot(
-            *_series(steps, f"quality_{kind}"), color=_hex(colour), linestyle=dash, marker="o", markersize=3, label=kind
-        )
-    axis.plot(*_series(steps, "quality"), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
-    axis.set_ylabel("mean quality")
+    _by_kind(axis, steps, "quality")
     axis.set_ylim(top=1)
 
 

@@ -20,6 +20,8 @@ from activestructure_gym.mapping import MAPPERS, MapperConfig
         {"max_seed_stride": 1},
         {"seed_elongation": 0.5},
         {"coarse_ratio": float("nan")},
+        {"wide_ratio": 0.9},
+        {"wide_sigma": 0.0},
         {"mean_rate_radius": 0.0},
         {"prune_steps": (0, -2)},
         {"prune_steps": (1.5,)},

@@ -161,6 +161,19 @@ def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
     assert np.median(kept.map.scales[:, 0]) > 0.05
 
 
+def test_wide_gaussians_make_way_sooner_and_leave_no_gaps(render_room):
+    """From 2.6 m the far wall gets disks of 7.8 cm, from 1.5 m of 4.5 cm: 1.7 times finer."""
+    far, near = (render_room(look_along(np.array([x, 1.5, 1.2]), np.array([1.0, 0, 0]))) for x in (1.4, 2.5))
+    sooner, later = _mapper(iterations=0), _mapper(iterations=0, wide_ratio=3.0)
+    for mapper in (sooner, later):
+        mapper.observe(far)
+    report = sooner.observe(near)
+    assert report.replaced > 50 and later.observe(near).replaced == 0
+    # Whatever their neighbours' rims cover, the pixels of those that went are seeded: 1.7^2 new ones for one.
+    assert report.added > 2 * report.replaced
+    assert sooner.observe(near).replaced == 0  # what was just seeded stays
+
+
 def test_the_cap_coarsens_before_it_drops(room_frames):
     mapper = _mapper(max_gaussians=2500, iterations=1)
     reports = [mapper.observe(frame) for frame in room_frames]

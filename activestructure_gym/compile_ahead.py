@@ -29,6 +29,7 @@ def compile_map() -> None:
     """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.mapping import Mapper, MapperConfig
+    from activestructure_gym.mapping.parts import block_boxes
     from activestructure_gym.sensors import Frame
 
     camera = PinholeCamera.from_size(64, 36)
@@ -38,6 +39,7 @@ def compile_map() -> None:
         mapper.observe(Frame(colours, np.full((36, 64), depth, np.float32), np.eye(4), camera))
     mapper.render_depth_alpha(camera, np.eye(4)[None])
     mapper.keyframe_psnr()
+    block_boxes(mapper.map.parameters, mapper.map.count, 0)  # only larger maps come to it
 
 
 def compile_sensing() -> None:

@@ -119,7 +119,7 @@ def main(part: str) -> None:
 
     Standard output says which kernel is compiled, one per line.
     """
-    from activestructure_gym.compile_ahead import compile_map, compile_motion, compile_sensing
+    from activestructure_gym.compile_ahead import compile_map, compile_motion, compile_sensing, compile_views
     from activestructure_gym.compiling import told_to
     from activestructure_gym.evaluation.episode import run_job
 
@@ -131,6 +131,7 @@ def main(part: str) -> None:
             return
         compile_sensing()
         compile_motion()
+        compile_views()
         with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
             run_job(job, Path(directory) / "run")
 

@@ -54,11 +54,22 @@ def uniform_samples(
     edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     doubled = np.cross(edge_b, edge_c)
     area = 0.5 * np.linalg.norm(doubled, axis=1)
+    points, face, total = samples_by_area(corners, area, count, rng)
+    return points, doubled[face] / (2.0 * area[face])[:, None], total
+
+
+def samples_by_area(
+    corners: np.ndarray,  # [F, 3, 3] metres
+    area: np.ndarray,  # [F] m^2
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, float]:  # [count, 3] metres, [count] index of the triangle, m^2 of all triangles
+    """The points of `uniform_samples` on triangles whose areas are known."""
     cumulated = np.cumsum(area)
     drawn = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
     face = np.minimum(np.searchsorted(cumulated, drawn, side="right"), len(area) - 1)
     u, v = rng.random(count), rng.random(count)
     outside = u + v > 1.0  # the other half of the parallelogram, folded back
     u[outside], v[outside] = 1.0 - u[outside], 1.0 - v[outside]
-    points = corners[face, 0] + u[:, None] * edge_b[face] + v[:, None] * edge_c[face]
-    return points, doubled[face] / (2.0 * area[face])[:, None], float(cumulated[-1])
+    a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a), face, float(cumulated[-1])

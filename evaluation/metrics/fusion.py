@@ -16,6 +16,7 @@ from activestructure_gym.evaluation.threads import thread_cap
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
 _SIDE = 8  # voxels of a block
+_ROOM = 320  # triangles per block to begin with: a plane through the middle, at a slant
 _CHUNK = 64  # blocks that one thread takes at a time
 _MOST_BLOCKS = 200_000  # 100 million voxels: a gigabyte
 _MOST_CELLS = 20_000_000  # of the coarse grid of blocks; more means depths without any sense
@@ -67,16 +68,35 @@ def fused_surface(
 
     def extract(start: int) -> np.ndarray:
         part = blocks[start : start + _CHUNK]
-        count = _triangles(distance, weight, slots, part, origin, voxel, np.zeros((0, 3, 3)))
-        corners = np.empty((count, 3, 3))
-        _triangles(distance, weight, slots, part, origin, voxel, corners)
-        return corners
+        corners = np.empty((_ROOM * len(part), 3, 3))
+        count = _triangles(distance, weight, slots, part, origin, voxel, corners)
+        if count > len(corners):
+            corners = np.empty((count, 3, 3))
+            _triangles(distance, weight, slots, part, origin, voxel, corners)
+        return corners[:count]
 
     starts = range(0, len(blocks), _CHUNK)
     with ThreadPoolExecutor(max(1, min(thread_cap(), len(starts)))) as pool:
         list(pool.map(integrate, starts))
         pieces = list(pool.map(extract, starts))
     return np.concatenate(pieces) if pieces else empty
+
+
+def triangle_areas(triangles: np.ndarray) -> np.ndarray:  # [T] m^2
+    """Of each of the triangles [T, 3, 3]."""
+    areas = np.empty(len(triangles))
+    _areas(np.ascontiguousarray(triangles, np.float64), areas)
+    return areas
+
+
+@kernel
+def _areas(triangles: np.ndarray, areas: np.ndarray) -> None:
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        areas[t] = 0.5 * np.sqrt(x * x + y * y + z * z)
 
 
 @kernel

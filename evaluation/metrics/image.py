@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.evaluation.metrics.windows import window_means
 
 # Two equal images have no finite PSNR; an 8-bit truth cannot be met better than this anyway.
@@ -27,7 +28,10 @@ def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
 
     Never below `psnr`, and far above it where the channels differ in their error (peers_active.md, section 4.5).
     """
-    errors = np.mean((np.asarray(rendered, np.float64) - np.asarray(true, np.float64)) ** 2, axis=(0, 1))
+    x, y = np.ascontiguousarray(rendered, np.float64), np.ascontiguousarray(true, np.float64)
+    sums = np.zeros(x.shape[2])
+    _squared_errors(x.reshape(-1, x.shape[2]), y.reshape(-1, x.shape[2]), sums)
+    errors = sums / (x.shape[0] * x.shape[1])
     return float(np.mean(-10.0 * np.log10(np.maximum(errors, _SMALLEST_MSE))))
 
 
@@ -68,10 +72,29 @@ def similarities(rendered: np.ndarray, true: np.ndarray) -> tuple[float, float |
 
 def halved(image: np.ndarray) -> np.ndarray:  # [ceil(H / 2), ceil(W / 2), C]
     """Means of 2 x 2 pixels. An odd side is first framed by a row of zeros on both ends, as pytorch_msssim does."""
-    height, width = image.shape[:2]
-    framed = np.pad(image, ((height % 2,) * 2, (width % 2,) * 2, (0, 0)))
-    framed = framed[: framed.shape[0] // 2 * 2, : framed.shape[1] // 2 * 2]
-    return 0.25 * (framed[::2, ::2] + framed[1::2, ::2] + framed[::2, 1::2] + framed[1::2, 1::2])
+    height, width, channels = image.shape
+    if height % 2 or width % 2:
+        image = np.pad(image, ((height % 2,) * 2, (width % 2,) * 2, (0, 0)))
+    half = np.empty(((height + 1) // 2, (width + 1) // 2, channels))
+    _halve(np.ascontiguousarray(image, np.float64), half)
+    return half
+
+
+@kernel
+def _halve(image: np.ndarray, half: np.ndarray) -> None:
+    for i in range(half.shape[0]):
+        for j in range(half.shape[1]):
+            for c in range(half.shape[2]):
+                left = image[2 * i, 2 * j, c] + image[2 * i + 1, 2 * j, c]
+                half[i, j, c] = 0.25 * (left + image[2 * i, 2 * j + 1, c] + image[2 * i + 1, 2 * j + 1, c])
+
+
+@kernel
+def _squared_errors(x: np.ndarray, y: np.ndarray, sums: np.ndarray) -> None:  # [N, C], [N, C], [C] added to
+    for i in range(x.shape[0]):
+        for c in range(x.shape[1]):
+            error = x[i, c] - y[i, c]
+            sums[c] += error * error
 
 
 def depth_l1(

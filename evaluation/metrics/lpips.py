@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -106,9 +107,7 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     `InputError` for a place that does not exist.
     """
     if place is None:
-        import torch
-
-        folder = Path(torch.hub.get_dir()) / "checkpoints"
+        folder = _hub_directory() / "checkpoints"
     else:
         folder = Path(place).expanduser()
         if not folder.exists():
@@ -123,6 +122,14 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
         wanted = " and ".join(f"{file.what} ({file.usual_name}, sha256 {file.sha256[:8]}...)" for file in missing)
         return [], f"weights not supplied: {folder} does not hold {wanted}; see docs/protocols.md"
     return [present[file.sha256] for file in expected], ""
+
+
+def _hub_directory() -> Path:
+    """torch's hub directory, where torch's documentation says it is; importing torch takes seconds."""
+    if "torch" in sys.modules:  # may have been told another place
+        return Path(sys.modules["torch"].hub.get_dir())
+    cache = os.getenv("XDG_CACHE_HOME", "~/.cache")
+    return Path(os.path.expanduser(os.getenv("TORCH_HOME", os.path.join(cache, "torch")))) / "hub"
 
 
 def load(paths: list[Path]) -> Lpips:

@@ -32,46 +32,79 @@ def _window_sums(
     x: np.ndarray,  # [H, W * C]
     y: np.ndarray,
     channels: int,
-    taps: np.ndarray,
+    taps: np.ndarray,  # [11]
     sums: np.ndarray,  # [2, C], added to
 ) -> None:
     """Rows first, then columns; every inner loop runs over neighbouring numbers, so that all of them vectorise."""
     height, width = x.shape
-    size = len(taps)
-    inside = width - (size - 1) * channels
-    products = np.empty((2, height, width))  # x^2 + y^2, and x y: more is not needed
-    for i in range(height):
-        for j in range(width):
-            products[0, i, j] = x[i, j] * x[i, j] + y[i, j] * y[i, j]
-            products[1, i, j] = x[i, j] * y[i, j]
+    inside = width - 10 * channels
+    # x^2 + y^2 and x y of the rows under the window, row r at r % 11: more products are not needed.
+    squares, crossed = np.empty((11, width)), np.empty((11, width))
     down = np.empty((4, width))
     window = np.empty((4, inside))
     full, contrast = np.empty(inside), np.empty(inside)
-    for i in range(height - size + 1):
-        down[:] = 0.0
-        for k in range(size):
-            tap, row = taps[k], i + k
-            for j in range(width):
-                down[0, j] += tap * x[row, j]
-            for j in range(width):
-                down[1, j] += tap * y[row, j]
-            for j in range(width):
-                down[2, j] += tap * products[0, row, j]
-            for j in range(width):
-                down[3, j] += tap * products[1, row, j]
-        window[:] = 0.0
+    for i in range(height - 10):
+        for row in range(i + 10 if i > 0 else 0, i + 11):
+            _products(x[row], y[row], squares[row % 11], crossed[row % 11])
+        _down(x, i, height, taps, down[0])
+        _down(y, i, height, taps, down[1])
+        _down(squares, i, 11, taps, down[2])
+        _down(crossed, i, 11, taps, down[3])
         for part in range(4):
-            for k in range(size):
-                tap, shift = taps[k], k * channels
-                for j in range(inside):
-                    window[part, j] += tap * down[part, j + shift]
-        for j in range(inside):
-            mean_x, mean_y = window[0, j], window[1, j]
-            squares = mean_x * mean_x + mean_y * mean_y
-            product = mean_x * mean_y
-            contrast[j] = (2.0 * (window[3, j] - product) + _C2) / (window[2, j] - squares + _C2)
-            full[j] = (2.0 * product + _C1) / (squares + _C1) * contrast[j]
+            row, out, c = down[part], window[part], channels
+            _first(out, taps, row, row[c:], row[2 * c :])
+            _next(out, taps[3:], row[3 * c :], row[4 * c :], row[5 * c :], row[6 * c :])
+            _next(out, taps[7:], row[7 * c :], row[8 * c :], row[9 * c :], row[10 * c :])
+        _compare(window[0], window[1], window[2], window[3], full, contrast)
         for j in range(0, inside, channels):
             for c in range(channels):
                 sums[0, c] += full[j + c]
                 sums[1, c] += contrast[j + c]
+
+
+@kernel
+def _products(x: np.ndarray, y: np.ndarray, squares: np.ndarray, crossed: np.ndarray) -> None:
+    for j in range(len(x)):
+        squares[j] = x[j] * x[j] + y[j] * y[j]
+        crossed[j] = x[j] * y[j]
+
+
+@kernel
+def _down(rows: np.ndarray, i: int, count: int, taps: np.ndarray, out: np.ndarray) -> None:
+    """The window down rows i to i + 10, each found at its number modulo ``count``."""
+    _first(out, taps, rows[i % count], rows[(i + 1) % count], rows[(i + 2) % count])
+    for k in (3, 7):
+        r = i + k
+        _next(out, taps[k:], rows[r % count], rows[(r + 1) % count], rows[(r + 2) % count], rows[(r + 3) % count])
+
+
+# Several taps at once, because the sums go through memory otherwise; always added in the order of the window.
+@kernel
+def _first(out: np.ndarray, taps: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    ta, tb, tc = taps[0], taps[1], taps[2]
+    for j in range(len(out)):
+        out[j] = ta * a[j] + tb * b[j] + tc * c[j]
+
+
+@kernel
+def _next(out: np.ndarray, taps: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
+    ta, tb, tc, td = taps[0], taps[1], taps[2], taps[3]
+    for j in range(len(out)):
+        out[j] = out[j] + ta * a[j] + tb * b[j] + tc * c[j] + td * d[j]
+
+
+@kernel
+def _compare(
+    mean_x: np.ndarray,
+    mean_y: np.ndarray,
+    squares: np.ndarray,
+    crossed: np.ndarray,
+    full: np.ndarray,
+    contrast: np.ndarray,
+) -> None:
+    """Similarity of every window, and its contrast and structure part alone."""
+    for j in range(len(full)):
+        means = mean_x[j] * mean_x[j] + mean_y[j] * mean_y[j]
+        product = mean_x[j] * mean_y[j]
+        contrast[j] = (2.0 * (crossed[j] - product) + _C2) / (squares[j] - means + _C2)
+        full[j] = (2.0 * product + _C1) / (means + _C1) * contrast[j]

@@ -45,6 +45,8 @@ CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
 _GENERATED = 180  # poses on the circle, of which
 _EVERY = 5  # this one is looked at; the first frame of the sequence is the start pose and is not
 _TOO_NEAR, _MOST_TOO_NEAR = 0.2, 0.1  # metres, share of the pixels: the original's generator stops there
+# Of a byte, rounded to single precision.
+_UNIT = (np.arange(256, dtype=np.uint8) / np.float32(255.0)).astype(np.float64)
 _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 
@@ -159,8 +161,9 @@ class ActiveGamerProtocol:
         rendering = cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=1)
         true_depth = truth.views.depth[index]
         mask = true_depth > 0
-        shown = rendering.color * mask[..., None]
-        true = truth.views.rgb[index] / np.float32(255.0) * mask[..., None]
+        shown, true = rendering.color.astype(np.float64), _UNIT[truth.views.rgb[index]]
+        if not mask.all():
+            shown[~mask] = true[~mask] = 0.0
         # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
         error = np.abs((rendering.depth - true_depth)[mask].astype(np.float64))
         return {

@@ -18,12 +18,12 @@ from activestructure_gym.evaluation.metrics import (
     lpips,
     psnr,
 )
-from activestructure_gym.evaluation.metrics.fusion import fused_surface
+from activestructure_gym.evaluation.metrics.fusion import fused_surface, triangle_areas
 from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarities
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.scenes.surface_samples import uniform_samples
+from activestructure_gym.scenes.surface_samples import samples_by_area
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
@@ -136,10 +136,11 @@ class StandardProtocol:
     ) -> dict[str, float | None]:
         if self.points_source == "both" and path is not None:
             surface = self.surface(gaussians, path)
+            areas = triangle_areas(surface)
             scores = geometry_scores(
-                self.on_surface(surface), truth.surface, threshold_m=self.threshold_m, to_samples=False
+                self.on_surface(surface, areas), truth.surface, threshold_m=self.threshold_m, to_samples=False
             )
-            area: float | None = triangle_area(surface)
+            area: float | None = float(areas.sum())
         else:
             scores, area = GeometryScores(None, None, None, None, None, None), None
             reason = "no poses of keyframes came with the map" if path is None else "this protocol asks for means only"
@@ -161,12 +162,16 @@ class StandardProtocol:
         depth[~covered] = 0.0
         return fused_surface(depth, camera, poses, voxel=self.tsdf_voxel_m, truncation=self.tsdf_truncation_m)
 
-    def on_surface(self, surface: np.ndarray) -> np.ndarray:  # [surface_samples, 3] metres, [0, 3] without triangles
+    def on_surface(
+        self,
+        surface: np.ndarray,  # [T, 3, 3] metres
+        areas: np.ndarray | None = None,  # [T] m^2, if known
+    ) -> np.ndarray:  # [surface_samples, 3] metres, [0, 3] without triangles
         """Points on triangles, uniform by area, the same ones for the same triangles."""
-        if triangle_area(surface) == 0.0:
+        areas = triangle_areas(surface) if areas is None else areas
+        if areas.sum() == 0.0:
             return np.zeros((0, 3))
-        faces = np.arange(3 * len(surface)).reshape(-1, 3)
-        return uniform_samples(surface.reshape(-1, 3), faces, self.surface_samples, np.random.default_rng(0))[0]
+        return samples_by_area(surface, areas, self.surface_samples, np.random.default_rng(0))[0]
 
     def looks(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
         """The numbers of every held-out view."""
@@ -219,12 +224,6 @@ class StandardProtocol:
             "depth_l1_cm": None if error is None else 100.0 * error,
             "coverage": float(covered.mean()),
         }
-
-
-def triangle_area(triangles: np.ndarray) -> float:  # m^2
-    """Of all triangles [T, 3, 3] together."""
-    edges = triangles[:, 1:] - triangles[:, :1]
-    return 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum())
 
 
 def _unit(rgb: np.ndarray) -> np.ndarray:

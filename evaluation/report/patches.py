@@ -55,13 +55,30 @@ def extremes(arrays: GraphArrays) -> np.ndarray:  # [K, 3] metres
     return np.concatenate(points)
 
 
+Window = tuple[slice, slice]  # rows and columns of a picture
+
+
 def cover(
     arrays: GraphArrays, plane: int, view: Projection
-) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray] | None:  # window, [h, w] bool, [h, w] metres
+) -> tuple[Window, np.ndarray, np.ndarray] | None:  # window, [h, w] bool, [h, w] metres
     """The pixels that show a plane's seen cells: a window of the picture, which of its pixels, and their nearness.
 
     None if the plane is seen edge-on or stands beside the picture. Outlines are those of the cells, smoothed.
     """
+    found = _covered(arrays, plane, view)
+    if found is None:
+        return None
+    window, shown, first, start, steps = found
+    along = np.linalg.inv(steps).T @ (float(arrays["cell"]) * arrays["patch_axes"][plane] @ view.towards)  # per pixel
+    x = np.arange(window[1].start, window[1].stop) - start[0]
+    y = np.arange(window[0].start, window[0].stop) - start[1]
+    return window, shown, view.nearness(first) + along[0] * x + (along[1] * y)[:, None]
+
+
+def _covered(
+    arrays: GraphArrays, plane: int, view: Projection
+) -> tuple[Window, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Window and pixels as in `cover`; the first cell's centre [3], its place [2] and the pixels per cell [2, 2]."""
     cell, axes = float(arrays["cell"]), arrays["patch_axes"][plane]
     grid = np.pad(seen_cells(arrays, plane), _PAD).astype(np.float32)
     steps = view.rows @ axes.T * cell  # [2, 2] pixels per row, per column
@@ -79,10 +96,8 @@ def cover(
     shown = cv2.warpAffine(cv2.GaussianBlur(grid, (3, 3), 0.7), matrix, size, flags=cv2.INTER_LINEAR) > 0.5
     if not shown.any():
         shown = cv2.warpAffine(grid, matrix, size, flags=cv2.INTER_NEAREST) > 0.5
-    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-    along = np.stack([x - start[0], y - start[1]], axis=-1) @ np.linalg.inv(steps).T  # [h, w, 2] cells
-    near = view.nearness(first) + along @ (cell * axes @ view.towards)
-    return (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))), shown, near
+    window = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+    return window, shown, first, start, steps
 
 
 def nearest_planes(
@@ -105,12 +120,22 @@ def nearest_planes(
     return owner, nearness
 
 
+def silhouette(arrays: GraphArrays, plane: int, view: Projection) -> tuple[Window, np.ndarray] | None:
+    """The first two of `cover`."""
+    found = _covered(arrays, plane, view)
+    return None if found is None else found[:2]
+
+
 def outlines(arrays: GraphArrays, plane: int, view: Projection) -> Iterator[np.ndarray]:  # [K, 2] pixels each
     """The borders of a plane's seen surface, those of its holes included."""
-    found = cover(arrays, plane, view)
-    if found is None:
-        return
-    (rows, columns), shown, _ = found
+    found = silhouette(arrays, plane, view)
+    if found is not None:
+        yield from borders(*found)
+
+
+def borders(window: Window, shown: np.ndarray) -> Iterator[np.ndarray]:  # [K, 2] pixels each
+    """The borders of a silhouette, those of its holes included."""
+    rows, columns = window
     lines, _ = cv2.findContours(shown.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     for line in lines:
         if len(line) > 2:

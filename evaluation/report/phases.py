@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import style
 
@@ -22,11 +24,13 @@ _KINDS = (("structural", style.STRUCTURAL, "-"), ("objects", style.OBJECT, "--")
 # Terms of the gain, and factors in 0..1; a policy's other numbers are drawn among the terms in colours left over.
 _TERMS = {
     "pixel": ("#56B4E9", "-"),
+    "hole_area": ("#56B4E9", "-"),
     "structure": ("#0072B2", "--"),
     "deficiency": ("#D55E00", "-."),
     "floor": ("#7F7F7F", ":"),
 }
 _FACTORS = {"travel": ("#009E73", "-"), "discount": ("#CC79A7", "--"), "suppressed": ("#E69F00", "-.")}
+_TITLE_ROWS = "asg:title_rows"  # entry of the picture's file: rows of pixels its title takes
 _SHORT = 0.16  # share of the axis below which a phase's name is cut to its first word
 
 
@@ -56,12 +60,17 @@ def bands(steps: Steps) -> list[Band]:
 
 
 def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where a decision has no such number
-    """The numbers behind every chosen view: the trace's ``chosen``, or those of a trace without one."""
+    """The numbers behind every chosen view: the trace's ``chosen``, or those of a trace without one.
+
+    A trace calls the discovery term ``pixel``, whatever it is made of; here it is called ``hole_area`` where that is
+    what the policy asked for.
+    """
     rows = []
     for step in steps:
-        trace = step.get("trace") or {}
+        trace, gains = step.get("trace") or {}, step.get("gains") or {}
         chosen = trace.get("chosen") or trace
-        rows.append({name: value for name, value in chosen.items() if isinstance(value, float)})
+        names = {"pixel": "hole_area"} if "hole_area" in gains and "pixel" not in gains else {}
+        rows.append({names.get(name, name): value for name, value in chosen.items() if isinstance(value, float)})
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 
@@ -74,6 +83,7 @@ def plot_phases(
     Mean deficit and mean quality of structural and object planes, area of the deficiency centres; with ``gains`` also
     the terms and factors of the chosen views. Phases are bands, and the reasons of their changes stand below.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -100,10 +110,26 @@ def plot_phases(
         for axis in everything:
             axis.set_ylim(0, top)
     block[-1].set_xlabel("frames" + "".join(f"\n{note}" for note in notes), fontsize=10)
-    figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
+    heading = figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
     with warnings.catch_warnings():  # a scene's name may hold letters the font lacks; the curves do not
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(path, format="png")
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()  # lays out and draws once; `savefig` does so twice
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    about = PngInfo()
+    rows = picture.height - int(heading.get_window_extent().y0) if title else 0
+    about.add_text(_TITLE_ROWS, str(rows))
+    picture.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=about)
+
+
+def stored_timeline(path: Path) -> Image.Image | None:
+    """What `plot_phases` drew into a file, without its title; None where it did not."""
+    try:
+        with Image.open(path) as picture:
+            rows = int(picture.info[_TITLE_ROWS])
+            return picture.crop((0, rows, *picture.size))
+    except (OSError, KeyError, ValueError):
+        return None
 
 
 def _panels(steps: Steps, gains: bool) -> list[tuple[Any, float]]:  # what draws a panel, and its height in inches

@@ -91,9 +91,10 @@ def _borders(owner: np.ndarray) -> np.ndarray:  # [H, W] bool
 
 def _painted(owner: np.ndarray, borders: np.ndarray, colours: np.ndarray) -> Image.Image:
     table = np.vstack([colours, style.PAPER])  # the last row is that of index -1
-    pixels = table[owner]
-    pixels[borders] = 0.55 * pixels[borders] + 0.45 * np.array(style.INK)
-    return Image.fromarray(np.rint(pixels).astype(np.uint8), "RGB")
+    plain, dark = (np.rint(t).astype(np.uint8) for t in (table, 0.55 * table + 0.45 * np.array(style.INK)))
+    pixels = plain[owner]
+    pixels[borders] = dark[owner[borders]]
+    return Image.fromarray(pixels, "RGB")
 
 
 def _reduced(picture: Image.Image, caption: str) -> Image.Image:

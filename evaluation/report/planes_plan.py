@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from activestructure_gym.evaluation.plane_record import GraphArrays, seen_cells
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.patches import Projection, cover, extremes, outlines
+from activestructure_gym.evaluation.report.patches import Projection, borders, extremes, silhouette
 from activestructure_gym.evaluation.report.plan import draw_scale_bar, pixel_size, plan_base
 from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_graph
 
@@ -32,11 +33,12 @@ def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tup
     ones that face up are areas, the floor a faint one; those that face down, the ceiling among them, are outlines.
     """
     view = view_from_above(arrays, plan)
+    ground, shapes = _ground(plan, view), _shapes(arrays, view)
     types = [style.plane_colour(bool(structural)) for structural in arrays["structural"]]
-    by_type = _drawn(arrays, plan, view, types.__getitem__)
+    by_type = _drawn(ground, shapes, types)
     by_type = draw_graph(by_type, arrays, view.pixels(arrays["centroids"]))
     deficits = [style.deficit_colour(float(deficit)) for deficit in arrays["deficit"]]
-    by_deficit = _drawn(arrays, plan, view, deficits.__getitem__)
+    by_deficit = _drawn(ground, shapes, deficits)
     centres = arrays["deficiency_centres"]
     draw_centres(by_deficit, arrays, view.pixels(centres), np.zeros(len(centres), bool))
     for picture in (by_type, by_deficit):
@@ -69,53 +71,67 @@ def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
     return Image.blend(page, Image.new("RGB", view.size, style.PAPER), _FADED)
 
 
-def _drawn(
-    arrays: GraphArrays, plan: Mapping[str, np.ndarray], view: Projection, colour: Callable[[int], Colour]
-) -> Image.Image:
-    picture = _ground(plan, view)
+@dataclass(frozen=True)
+class _Shape:
+    """What is drawn of one plane, whatever its colour."""
+
+    plane: int
+    area: tuple[tuple[int, int], Image.Image] | None = None  # upper left pixel, opacity
+    lines: Sequence[Sequence[tuple[float, ...]]] = ()
+    width: int = 1  # pixels of the lines
+    stroke: bool = False  # lines have an edge
+
+
+def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
+    """In the order they are drawn."""
     rise, height = arrays["normals"][:, 2], arrays["centroids"][:, 2]
     up = [int(k) for k in np.argsort(height, kind="stable") if rise[k] >= _LEVEL]
     lowest = height[up[0]] if up else 0.0
+    shapes = []
     for plane in up:
         floor = height[plane] < lowest + _FLOOR_M
-        _area(picture, arrays, plane, view, colour(plane), _FLOOR if floor else 0.85)
-        _outline(picture, arrays, plane, view, colour(plane), 1 if floor else 2)
-    for plane in np.flatnonzero(rise <= -_LEVEL).tolist():
-        _outline(picture, arrays, plane, view, colour(plane), 1)
+        shapes.append(_level(arrays, plane, view, opacity=_FLOOR if floor else 0.85, width=1 if floor else 2))
+    shapes += [_level(arrays, plane, view, opacity=0.0, width=1) for plane in np.flatnonzero(rise <= -_LEVEL).tolist()]
     # Structural strokes last: they are what the others hang on.
-    for plane in sorted(np.flatnonzero(np.abs(rise) < _LEVEL).tolist(), key=lambda k: bool(arrays["structural"][k])):
-        _stroke(picture, arrays, plane, view, colour(plane))
-    return picture
+    steep = sorted(np.flatnonzero(np.abs(rise) < _LEVEL).tolist(), key=lambda k: bool(arrays["structural"][k]))
+    return shapes + [_steep(arrays, plane, view) for plane in steep]
 
 
-def _area(
-    picture: Image.Image, arrays: GraphArrays, plane: int, view: Projection, colour: Colour, opacity: float
-) -> None:
-    found = cover(arrays, plane, view)
-    if found is not None:
-        (rows, columns), shown, _ = found
-        mask = Image.fromarray(np.where(shown, round(255 * opacity), 0).astype(np.uint8), "L")
-        picture.paste(colour, (columns.start, rows.start), mask)
+def _level(arrays: GraphArrays, plane: int, view: Projection, *, opacity: float, width: int) -> _Shape:
+    found = silhouette(arrays, plane, view)
+    if found is None:
+        return _Shape(plane)
+    (rows, columns), shown = found
+    area = None
+    if opacity:
+        mask = Image.fromarray(shown.astype(np.uint8) * np.uint8(round(255 * opacity)), "L")
+        area = (columns.start, rows.start), mask
+    lines = [[tuple(point) for point in (*line.tolist(), line[0].tolist())] for line in borders(*found)]
+    return _Shape(plane, area, lines, width * SMOOTH)
 
 
-def _outline(
-    picture: Image.Image, arrays: GraphArrays, plane: int, view: Projection, colour: Colour, width: int
-) -> None:
-    draw = ImageDraw.Draw(picture)
-    for line in outlines(arrays, plane, view):
-        draw.line([tuple(point) for point in [*line, line[0]]], fill=colour, width=width * SMOOTH, joint="curve")
-
-
-def _stroke(picture: Image.Image, arrays: GraphArrays, plane: int, view: Projection, colour: Colour) -> None:
-    draw = ImageDraw.Draw(picture)
+def _steep(arrays: GraphArrays, plane: int, view: Projection) -> _Shape:
     width = _STROKES[bool(arrays["structural"][plane])] * SMOOTH
     normal = arrays["normals"][plane]
     out = normal[:2] / np.linalg.norm(normal[:2])
     aside = np.array([out[0], -out[1]]) * width / 2  # y is down in the picture
-    for start, end in stretches(arrays, plane):
-        line = [tuple(view.pixels(point) + aside) for point in (start, end)]
-        draw.line(line, fill=style.FAINT_INK, width=width + 2)
-        draw.line(line, fill=colour, width=width)
+    lines = [[tuple(view.pixels(point) + aside) for point in ends] for ends in stretches(arrays, plane)]
+    return _Shape(plane, None, lines, width, stroke=True)
+
+
+def _drawn(ground: Image.Image, shapes: Sequence[_Shape], colours: Sequence[Colour]) -> Image.Image:
+    picture = ground.copy()
+    draw = ImageDraw.Draw(picture)
+    for shape in shapes:
+        colour = colours[shape.plane]
+        if shape.area is not None:
+            corner, mask = shape.area
+            picture.paste(colour, corner, mask)
+        for line in shape.lines:
+            if shape.stroke:
+                draw.line(line, fill=style.FAINT_INK, width=shape.width + 2)
+            draw.line(line, fill=colour, width=shape.width, joint=None if shape.stroke else "curve")
+    return picture
 
 
 def stretches(arrays: GraphArrays, plane: int) -> list[tuple[np.ndarray, np.ndarray]]:  # pairs of [3] metres

@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.report.charts import line_chart
 from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
-from activestructure_gym.evaluation.report.phases import plot_phases
+from activestructure_gym.evaluation.report.phases import plot_phases, stored_timeline
 from activestructure_gym.evaluation.report.pictures import telling_views
 from activestructure_gym.evaluation.report.plan import draw_plan
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
@@ -146,9 +146,7 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
                     plans_by_deficit.append(_tile(run, policies, drawing))
                 else:
                     pictures.append(element("figure", drawing, element("figcaption", f"by {what}, {place}")))
-        buffer = io.BytesIO()
-        plot_phases([("", run.steps)], buffer, title="")
-        history = picture(Image.open(buffer), f"timeline of {run.job.policy}", drawing=True, widest=_TIMELINE)
+        history = picture(_history(run), f"timeline of {run.job.policy}", drawing=True, widest=_TIMELINE)
         over_time = element("figure", history, class_="over-time")
         count, structural = len(run.graph["ids"]), int(run.graph["structural"].sum())
         holes = run.graph["deficiency_areas"]
@@ -160,6 +158,16 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
     above = element("div", *plans_by_deficit, class_="tiles paper")
     more = element("p", "By type, in three dimensions, and over the frames:", class_="facts")
     return element("div", key(DEFICIT_KEY), above, more, key(TYPE_KEY), *blocks)
+
+
+def _history(run: Run) -> Image.Image:
+    """The run's own timeline, which takes seconds to draw; drawn again where it cannot be used."""
+    stored = stored_timeline(run.directory / "phases.png")
+    if stored is not None:
+        return stored
+    buffer = io.BytesIO()
+    plot_phases([("", run.steps)], buffer, title="")
+    return Image.open(buffer)
 
 
 def key(entries: Sequence[tuple[str, str, str]]) -> Html:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import sys
 
 import numpy as np
 import pytest
@@ -110,3 +111,18 @@ def test_a_place_that_was_named_must_hold_them(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="weights not supplied"):
         lpips.weights_name()
     lpips._network.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "places", [{}, {"XDG_CACHE_HOME": "/elsewhere"}, {"TORCH_HOME": "~/torch", "XDG_CACHE_HOME": "/elsewhere"}]
+)
+def test_torch_is_not_imported_to_learn_where_its_hub_is(places, monkeypatch):
+    for name in ("TORCH_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in places.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(torch.hub, "_hub_dir", None)
+    expected = torch.hub.get_dir()
+    monkeypatch.delitem(sys.modules, "torch")
+    assert str(lpips._hub_directory()) == expected
+    assert "torch" not in sys.modules

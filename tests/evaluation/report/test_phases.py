@@ -4,7 +4,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from activestructure_gym.evaluation.report import phases
-from activestructure_gym.evaluation.report.phases import Band, bands, chosen_terms, plot_phases
+from activestructure_gym.evaluation.report.phases import Band, bands, chosen_terms, plot_phases, stored_timeline
 
 
 def with_phases(steps):
@@ -42,6 +42,34 @@ def test_terms_are_those_of_the_choice_or_of_the_whole_trace(steps):
     terms = chosen_terms(steps)
     assert set(terms) == {"pixel", "travel", "total"}  # neither the phase nor the size of the pool
     np.testing.assert_array_equal(np.isnan(terms["total"]), [False, False, False, True, False, False])
+
+
+def test_the_discovery_term_has_the_name_of_the_gain_it_is_made_of(steps):
+    for step in steps:
+        step["gains"] = {"hole_area": 0.3, "deficiency": 0.1}
+    assert set(chosen_terms(steps)) == {"hole_area", "travel"}
+    np.testing.assert_allclose(chosen_terms(steps)["hole_area"], 0.5 / np.arange(1, 7))
+    for step in steps:
+        step["gains"]["pixel"] = 0.2
+    assert set(chosen_terms(steps)) == {"pixel", "travel"}
+
+
+def test_a_stored_timeline_comes_without_its_title(steps, tmp_path):
+    plot_phases([("", steps)], tmp_path / "with.png", title="A title of some length")
+    plot_phases([("", steps)], tmp_path / "without.png", title="")
+    with Image.open(tmp_path / "with.png") as image:
+        whole = np.asarray(image).astype(int)
+        assert image.info["dpi"][0] == pytest.approx(120, abs=0.1)
+    shown, plain = stored_timeline(tmp_path / "with.png"), stored_timeline(tmp_path / "without.png")
+    rows = len(whole) - shown.height
+    assert 20 < rows < 50 and whole[:rows].min() < 50  # the title's ink
+    assert (whole[rows - 1 : rows + 2] == 255).all()  # no letter is cut
+    np.testing.assert_array_equal(np.asarray(shown), whole[rows:])
+    assert plain.size == (whole.shape[1], whole.shape[0])
+    plain.save(tmp_path / "of-another-origin.png")
+    (tmp_path / "damaged.png").write_bytes(b"\x89PNG")
+    for name in ("of-another-origin.png", "damaged.png", "missing.png"):
+        assert stored_timeline(tmp_path / name) is None
 
 
 def test_a_policy_without_phases_has_curves_and_no_bands(steps, tmp_path):

@@ -16,6 +16,7 @@ from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import GridStack, stack_grids
 
 _VOXEL = 0.7  # of a cell: a point in the same or a neighbouring voxel lies within about one cell
+_CENTRES = 62  # voxels of a word of 64 bits; the other two are neighbours
 _CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells, as shares of its edges
 
 
@@ -59,66 +60,154 @@ def sparse_patches(
     if not surfaces:
         return SparsePatches(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
     grids, cell = stack_grids(surfaces), surfaces[0].cell
-    finest, low, first = _finest_near(grids, points, cell)
+    voxels = _voxels_around(grids, points, cell, largest)
     tiles = (-(-grids.shapes // tile)).prod(axis=1).sum()
     found, planes = np.empty((tiles, 5)), np.empty(tiles, np.int64)
     count = _coarse_tiles(
         np.concatenate([surface.seen.ravel() for surface in surfaces]),
         grids.starts, grids.shapes, grids.lows, grids.frames, cell,
-        finest, low, first, largest, tile, least_cells, found, planes,
+        *voxels, largest, tile, least_cells, found, planes,
     )  # fmt: skip
     return SparsePatches(found[:count, :3], found[:count, 3] * cell**2, found[:count, 4], planes[:count])
 
 
-def _finest_near(
-    grids: GridStack, points: MapPoints, cell: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [X, Y, Z] float32 metres, [3] metres, [3] int64
-    """The finest Gaussian of every voxel and its two neighbours in z; the corner of voxel (0, 0, 0); the first voxel.
+def _voxels_around(
+    grids: GridStack,
+    points: MapPoints,
+    cell: float,
+    largest: float,  # metres
+) -> tuple[np.ndarray, ...]:
+    """Where Gaussians are, in voxels around the planes, as bits: few voxels have any, and so all fit into a cache.
 
     Voxels are counted from the lowest Gaussian but stored only around the planes: one Gaussian that strayed far off
     must not ask for a grid that reaches as far.
+
+    Returns what `_coarse_tiles` asks for: the corner of voxel (0, 0, 0) [3] metres, the first voxel and their number
+    [2, 3]; the voxels that hold a Gaussian, those that do or have a neighbour that does, and those with one up to
+    ``largest`` in them or in a neighbour [X + 4, Y + 4, W] uint64; the rank of every word's first bit among all that
+    are set in the first of these (flat), and by rank the size of the finest Gaussian in metres.
     """
-    if not len(points.means):
-        return np.zeros((1, 1, 1), np.float32), np.zeros(3), np.zeros(3, np.int64)
     voxel = _VOXEL * cell
     means = np.ascontiguousarray(np.asarray(points.means).T, dtype=np.float32)  # [3, M]
-    low = means.min(axis=1).astype(np.float64) - 2 * voxel
-    last = np.ceil((means.max(axis=1) - low) / voxel).astype(np.int64) + 2
-    corner = (grids.lows[:, None] + _CORNERS * grids.shapes[:, None]) * cell  # [N, 4, 2]
-    corners = grids.frames[:, None, :3] + corner @ grids.frames[:, 3:9].reshape(-1, 2, 3)  # [N, 4, 3] world
-    first = np.floor((corners.min(axis=(0, 1)) - low) / voxel).astype(np.int64) - 1
-    first = np.clip(first, 0, last)
-    last = np.clip(np.floor((corners.max(axis=(0, 1)) - low) / voxel).astype(np.int64) + 1, first, last)
-    finest = np.zeros(tuple(last - first + 1), np.float32)
-    _mark(means, np.ascontiguousarray(points.sizes, dtype=np.float32), low, first, voxel, finest)
-    return finest, low, first
+    if not len(points.means):
+        low, box = np.zeros(3), np.array([[0, 0, 0], [1, 1, 1]])
+    else:
+        low = means.min(axis=1).astype(np.float64) - 2 * voxel
+        last = np.ceil((means.max(axis=1) - low) / voxel).astype(np.int64) + 2
+        corner = (grids.lows[:, None] + _CORNERS * grids.shapes[:, None]) * cell  # [N, 4, 2]
+        corners = grids.frames[:, None, :3] + corner @ grids.frames[:, 3:9].reshape(-1, 2, 3)  # [N, 4, 3] world
+        first = np.floor((corners.min(axis=(0, 1)) - low) / voxel).astype(np.int64) - 1
+        first = np.clip(first, 0, last)
+        last = np.clip(np.floor((corners.max(axis=(0, 1)) - low) / voxel).astype(np.int64) + 1, first, last)
+        box = np.stack([first, last - first + 1])
+    shape = (box[1, 0] + 4, box[1, 1] + 4, -(-box[1, 2] // _CENTRES))
+    held, fine, close, near, scratch = np.empty((5, *shape), np.uint64)  # one piece: the system keeps it at hand
+    held[:], fine[:], scratch[:] = 0, 0, 0
+    place = np.empty(means.shape[1], np.int64)
+    sizes = np.ascontiguousarray(points.sizes, dtype=np.float32)
+    _mark(means, sizes, low, box, voxel, largest, held, fine, place)
+    _spread(held, scratch, close)
+    _spread(fine, scratch, near)
+    ranks, finest = _rank(held, place, sizes)
+    return low, box, held, close, near, ranks, finest
 
 
 @kernel
-def _mark(means, sizes, low, first, voxel, finest):
-    """Note in every voxel the size of the finest Gaussian in it, below or above it; 0 = none. ``means`` is [3, M]."""
+def _mark(means, sizes, low, box, voxel, largest, held, fine, place):
+    """Set the bits of the voxels that hold Gaussians; ``means`` is [3, M].
+
+    A word has the bits of 62 voxels in z between those of the voxel before and the voxel behind: the neighbours of a
+    voxel in z stand in the same word. In x and y there are two voxels more on either side, always empty. ``place`` [M]
+    is a Gaussian's word times 64 plus its bit, -1 for one that lies elsewhere.
+    """
+    words = held.shape[2]
+    held_words, fine_words = held.reshape(held.size), fine.reshape(fine.size)
     for n in range(len(sizes)):
-        i = int((means[0, n] - low[0]) / voxel) - first[0]
-        j = int((means[1, n] - low[1]) / voxel) - first[1]
-        k = int((means[2, n] - low[2]) / voxel) - first[2]
-        if 0 <= i < finest.shape[0] and 0 <= j < finest.shape[1]:
-            for z in range(max(k - 1, 0), min(k + 2, finest.shape[2])):
-                if finest[i, j, z] == 0.0 or sizes[n] < finest[i, j, z]:
-                    finest[i, j, z] = sizes[n]
+        place[n] = -1
+        i = int((means[0, n] - low[0]) / voxel) - box[0, 0]
+        j = int((means[1, n] - low[1]) / voxel) - box[0, 1]
+        k = int((means[2, n] - low[2]) / voxel) - box[0, 2]
+        if not (0 <= i < box[1, 0] and 0 <= j < box[1, 1] and -1 <= k <= box[1, 2]):
+            continue
+        part = min(max(k, 0) // _CENTRES, words - 1)
+        word, bit = ((i + 2) * held.shape[1] + j + 2) * words + part, k - part * _CENTRES + 1
+        place[n] = 64 * word + bit
+        # At the end of its word a voxel is a neighbour of the first in the next one, too.
+        for side in range(-1, 2):
+            other = bit - side * _CENTRES
+            if side == 0 or (0 <= other < 64 and 0 <= part + side < words):
+                mask = np.uint64(1) << np.uint64(other)
+                held_words[word + side] |= mask
+                if sizes[n] <= largest:
+                    fine_words[word + side] |= mask
+
+
+@kernel
+def _spread(bits, scratch, wide):
+    """Set the bits of all neighbours, too, in ``wide``; those of the outermost words mean nothing."""
+    words, row = bits.shape[2], bits.shape[1] * bits.shape[2]
+    flat, across, result = bits.reshape(bits.size), scratch.reshape(bits.size), wide.reshape(bits.size)[row:]
+    # Slices that begin apart: an index that may be negative would keep the loops from being vectorised.
+    before, behind, middle = flat[words:], flat[2 * words :], across[words:]
+    for q in range(len(behind)):
+        middle[q] = flat[q] | before[q] | behind[q]
+    before, behind = across[row:], across[2 * row :]
+    one = np.uint64(1)
+    for q in range(len(behind)):
+        word = across[q] | before[q] | behind[q]
+        result[q] = word | word << one | word >> one
+
+
+@kernel
+def _rank(held, place, sizes):
+    """The number of bits set before each word (flat), and the finest size by rank."""
+    words = held.shape[2]
+    flat = held.reshape(held.size)
+    ranks = np.empty(len(flat), np.int32)
+    total = 0
+    for q in range(len(flat)):
+        ranks[q] = total
+        total += _bits(flat[q])
+    finest = np.full(total, np.inf, np.float32)
+    for n in range(len(sizes)):
+        if place[n] < 0:
+            continue
+        word, bit = place[n] >> 6, place[n] & 63
+        part = word % words
+        for side in range(-1, 2):
+            other = bit - side * _CENTRES
+            if side == 0 or (0 <= other < 64 and 0 <= part + side < words):
+                below = (np.uint64(1) << np.uint64(other)) - np.uint64(1)
+                rank = np.int64(ranks[word + side]) + _bits(flat[word + side] & below)
+                finest[rank] = min(finest[rank], sizes[n])
+    return ranks, finest
+
+
+@kernel
+def _bits(word):
+    """How many bits of a word are set."""
+    word -= word >> np.uint64(1) & np.uint64(0x5555555555555555)
+    word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64(word * np.uint64(0x0101010101010101) >> np.uint64(56))
 
 
 @kernel
 def _coarse_tiles(
-    seen, starts, shapes, lows, frames, cell, finest, low, first, largest, tile, least, found, planes
+    seen, starts, shapes, lows, frames, cell,
+    low, box, held, close, near, ranks, finest, largest, tile, least, found, planes,
 ):  # fmt: skip
     """Centre (world), number of coarse cells and mean size there of every tile that counts; returns how many.
 
     Written to ``found`` [T, 5], the index of the grid to ``planes`` [T].
     """
     voxel = _VOXEL * cell
+    words, row_words = held.shape[2], held.shape[1] * held.shape[2]
+    held_words, close_words, near_words = held.reshape(held.size), close.reshape(held.size), near.reshape(held.size)
+    one, three_bits = np.uint64(1), np.uint64(7)
     count = 0
-    # Voxels of a tile's cells; sizes are asked for only where the tile counts, which is rare.
-    indices = np.empty((tile * tile, 3), np.int64)
+    # Words and bits of a tile's cells; sizes are asked for only where the tile counts.
+    places = np.empty(tile * tile, np.int64)
     for n in range(len(frames)):
         frame = frames[n]
         rows, columns = shapes[n]
@@ -126,54 +215,48 @@ def _coarse_tiles(
             for left in range(0, columns, tile):
                 cells, coarse, row_sum, column_sum = 0, 0, 0.0, 0.0
                 for row in range(top, min(top + tile, rows)):
+                    a = (lows[n, 0] + row + 0.5) * cell
+                    x, y, z = frame[0] + a * frame[3], frame[1] + a * frame[4], frame[2] + a * frame[5]
                     for column in range(left, min(left + tile, columns)):
                         if seen[starts[n] + row * columns + column] == 0:
                             continue
-                        a, b = (lows[n, 0] + row + 0.5) * cell, (lows[n, 1] + column + 0.5) * cell
-                        i = int(np.floor((frame[0] + a * frame[3] + b * frame[6] - low[0]) / voxel)) - first[0]
-                        j = int(np.floor((frame[1] + a * frame[4] + b * frame[7] - low[1]) / voxel)) - first[1]
-                        k = int(np.floor((frame[2] + a * frame[5] + b * frame[8] - low[2]) / voxel)) - first[2]
-                        indices[cells, 0], indices[cells, 1], indices[cells, 2] = i, j, k
-                        cells += 1
-                        fine = False
-                        if 0 <= k < finest.shape[2]:
-                            if 0 <= i < finest.shape[0] and 0 <= j < finest.shape[1]:
-                                fine = 0.0 < finest[i, j, k] <= largest  # the usual case
-                            if not fine:
-                                for x in range(max(i - 1, 0), min(i + 2, finest.shape[0])):
-                                    for y in range(max(j - 1, 0), min(j + 2, finest.shape[1])):
-                                        fine = fine or 0.0 < finest[x, y, k] <= largest
-                        if not fine:
-                            coarse += 1
-                            row_sum += row
-                            column_sum += column
+                        b = (lows[n, 1] + column + 0.5) * cell
+                        i = int(np.floor((x + b * frame[6] - low[0]) / voxel)) - box[0, 0]
+                        j = int(np.floor((y + b * frame[7] - low[1]) / voxel)) - box[0, 1]
+                        k = int(np.floor((z + b * frame[8] - low[2]) / voxel)) - box[0, 2]
+                        if -1 <= i <= box[1, 0] and -1 <= j <= box[1, 1] and 0 <= k < box[1, 2]:
+                            part = k // _CENTRES
+                            word, bit = (i + 2) * row_words + (j + 2) * words + part, k - part * _CENTRES + 1
+                            if close_words[word] >> np.uint64(bit) & one != 0:
+                                places[cells] = 64 * word + bit
+                                cells += 1
+                                if near_words[word] >> np.uint64(bit) & one != 0:
+                                    continue
+                        coarse += 1
+                        row_sum += row
+                        column_sum += column
                 if coarse < least:
                     continue
-                sized, size_sum = 0, 0.0
+                size_sum = 0.0
                 for m in range(cells):
-                    best = _finest(finest, indices[m, 0], indices[m, 1], indices[m, 2])
-                    if best > 0.0:
-                        sized += 1
-                        size_sum += best
+                    word, before = places[m] >> 6, np.uint64((places[m] & 63) - 1)
+                    below = (one << before) - one
+                    best = np.float32(np.inf)
+                    for beside in range(word - row_words, word + row_words + 1, row_words):
+                        for column in range(beside - words, beside + words + 1, words):
+                            around = held_words[column] >> before & three_bits
+                            if around != 0:
+                                rank = np.int64(ranks[column]) + _bits(held_words[column] & below)
+                                for _ in range(_bits(around)):
+                                    best = min(best, finest[rank])
+                                    rank += 1
+                    size_sum += best
                 a = (row_sum / coarse + lows[n, 0] + 0.5) * cell
                 b = (column_sum / coarse + lows[n, 1] + 0.5) * cell
                 for axis in range(3):
                     found[count, axis] = frame[axis] + (a * frame[3 + axis] + b * frame[6 + axis])
                 found[count, 3] = coarse
-                found[count, 4] = size_sum / sized if sized else 2.0 * largest
+                found[count, 4] = size_sum / cells if cells else 2.0 * largest
                 planes[count] = n
                 count += 1
     return count
-
-
-@kernel
-def _finest(finest, i, j, k):
-    """Size of the finest Gaussian in voxel (i, j, k) and its neighbours; 0 = none."""
-    best = 0.0
-    if 0 <= k < finest.shape[2]:
-        for x in range(max(i - 1, 0), min(i + 2, finest.shape[0])):
-            for y in range(max(j - 1, 0), min(j + 2, finest.shape[1])):
-                here = finest[x, y, k]
-                if here > 0.0 and (best == 0.0 or here < best):
-                    best = here
-    return best

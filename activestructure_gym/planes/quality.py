@@ -116,7 +116,10 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     if not seen.any():
         return Interior(np.zeros_like(seen), 1.0, 0, np.zeros((0, 2), np.int64), np.zeros(0, np.int64))
     pad = config.closing_radius + 1
-    padded = cv2.copyMakeBorder(seen, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
+    # The rectangle that holds the seen cells; closing and filling never leave it.
+    left, top, width, height = cv2.boundingRect(seen)
+    part = (slice(top, top + height), slice(left, left + width))
+    padded = cv2.copyMakeBorder(seen[part].copy(), pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
     size = 2 * config.closing_radius + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)
@@ -125,13 +128,16 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     cv2.drawContours(filled, outlines, -1, 1, thickness=cv2.FILLED)
     hull = np.zeros_like(padded)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.concatenate(outlines)), 1)
-    mask = np.ascontiguousarray(filled[pad:-pad, pad:-pad])
-    missing = (mask > 0) & (seen == 0)
+    inner = filled[pad:-pad, pad:-pad]
+    mask = np.zeros_like(seen)
+    mask[part] = inner
+    missing = inner > seen[part]
     if not config.count_explained_holes:
-        missing &= surface.beside == kernels.UNKNOWN
-    total = int(np.count_nonzero(mask))
+        missing &= surface.beside[part] == kernels.UNKNOWN
+    total = int(np.count_nonzero(inner))
     holes, sizes = _hole_tiles(missing, config)
-    return Interior(mask, np.count_nonzero(missing) / max(total, 1), int(np.count_nonzero(hull)), holes, sizes)
+    share = np.count_nonzero(missing) / max(total, 1)
+    return Interior(mask, share, int(np.count_nonzero(hull)), holes + np.array([top, left]), sizes)
 
 
 def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -140,15 +146,33 @@ def _hole_tiles(missing: np.ndarray, config: QualityConfig) -> tuple[np.ndarray,
     if np.count_nonzero(missing) < config.min_hole_cells:
         return nothing
     # Work on the rectangle that holds them: most grids are large and most holes small.
-    some_rows, some_columns = np.flatnonzero(missing.any(axis=1)), np.flatnonzero(missing.any(axis=0))
-    top, left = some_rows[0], some_columns[0]
-    padded = np.pad(missing[top : some_rows[-1] + 1, left : some_columns[-1] + 1], 1).astype(np.uint8)
+    cells = np.ascontiguousarray(missing).view(np.uint8)
+    left, top, width, height = cv2.boundingRect(cells)
+    cells = np.ascontiguousarray(cells[top : top + height, left : left + width])
+    padded = cv2.copyMakeBorder(cells, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     count, labels = cv2.connectedComponents(padded, connectivity=8)
     depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
     cells, sizes = kernels.tile_holes(
         np.asarray(labels), np.asarray(depth), count, config.min_hole_radius, config.hole_tile, config.min_hole_cells
     )
     return cells + np.array([top - 1, left - 1]), sizes
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """The sides of a plane's boundary cells."""
+
+    sides: int
+    unexplained: np.ndarray  # [M, 3] int64 row, column, direction of those beyond which the images showed nothing
+
+
+def _edge(surface: SurfaceGrid, config: QualityConfig) -> _Edge:
+    known = surface.memo.get(("edge", config))
+    if isinstance(known, _Edge):
+        return known
+    result = _Edge(*kernels.edge_sides(interior(surface, config).mask, surface.beside))
+    surface.memo["edge", config] = result
+    return result
 
 
 def boundary_closure(
@@ -163,12 +187,13 @@ def boundary_closure(
         return np.zeros(0)
     surfaces = [node.surface for node in nodes]
     grids = stack_grids(surfaces)
-    flat = np.concatenate([interior(surface, config).mask.ravel() for surface in surfaces])
+    edges = [_edge(surface, config) for surface in surfaces]
+    sides = np.array([edge.sides for edge in edges], np.float64)
+    ends = np.cumsum([len(edge.unexplained) for edge in edges])
     near = np.concatenate([surface.near.ravel() for surface in surfaces])
-    beside = np.concatenate([surface.beside.ravel() for surface in surfaces])
-    sides, probes, owner = kernels.open_sides(
-        flat, near, beside, grids.starts, grids.shapes, grids.lows, grids.frames,
-        surfaces[0].cell, config.boundary_reach, config.space_step,
+    probes, owner = kernels.open_sides(
+        np.concatenate([edge.unexplained for edge in edges]), ends, near, grids.starts, grids.shapes, grids.lows,
+        grids.frames, surfaces[0].cell, config.boundary_reach, config.space_step,
     )  # fmt: skip
     unclosed = np.bincount(owner, minlength=len(nodes)).astype(np.float64)
     if space_state is not None and len(probes):

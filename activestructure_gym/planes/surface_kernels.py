@@ -6,10 +6,14 @@ grid covers ``[r, r + 1) x [c, c + 1)`` cells along the axes, seen from the orig
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.planes import detection_kernels
 from activestructure_gym.planes.detection_kernels import MOMENTS, add_point
+from activestructure_gym.splatting.caching import stamp_of
 
 UNKNOWN, OPEN, COVERED = 0, 1, 2
 
@@ -35,35 +39,42 @@ def _cell_of(px, py, pz, grid, cell):
     return row, column
 
 
-@kernel
-def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
-    """One pass over the pixels: extent of every node in its grid, and its new point moments.
+def _make_image_sums(stamp: int) -> Any:
+    @kernel
+    def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
+        """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
-    ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3], about which the moments
-    are taken.
-    Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
-    """
-    count = len(grids)
-    extents = np.empty((count, 4), np.int64)
-    extents[:, :2] = 1 << 40
-    extents[:, 2:] = -(1 << 40)
-    moments = np.zeros((count, MOMENTS))
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            label = labels[v, u]
-            if label < 0:
-                continue
-            t = table[label]
-            if t < 0:
-                continue
-            px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
-            add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
-            r, c = _cell_of(px, py, pz, grids[t], cell)
-            extents[t, 0] = min(extents[t, 0], r)
-            extents[t, 1] = min(extents[t, 1], c)
-            extents[t, 2] = max(extents[t, 2], r)
-            extents[t, 3] = max(extents[t, 3], c)
-    return extents, moments
+        ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3], about which the moments
+        are taken.
+        Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
+        """
+        _ = stamp
+        count = len(grids)
+        extents = np.empty((count, 4), np.int64)
+        extents[:, :2] = 1 << 40
+        extents[:, 2:] = -(1 << 40)
+        moments = np.zeros((count, MOMENTS))
+        for v in range(depth.shape[0]):
+            for u in range(depth.shape[1]):
+                label = labels[v, u]
+                if label < 0:
+                    continue
+                t = table[label]
+                if t < 0:
+                    continue
+                px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
+                add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
+                r, c = _cell_of(px, py, pz, grids[t], cell)
+                extents[t, 0] = min(extents[t, 0], r)
+                extents[t, 1] = min(extents[t, 1], c)
+                extents[t, 2] = max(extents[t, 2], r)
+                extents[t, 3] = max(extents[t, 3], c)
+        return extents, moments
+
+    return image_sums
+
+
+image_sums = _make_image_sums(stamp_of(detection_kernels))
 
 
 @kernel
@@ -181,78 +192,91 @@ def _may_touch(index, other, shapes, lows, grids, cell, reach):
 
 
 @kernel
-def open_sides(seen, near, beside, starts, shapes, lows, grids, cell, reach, step):
-    """Sides of all nodes' boundary cells, counted, and those that nothing known closes.
+def edge_sides(seen, beside):
+    """Sides of one grid's boundary cells: seen cells with an unseen neighbour in one of four directions.
 
-    A side is a seen cell with an unseen neighbour in one of four directions. It is closed when the image showed
-    what lies there (``beside``), or when another plane passes within ``reach`` metres of the centre of that neighbour
-    (``near`` = seen, dilated by the reach). The flat arrays hold all grids, node k at ``starts[k]``; ``lows`` [N, 2]
-    is the cell index of each array's first entry.
+    Returns how many there are, and row, column and direction of those whose neighbour no image explains [M, 3].
+    """
+    rows, columns = seen.shape
+    total, sides = 0, 0
+    found = np.empty((256, 3), np.int64)
+    for r in range(rows):
+        for c in range(columns):
+            if not seen[r, c]:
+                continue
+            for k in range(4):
+                rr, cc = r + (k == 0) - (k == 1), c + (k == 2) - (k == 3)
+                inside = 0 <= rr < rows and 0 <= cc < columns
+                if inside and seen[rr, cc]:
+                    continue
+                sides += 1
+                if inside and beside[rr, cc] != UNKNOWN:
+                    continue
+                if total == len(found):
+                    more = np.empty((2 * total, 3), np.int64)
+                    for i in range(total):  # assigning slices takes five seconds to compile
+                        for m in range(3):
+                            more[i, m] = found[i, m]
+                    found = more
+                found[total, 0], found[total, 1], found[total, 2] = r, c, k
+                total += 1
+    return sides, found[:total].copy()
 
-    Returns the sides [N] float64, and for every open side the world point ``step`` metres outwards of the cell's
-    centre [M, 3] and its node [M].
+
+@kernel
+def open_sides(edges, ends, near, starts, shapes, lows, grids, cell, reach, step):
+    """Those sides of all nodes' boundary cells that no other plane closes.
+
+    ``edges`` [M, 3] are row, column and direction of the sides, those of node k end at ``ends[k]``. A side is closed
+    when another plane passes within ``reach`` metres of the centre of the cell beyond it (``near`` = seen, dilated by
+    the reach; the flat array holds all grids, node k at ``starts[k]``); ``lows`` [N, 2] is the cell index of each
+    array's first entry.
+
+    Returns for every open side the world point ``step`` metres outwards of the cell's centre [K, 3] and its node [K].
     """
     total = 0
-    sides = np.zeros(len(grids))
-    probes, owner = np.empty((1024, 3)), np.empty(1024, np.int64)
+    probes, owner = np.empty((len(edges), 3)), np.empty(len(edges), np.int64)
     others = np.empty(len(grids), np.int64)
     for index in range(len(grids)):
-        rows, columns = shapes[index]
+        first = ends[index - 1] if index > 0 else 0
+        if first == ends[index]:
+            continue
         g = grids[index]
-        base = starts[index]
         close = 0
         for j in range(len(grids)):
             if j != index and _may_touch(index, j, shapes, lows, grids, cell, reach):
                 others[close] = j
                 close += 1
-        for r in range(rows):
-            for c in range(columns):
-                if not seen[base + r * columns + c]:
+        for edge in range(first, ends[index]):
+            r, c, k = edges[edge, 0], edges[edge, 1], edges[edge, 2]
+            dr = 1 if k == 0 else -1 if k == 1 else 0
+            dc = 1 if k == 2 else -1 if k == 3 else 0
+            a = (r + dr + lows[index, 0] + 0.5) * cell
+            b = (c + dc + lows[index, 1] + 0.5) * cell
+            px = g[0] + a * g[3] + b * g[6]
+            py = g[1] + a * g[4] + b * g[7]
+            pz = g[2] + a * g[5] + b * g[8]
+            closed = False
+            for near_by in range(close):
+                j = others[near_by]
+                dx, dy, dz = px - grids[j, 0], py - grids[j, 1], pz - grids[j, 2]
+                if abs(dx * grids[j, 9] + dy * grids[j, 10] + dz * grids[j, 11]) > reach:
                     continue
-                for k in range(4):
-                    dr = 1 if k == 0 else -1 if k == 1 else 0
-                    dc = 1 if k == 2 else -1 if k == 3 else 0
-                    rr, cc = r + dr, c + dc
-                    inside = 0 <= rr < rows and 0 <= cc < columns
-                    if inside and seen[base + rr * columns + cc]:
-                        continue
-                    sides[index] += 1.0
-                    if inside and beside[base + rr * columns + cc] != UNKNOWN:
-                        continue
-                    a = (rr + lows[index, 0] + 0.5) * cell
-                    b = (cc + lows[index, 1] + 0.5) * cell
-                    px = g[0] + a * g[3] + b * g[6]
-                    py = g[1] + a * g[4] + b * g[7]
-                    pz = g[2] + a * g[5] + b * g[8]
-                    closed = False
-                    for near_by in range(close):
-                        j = others[near_by]
-                        h = grids[j]
-                        dx, dy, dz = px - h[0], py - h[1], pz - h[2]
-                        if abs(dx * h[9] + dy * h[10] + dz * h[11]) > reach:
-                            continue
-                        jr = int(np.floor((dx * h[3] + dy * h[4] + dz * h[5]) / cell)) - lows[j, 0]
-                        jc = int(np.floor((dx * h[6] + dy * h[7] + dz * h[8]) / cell)) - lows[j, 1]
-                        if 0 <= jr < shapes[j, 0] and 0 <= jc < shapes[j, 1]:
-                            if near[starts[j] + jr * shapes[j, 1] + jc]:
-                                closed = True
-                                break
-                    if closed:
-                        continue
-                    if total == len(owner):
-                        more, names = np.empty((2 * total, 3)), np.empty(2 * total, np.int64)
-                        for i in range(total):  # assigning slices takes five seconds to compile
-                            for m in range(3):
-                                more[i, m] = probes[i, m]
-                            names[i] = owner[i]
-                        probes, owner = more, names
-                    a = (r + dr * (step / cell) + lows[index, 0] + 0.5) * cell
-                    b = (c + dc * (step / cell) + lows[index, 1] + 0.5) * cell
-                    for m in range(3):
-                        probes[total, m] = g[m] + (a * g[3 + m] + b * g[6 + m])
-                    owner[total] = index
-                    total += 1
-    return sides, probes[:total], owner[:total]
+                jr = int(np.floor((dx * grids[j, 3] + dy * grids[j, 4] + dz * grids[j, 5]) / cell)) - lows[j, 0]
+                jc = int(np.floor((dx * grids[j, 6] + dy * grids[j, 7] + dz * grids[j, 8]) / cell)) - lows[j, 1]
+                if 0 <= jr < shapes[j, 0] and 0 <= jc < shapes[j, 1]:
+                    if near[starts[j] + jr * shapes[j, 1] + jc]:
+                        closed = True
+                        break
+            if closed:
+                continue
+            a = (r + dr * (step / cell) + lows[index, 0] + 0.5) * cell
+            b = (c + dc * (step / cell) + lows[index, 1] + 0.5) * cell
+            for m in range(3):
+                probes[total, m] = g[m] + (a * g[3 + m] + b * g[6 + m])
+            owner[total] = index
+            total += 1
+    return probes[:total], owner[:total]
 
 
 @kernel

@@ -161,9 +161,8 @@ def _make_cosines_in_sight(stamp: int) -> Any:
                     cosine = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2]) / distance
                     if cosine < STEEPEST_COSINE:
                         continue
-                    if sight_line(
-                        blocking, eyes[k, 0], eyes[k, 1], eyes[k, 2], ends[p, s, 0], ends[p, s, 1], ends[p, s, 2], SPARED
-                    ):
+                    i, j, m = ends[p, s, 0], ends[p, s, 1], ends[p, s, 2]
+                    if sight_line(blocking, eyes[k, 0], eyes[k, 1], eyes[k, 2], i, j, m, SPARED):
                         cosines[k, p, s] = cosine
                         found += 1
                 counts[k, p] = found

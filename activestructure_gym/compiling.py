@@ -231,13 +231,24 @@ class _Locks:
             self.drop(name)
 
 
-def _lock_path() -> str:
-    """Beside the cache of this room, where numba would put it; raises RuntimeError where there is none."""
+def cache_place() -> Path | None:
+    """The directory of this room's compiled kernels, where numba puts it; None where they cannot be kept."""
 
     def probe() -> None: ...
 
-    dispatcher: Any = njit(cache=True)(probe)
-    return os.path.join(dispatcher.stats.cache_path, "activestructure_gym-kernels.lock")
+    try:
+        dispatcher: Any = njit(cache=True)(probe)
+    except RuntimeError:
+        return None
+    return Path(dispatcher.stats.cache_path) if hasattr(dispatcher, "stats") else None  # NUMBA_DISABLE_JIT
+
+
+def _lock_path() -> Path:
+    """Beside the cache of this room; raises RuntimeError where there is none."""
+    place = cache_place()
+    if place is None:
+        raise RuntimeError("no directory for compiled kernels")
+    return place / "activestructure_gym-kernels.lock"
 
 
 def _standard_error() -> TextIO | None:

@@ -6,7 +6,10 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import importlib.util
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,15 +17,19 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from activestructure_gym.evaluation import store
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.threads import core_count, worker_environment
 
 _MARK = "compiling"  # before the name of a kernel, on standard output
+_COUNTS = ("NUMBA_NUM_THREADS",)  # variables of numba that change no machine code
 _FRAMES = 12  # enough for a few decisions, a path and two keyframes on it
 
 
@@ -35,22 +42,103 @@ def warming_up(
     Compiled kernels are kept on disk, so the first run of a comparison need not compile again, and no run's time
     contains a compilation. Half of the compiling is the rasteriser's: it gets a process of its own. Results are
     thrown away, and so are failures: a real job that fails will say why. ``notify`` hears how far the compiling is, in
-    this process too; nothing where all is compiled.
+    this process too; nothing where all is compiled. Where the same warm-up has come to its end before, there is
+    nothing to do (`WarmMark`).
     """
     from activestructure_gym.compiling import told_to
 
-    job = json.dumps(smallest_job(policies, overrides).as_dict())
+    smallest = smallest_job(policies, overrides)
+    mark = WarmMark.of(smallest)
+    if mark is not None and mark.holds():
+        yield
+        return
+    job = json.dumps(smallest.as_dict())
     tally = _Tally(notify)
     processes = [_start(part, job, tally) for part in ("map", "world")]
     try:
         with told_to(tally):
             yield
-        for process in processes:
-            process.wait()
+        ended = [process.wait() for process in processes]
+        if mark is not None and not any(ended):
+            mark.set()
     finally:
         for process in processes:
             process.terminate()
             process.wait()
+
+
+@dataclass(frozen=True)
+class WarmMark:
+    """A note beside the compiled kernels that a warm-up has come to its end, which takes seconds to find out anew.
+
+    It holds as long as no source file, no version and no setting that kernels depend on has changed, and as long as
+    every file of compiled kernels that was there then is there now.
+    """
+
+    path: Path
+    digest: str
+
+    @classmethod
+    def of(cls, job: Job) -> WarmMark | None:
+        """None where kernels cannot be kept, or where what is compiled may lie outside of this package."""
+        from activestructure_gym.compiling import cache_place
+        from activestructure_gym.policies import POLICIES
+
+        ours = f"{__name__.partition('.')[0]}."
+        if not POLICIES.get(job.policy).__module__.startswith(ours) or ":" in str(job.overrides):
+            return None
+        place = cache_place()
+        if place is None:
+            return None
+        content = [job.as_dict(), _compiler(), _sources()]
+        content.append(sorted((k, v) for k, v in os.environ.items() if k.startswith("NUMBA_") and k not in _COUNTS))
+        return cls(place / f"activestructure_gym-warm-{job.hash}.json", _hashed(content))
+
+    def holds(self) -> bool:
+        """Whether nothing needs to be compiled."""
+        try:
+            noted = json.loads(self.path.read_text(encoding="utf-8"))
+            return noted["digest"] == self.digest and self._kept() >= set(noted["kernels"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+
+    def set(self) -> None:
+        """Remember that everything is compiled."""
+        kernels = sorted(self._kept())
+        if kernels:
+            with suppress(OSError):
+                store.write_json(self.path, {"digest": self.digest, "kernels": kernels})
+
+    def _kept(self) -> set[str]:
+        """The files of compiled kernels."""
+        beside_the_sources = self.path.parent.name == "__pycache__"
+        roots = _rooms() if beside_the_sources else [self.path.parent.parent]
+        return {str(file) for root in roots for file in root.rglob("*.nb[ci]")}
+
+
+def _rooms() -> list[Path]:
+    """The folders of this package; in a checkout some lie beside it."""
+    package = __name__.partition(".")[0]
+    found = [importlib.util.find_spec(f"{package}{room}") for room in ("", ".envs", ".policies", ".evaluation")]
+    return [Path(next(iter(spec.submodule_search_locations or ()))) for spec in found if spec is not None]
+
+
+def _sources() -> list[tuple[str, int, int]]:
+    """What numba looks at of every source file: when it was changed, and its size."""
+    files = {file for room in _rooms() for file in room.rglob("*.py")}
+    return sorted((str(file), (about := file.stat()).st_mtime_ns, about.st_size) for file in files)
+
+
+def _compiler() -> list[str]:
+    """What makes machine code, and for which processor."""
+    from llvmlite import binding
+
+    versions = [sys.version, *(metadata.version(name) for name in ("numba", "llvmlite", "numpy"))]
+    return [*versions, binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
+
+
+def _hashed(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 class _Tally:

@@ -1,10 +1,93 @@
 """What the warm-up says about its compiling."""
 
+import os
 import subprocess
 import sys
 
+import pytest
+
+from activestructure_gym import compiling
 from activestructure_gym.compiling import EPISODE_KERNELS
-from activestructure_gym.evaluation.warmup import _listen, _Tally
+from activestructure_gym.evaluation import warmup
+from activestructure_gym.evaluation.warmup import WarmMark, _listen, _Tally, smallest_job, warming_up
+from activestructure_gym.policies import POLICIES, Policy
+
+
+@pytest.fixture
+def room(tmp_path, monkeypatch):
+    """A room of one module with one compiled kernel, in place of the package."""
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    (tmp_path / "module.py").write_text("x = 1")
+    (cache / "module.kernel-1.py311.nbi").touch()
+    monkeypatch.setattr(warmup, "_rooms", lambda: [tmp_path])
+    monkeypatch.setattr(compiling, "cache_place", lambda: cache)
+    return tmp_path
+
+
+def holds(policies=("random", "pixel_only"), overrides=()):
+    return WarmMark.of(smallest_job(policies, dict(overrides))).holds()
+
+
+def test_nothing_is_started_where_the_same_warm_up_came_to_its_end(room, monkeypatch):
+    started = []
+
+    class Ended:
+        def __init__(self, part, *_):
+            started.append(part)
+
+        def wait(self):
+            return 0
+
+        def terminate(self):
+            pass
+
+    monkeypatch.setattr(warmup, "_start", Ended)
+    for _ in range(2):
+        with warming_up(["random"], {}):
+            pass
+    assert started == ["map", "world"]
+    with warming_up(["pixel_only"], {}):  # asks for more gains
+        pass
+    with warming_up(["random"], {"sensor.depth_noise": "kinect"}):
+        pass
+    assert len(started) == 6
+    monkeypatch.setattr(Ended, "wait", lambda self: 1)  # fails
+    for _ in range(2):
+        with warming_up(["random"], {"sensor.depth_noise": "none"}):
+            pass
+    assert len(started) == 10
+
+
+def test_the_mark_holds_for_the_same_sources_settings_and_kernels_only(room, monkeypatch):
+    assert not holds()
+    WarmMark.of(smallest_job(["pixel_only"], {})).set()
+    assert holds() and not holds(["random"])
+    (room / "__pycache__" / "module.kernel-1.py311.1.nbc").touch()  # what is compiled later does no harm
+    assert holds()
+    with monkeypatch.context() as patch:
+        patch.setenv("NUMBA_CPU_NAME", "generic")
+        assert not holds()
+    (room / "__pycache__" / "module.kernel-1.py311.nbi").rename(room / "elsewhere")
+    assert not holds()
+    (room / "elsewhere").rename(room / "__pycache__" / "module.kernel-1.py311.nbi")
+    assert holds()
+    os.utime(room / "module.py", (1, 1))
+    assert not holds()
+
+
+def test_no_mark_for_what_lies_outside_or_cannot_be_kept(room, monkeypatch):
+    monkeypatch.setitem(POLICIES._entries, "mine", type("Mine", (Policy,), {"__module__": "my_package"}))
+    assert WarmMark.of(smallest_job(["mine"], {})) is None
+    assert WarmMark.of(smallest_job(["random"], {"gains": "my_package:gain"})) is None
+    assert WarmMark.of(smallest_job(["random"], {})) is not None
+    monkeypatch.setattr(compiling, "cache_place", lambda: None)
+    assert WarmMark.of(smallest_job(["random"], {})) is None
+
+
+def test_the_rooms_are_those_with_kernels():
+    names = {file.name for room in warmup._rooms() for file in room.rglob("*.py")}
+    assert {"kernels.py", "windows.py", "reconstruction_env.py", "greedy.py"} <= names
 
 
 def test_a_kernel_counts_once_whoever_compiles_it():

@@ -289,6 +289,7 @@ def _write_pictures(
     metrics: dict[str, Any],
     steps: list[dict[str, Any]],
 ) -> None:
+    from activestructure_gym.evaluation.report.canvas import save_with_panels
     from activestructure_gym.evaluation.report.phases import plot_phases
     from activestructure_gym.evaluation.report.pictures import picture_arrays, run_plan, run_views
     from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d, run_planes_plan
@@ -299,6 +300,9 @@ def _write_pictures(
     run_views(arrays, title=job.title).save(part / "views.png")
     run_plan(arrays, _path_arrays(reconstruction), title=job.title).save(part / "plan.png")
     graph = graph_arrays(reconstruction.planes)
-    run_planes_plan(graph, arrays, title=job.title).save(part / "psg_plan.png")
-    run_planes_3d(graph, title=job.title).save(part / "psg_3d.png")
+    for name, (page, panels) in (
+        ("psg_plan", run_planes_plan(graph, arrays, title=job.title)),
+        ("psg_3d", run_planes_3d(graph, title=job.title)),
+    ):
+        save_with_panels(page, part / f"{name}.png", panels)
     plot_phases([("", store.plain(steps))], part / "phases.png", title=job.title)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, unknown_name
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?\d*\.?\d+")
@@ -37,10 +37,17 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def split_policies(words: Sequence[str]) -> tuple[str, ...]:
-    """Names of policies; ``ladder`` stands for the rungs A to E of the paper's Table 3, ``all`` for all registered."""
+    """Names of policies; ``ladder`` stands for the rungs A to E of the paper's Table 3, ``all`` for all registered.
+
+    Raises `InputError` for a word that is neither, nor ``package.module:Class``.
+    """
     from activestructure_gym.policies import LADDER, POLICIES
 
     groups: dict[str, Sequence[str]] = {"ladder": LADDER, "all": tuple(POLICIES)}
+    for word in split_list(words):
+        name = word.partition("?")[0]
+        if name not in groups and name not in POLICIES and ":" not in name:
+            raise unknown_name("policy", name, (*POLICIES, *groups))
     return tuple(name for word in split_list(words) for name in groups.get(word, (word,)))
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import lpips
 from activestructure_gym.evaluation.metrics.image import channel_psnr, similarities
@@ -45,8 +46,6 @@ CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
 _GENERATED = 180  # poses on the circle, of which
 _EVERY = 5  # this one is looked at; the first frame of the sequence is the start pose and is not
 _TOO_NEAR, _MOST_TOO_NEAR = 0.2, 0.1  # metres, share of the pixels: the original's generator stops there
-# Of a byte, rounded to single precision.
-_UNIT = (np.arange(256, dtype=np.uint8) / np.float32(255.0)).astype(np.float64)
 _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 
@@ -160,18 +159,42 @@ class ActiveGamerProtocol:
         pose = truth.views.world_from_camera[index]
         rendering = cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=1)
         true_depth = truth.views.depth[index]
-        mask = true_depth > 0
-        shown, true = rendering.color.astype(np.float64), _UNIT[truth.views.rgb[index]]
-        if not mask.all():
-            shown[~mask] = true[~mask] = 0.0
+        shown, true = np.empty(rendering.color.shape), np.empty(rendering.color.shape)
         # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
-        error = np.abs((rendering.depth - true_depth)[mask].astype(np.float64))
+        error = np.empty(true_depth.size)
+        count = _masked(rendering.color, truth.views.rgb[index], rendering.depth, true_depth, shown, true, error)
+        error = error[:count]
         return {
             "psnr": channel_psnr(shown, true),
             "ms_ssim": similarities(shown, true)[1],
             "lpips": None if distance is None else distance(np.clip(shown, 0.0, 1.0), true),
             "depth_l1_cm": 100.0 * float(error.mean()) if len(error) else None,
         }
+
+
+@kernel
+def _masked(
+    color: np.ndarray,  # [H, W, 3] float32
+    rgb: np.ndarray,  # [H, W, 3] uint8
+    depth: np.ndarray,  # [H, W] float32
+    true_depth: np.ndarray,  # [H, W] float32
+    shown: np.ndarray,  # [H, W, 3] out: colour, 0 where there is no surface
+    true: np.ndarray,  # [H, W, 3] out: the same of the true view, 0..1 in single precision
+    error: np.ndarray,  # [H * W] out: of the depth where there is a surface
+) -> int:  # how many pixels that are
+    count = 0
+    for i in range(color.shape[0]):
+        for j in range(color.shape[1]):
+            if true_depth[i, j] > 0.0:
+                for c in range(3):
+                    shown[i, j, c] = color[i, j, c]
+                    true[i, j, c] = np.float32(rgb[i, j, c]) / np.float32(255.0)
+                error[count] = abs(depth[i, j] - true_depth[i, j])
+                count += 1
+            else:
+                for c in range(3):
+                    shown[i, j, c] = true[i, j, c] = 0.0
+    return count
 
 
 def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] metres

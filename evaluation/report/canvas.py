@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 
+Box = tuple[int, int, int, int]  # pixels: left, upper, right and lower edge
+
+_PANELS = "asg:panels"  # entry of a picture's file
 GAP = 6  # pixels between tiles
 MARGIN = 14
+_TITLE, _LABELS = 30, 22  # pixels above the tiles
 
 
 @functools.cache
@@ -77,7 +83,7 @@ def tile_grid(
     columns = max(len(row) for row in rows)
     lines = [line for label in row_labels for line in label]
     left = MARGIN + (max(text_width(line, 15, bold=True) for line in lines) + MARGIN if lines else 0)
-    top = MARGIN + 30 + (22 if column_labels else 0)
+    top = MARGIN + _TITLE + (_LABELS if column_labels else 0)
     width = max(left + columns * (tile_width + GAP) - GAP, MARGIN + text_width(title, 19, bold=True)) + MARGIN
     page = Image.new("RGB", (width, top + len(rows) * (tile_height + GAP) - GAP + MARGIN), PAPER)
     write(page, (MARGIN, MARGIN), title, size=19, bold=True)
@@ -93,6 +99,29 @@ def tile_grid(
     return page
 
 
+def first_row(tiles: Sequence[Image.Image]) -> list[Box]:
+    """Where `tile_grid` puts the first row of a page with column labels and without row labels."""
+    (width, height), top = tiles[0].size, MARGIN + _TITLE + _LABELS
+    corners = [MARGIN + column * (width + GAP) for column in range(len(tiles))]
+    return [(left, top, left + width, top + height) for left in corners]
+
+
 def to_image(array: np.ndarray) -> Image.Image:
     """An RGB image from [H, W, 3] uint8."""
     return Image.fromarray(np.ascontiguousarray(array), "RGB")
+
+
+def save_with_panels(image: Image.Image, path: Path, panels: Sequence[Box]) -> None:
+    """Save a page as PNG, and with it where its panels are."""
+    about = PngInfo()
+    about.add_text(_PANELS, json.dumps(panels))
+    image.save(path, "PNG", pnginfo=about)
+
+
+def stored_panels(path: Path) -> list[Image.Image] | None:
+    """The panels of a page that `save_with_panels` saved; None where there is none."""
+    try:
+        with Image.open(path) as page:
+            return [page.crop(tuple(box)).convert("RGB") for box in json.loads(page.info[_PANELS])]
+    except (OSError, KeyError, TypeError, ValueError):
+        return None

@@ -9,7 +9,7 @@ from PIL import Image
 
 from activestructure_gym.evaluation.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.canvas import MARGIN, tile_grid, write
+from activestructure_gym.evaluation.report.canvas import MARGIN, Box, first_row, tile_grid, write
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.planes_key import deficit_key, type_key, with_key
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
@@ -17,16 +17,20 @@ from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
 Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
 
 
-def run_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
-    """The graph over the plan: on the left by type, on the right by deficit."""
-    page = _panels([draw_planes_plan(arrays, plan)], [_counted(arrays)], title=title, frames=True)
-    return with_key(page, type_key(flat=True), deficit_key())
+def run_planes_plan(
+    arrays: GraphArrays, plan: Mapping[str, np.ndarray], *, title: str
+) -> tuple[Image.Image, list[Box]]:
+    """The graph over the plan: on the left by type, on the right by deficit; and where these two are."""
+    pair = draw_planes_plan(arrays, plan)
+    page = _panels([pair], [_counted(arrays)], title=title, frames=True)
+    return with_key(page, type_key(flat=True), deficit_key()), first_row(pair)
 
 
-def run_planes_3d(arrays: GraphArrays, *, title: str) -> Image.Image:
-    """The graph from two opposite corners: on the left by type, on the right by deficit."""
+def run_planes_3d(arrays: GraphArrays, *, title: str) -> tuple[Image.Image, list[Box]]:
+    """The graph from two opposite corners, on the left by type, on the right by deficit; where the first two are."""
     rows = [draw_planes_3d(arrays, side) for side in ((0, 1) if len(arrays["ids"]) else (0,))]
-    return with_key(_panels(rows, [_counted(arrays)], title=title), type_key(), deficit_key(depth=True))
+    page = with_key(_panels(rows, [_counted(arrays)], title=title), type_key(), deficit_key(depth=True))
+    return page, first_row(rows[0])
 
 
 def _counted(arrays: GraphArrays) -> tuple[str, str]:

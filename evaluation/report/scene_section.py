@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from PIL import Image
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.canvas import to_image
+from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
 from activestructure_gym.evaluation.report.charts import line_chart
 from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
 from activestructure_gym.evaluation.report.embedding import picture
@@ -136,10 +136,10 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
     for run in runs:
         assert run.graph is not None
         pictures: list[Html] = []
-        for place, drawn in (
-            ("from above", draw_planes_plan(run.graph, run.pictures)),
-            ("in 3D", draw_planes_3d(run.graph)),
-        ):
+        # The run's own pictures where they can be used: drawing them again takes as long as the rest of the page.
+        above = stored_panels(run.directory / "psg_plan.png") or draw_planes_plan(run.graph, run.pictures)
+        in_3d = stored_panels(run.directory / "psg_3d.png") or draw_planes_3d(run.graph)
+        for place, drawn in (("from above", above), ("in 3D", in_3d)):
             for what, image in zip(("type", "deficit"), drawn):
                 drawing = picture(image, f"planes of {run.job.policy} {place}, by {what}", drawing=True)
                 if (place, what) == ("from above", "deficit"):
@@ -155,9 +155,9 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
             f"{len(holes)} deficiency centres for {holes.sum():.1f} m²"
         )
         blocks.append(folded(line, element("div", *pictures, class_="tiles paper"), over_time, class_="planes"))
-    above = element("div", *plans_by_deficit, class_="tiles paper")
+    plans_above = element("div", *plans_by_deficit, class_="tiles paper")
     more = element("p", "By type, in three dimensions, and over the frames:", class_="facts")
-    return element("div", key(DEFICIT_KEY), above, more, key(TYPE_KEY), *blocks)
+    return element("div", key(DEFICIT_KEY), plans_above, more, key(TYPE_KEY), *blocks)
 
 
 def _history(run: Run) -> Image.Image:

@@ -63,4 +63,6 @@ def test_overrides():
 def test_groups_of_policies() -> None:
     assert split_policies(["random,ladder", "mine:Mine"]) == ("random", *LADDER, "mine:Mine")
     assert set(split_policies(["all"])) == set(POLICIES)
+    with pytest.raises(InputError, match=r"did you mean 'ladder'\? Known: .*\ball\b.*\bladder\b"):
+        split_policies(["random,lader"])
     assert LADDER[0] == "activestructure-a" and LADDER[-1] == "activestructure" and len(LADDER) == 5

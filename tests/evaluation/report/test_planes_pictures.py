@@ -1,9 +1,10 @@
 import numpy as np
 
 from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import save_with_panels, stored_panels
 from activestructure_gym.evaluation.report.planes_3d import compass, draw_planes_3d, view_of
 from activestructure_gym.evaluation.report.planes_key import SMOOTH
-from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d
+from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d, run_planes_plan
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan, stretches, view_from_above
 
 
@@ -74,7 +75,7 @@ def test_an_empty_graph_draws_no_plane(no_planes, make_run):
     for picture in draw_planes_plan(no_planes, plan):
         pixels = np.asarray(picture).astype(int)
         assert np.ptp(pixels, axis=2).max() < 15  # grey throughout
-    assert run_planes_3d(no_planes, title="nothing").width > 600
+    assert run_planes_3d(no_planes, title="nothing")[0].width > 600
 
 
 def test_the_more_is_missing_the_darker():
@@ -82,3 +83,17 @@ def test_the_more_is_missing_the_darker():
     lightness = [np.dot(style.deficit_colour(deficit), (0.299, 0.587, 0.114)) for deficit in deficits]
     assert (np.diff(lightness) < -15).all()
     assert style.deficit_colour(1.0) == style.DEFICIT_COLOURS[-1]
+
+
+def test_the_panels_of_a_stored_page_are_the_drawings(wall_and_floor, make_run, tmp_path):
+    plan = make_run().pictures
+    for page, drawn in (
+        (run_planes_plan(wall_and_floor, plan, title="a run"), draw_planes_plan(wall_and_floor, plan)),
+        (run_planes_3d(wall_and_floor, title="a run"), draw_planes_3d(wall_and_floor)),
+    ):
+        save_with_panels(page[0], tmp_path / "page.png", page[1])
+        for stored, panel in zip(stored_panels(tmp_path / "page.png"), drawn, strict=True):
+            np.testing.assert_array_equal(np.asarray(stored), np.asarray(panel))
+    page[0].save(tmp_path / "of-an-older-version.png")
+    assert stored_panels(tmp_path / "of-an-older-version.png") is None
+    assert stored_panels(tmp_path / "missing.png") is None

@@ -159,11 +159,8 @@ class ActiveGamerProtocol:
         pose = truth.views.world_from_camera[index]
         rendering = cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=1)
         true_depth = truth.views.depth[index]
-        shown, true = np.empty(rendering.color.shape), np.empty(rendering.color.shape)
         # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
-        error = np.empty(true_depth.size)
-        count = _masked(rendering.color, truth.views.rgb[index], rendering.depth, true_depth, shown, true, error)
-        error = error[:count]
+        shown, true, error = masked(rendering.color, truth.views.rgb[index], rendering.depth, true_depth)
         return {
             "psnr": channel_psnr(shown, true),
             "ms_ssim": similarities(shown, true)[1],
@@ -172,16 +169,27 @@ class ActiveGamerProtocol:
         }
 
 
-@kernel
-def _masked(
+def masked(
     color: np.ndarray,  # [H, W, 3] float32
     rgb: np.ndarray,  # [H, W, 3] uint8
-    depth: np.ndarray,  # [H, W] float32
-    true_depth: np.ndarray,  # [H, W] float32
-    shown: np.ndarray,  # [H, W, 3] out: colour, 0 where there is no surface
-    true: np.ndarray,  # [H, W, 3] out: the same of the true view, 0..1 in single precision
-    error: np.ndarray,  # [H * W] out: of the depth where there is a surface
-) -> int:  # how many pixels that are
+    depth: np.ndarray,  # [H, W] float32 metres
+    true_depth: np.ndarray,  # [H, W] float32 metres, 0 = no surface
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [H, W, 3] both, [N] metres
+    """Both pictures, black where there is no surface, and how far off the depth is where there is one."""
+    shown, true, error = np.empty(color.shape), np.empty(color.shape), np.empty(depth.size)
+    return shown, true, error[: _mask(color, rgb, depth, true_depth, shown, true, error)]
+
+
+@kernel
+def _mask(
+    color: np.ndarray,
+    rgb: np.ndarray,
+    depth: np.ndarray,
+    true_depth: np.ndarray,
+    shown: np.ndarray,  # [H, W, 3] out
+    true: np.ndarray,  # [H, W, 3] out, 0..1 in single precision
+    error: np.ndarray,  # [H * W] out
+) -> int:  # how many pixels have a surface
     count = 0
     for i in range(color.shape[0]):
         for j in range(color.shape[1]):

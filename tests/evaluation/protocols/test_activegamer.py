@@ -10,6 +10,7 @@ from activestructure_gym.evaluation.protocols.activegamer import (
     MatchedTruth,
     circle_indices,
     circle_poses,
+    masked,
 )
 from activestructure_gym.evaluation.views import HeldOutViews, roomiest_circle
 from activestructure_gym.geometry import PinholeCamera
@@ -204,3 +205,15 @@ def test_the_grid_lies_in_the_frame_of_the_first_camera(rng):
 def test_parameters_that_mean_nothing_are_refused(change):
     with pytest.raises(InputError):
         ActiveGamerProtocol(**change)
+
+
+def test_pictures_are_black_and_depth_is_not_compared_where_there_is_no_surface(rng):
+    color = rng.uniform(-0.1, 1.1, (5, 7, 3)).astype(np.float32)
+    rgb = rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    depth, true_depth = (rng.uniform(0.5, 4.0, (5, 7)).astype(np.float32) for _ in range(2))
+    true_depth[1, 2:5] = 0.0
+    shown, true, error = masked(color, rgb, depth, true_depth)
+    mask = (true_depth > 0)[..., None]
+    np.testing.assert_array_equal(shown, color * mask)
+    np.testing.assert_array_equal(true, rgb / np.float32(255.0) * mask)  # as single precision rounds it
+    np.testing.assert_array_equal(error, np.abs(depth - true_depth)[mask[..., 0]].astype(np.float64))

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.views import visible_planes
+from activestructure_gym.views import visibility, visible_planes
 from activestructure_gym.views.visibility import cosines_in_sight
 from activestructure_gym.volume import OCCUPIED, VolumeConfig, VoxelVolume
 
@@ -59,6 +59,23 @@ def test_stopping_early_changes_no_answer(rng: np.random.Generator) -> None:
     for enough in (1, 2, 5, 16):
         _, early = cosines_in_sight(points, normals, CAMERA, poses, volume, enough=enough)
         np.testing.assert_array_equal(early == enough, counts >= enough)
+
+
+def test_any_number_of_threads_gives_the_same(rng: np.random.Generator, monkeypatch) -> None:
+    volume = VoxelVolume(np.array([[-4.0, -4, -4], [4.0, 4, 4]]), VolumeConfig())
+    volume.state[rng.random(volume.shape) < 0.02] = OCCUPIED
+    points, normals = rng.uniform(-3, 3, (60, 4, 3)), rng.normal(size=(60, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    poses = np.stack([look_along(rng.uniform(-1, 1, 3), rng.normal(size=3)) for _ in range(50)])
+    assert len(poses) * len(points) >= visibility._WORTH_A_THREAD
+    results = []
+    for threads in (1, 2, 3):
+        monkeypatch.setattr(visibility, "default_threads", lambda count=threads: count)
+        results.append(cosines_in_sight(points, normals, CAMERA, poses, volume, enough=2))
+    assert results[0][1].any()
+    for cosines, counts in results[1:]:
+        np.testing.assert_array_equal(cosines, results[0][0])
+        np.testing.assert_array_equal(counts, results[0][1])
 
 
 def test_nothing_beyond_the_farthest_depth_counts() -> None:

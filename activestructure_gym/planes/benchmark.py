@@ -257,8 +257,8 @@ def detection_rows(
 def graph_rows(
     scene: Scene, *, keyframes: int = 60, candidates: int = CANDIDATES, seed: int = 5
 ) -> list[dict[str, Any]]:
-    """One row: processor time of what the planes cost a decision, median over the third of the keyframes after which
-    the graph had most nearly 60 planes.
+    """One row: wall-clock time of what the planes cost a decision, on as many threads as an episode would use; median
+    over the third of the keyframes after which the graph had most nearly 60 planes.
 
     Detection stands apart. ``sum`` is the update of the graph with its quality, surprise and deficits, the visibility
     of its planes from all candidates, and the gains `structure` and `deficiency`; with its quartiles.
@@ -297,18 +297,18 @@ def graph_rows(
             max_range=config.sensor.max_range,
             world_from_camera=offered,
         )
-        marks = [time.process_time()]
+        marks = [time.perf_counter()]
         detection = segment_planes(frame, graph.config.detection)
-        marks.append(time.process_time())
+        marks.append(time.perf_counter())
         live = mapper.map.parameters[:, : mapper.map.count]
         points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
         graph.integrate(frame, detection, space_state=volume.state_at, map_points=points)
-        marks.append(time.process_time())
+        marks.append(time.perf_counter())
         _ = context.visible  # kept for the gains
-        marks.append(time.process_time())
+        marks.append(time.perf_counter())
         for gain in ("structure", "deficiency"):
             GAINS.get(gain)(context)
-            marks.append(time.process_time())
+            marks.append(time.perf_counter())
         for name, taken in zip(seconds, np.diff(marks)):
             seconds[name].append(1000.0 * taken)
         counts.append(len(graph.nodes))
@@ -336,8 +336,8 @@ def _measured(detect: Detector, frames: Sequence[Frame], truths: Sequence[TruePl
     detect(frames[0])  # compiles, loads
     taken = np.empty(len(frames))
     for k, (frame, truth) in enumerate(zip(frames, truths)):
-        start = time.process_time()
+        start = time.perf_counter()
         labels, normals = detect(frame)
-        taken[k] = 1000.0 * (time.process_time() - start)
+        taken[k] = 1000.0 * (time.perf_counter() - start)
         score_segments(labels, normals, truth, tally)
     return tally, taken

@@ -62,7 +62,7 @@ def warming_up(
             yield
         ended = [process.wait() for process in processes]
         if mark is not None and not any(ended):
-            mark.set()
+            mark.leave()
     finally:
         for process in processes:
             process.terminate()
@@ -104,7 +104,7 @@ class WarmMark:
         except (OSError, ValueError, KeyError, TypeError):
             return False
 
-    def set(self) -> None:
+    def leave(self) -> None:
         """Remember that everything is compiled."""
         kernels = sorted(self._kept())
         if kernels:

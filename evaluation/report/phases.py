@@ -69,8 +69,8 @@ def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where 
     for step in steps:
         trace, gains = step.get("trace") or {}, step.get("gains") or {}
         chosen = trace.get("chosen") or trace
-        names = {"pixel": "hole_area"} if "hole_area" in gains and "pixel" not in gains else {}
-        rows.append({names.get(name, name): value for name, value in chosen.items() if isinstance(value, float)})
+        right = {"pixel": "hole_area"} if "hole_area" in gains and "pixel" not in gains else {}
+        rows.append({right.get(name, name): value for name, value in chosen.items() if isinstance(value, float)})
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 

@@ -61,7 +61,7 @@ def test_nothing_is_started_where_the_same_warm_up_came_to_its_end(room, monkeyp
 
 def test_the_mark_holds_for_the_same_sources_settings_and_kernels_only(room, monkeypatch):
     assert not holds()
-    WarmMark.of(smallest_job(["pixel_only"], {})).set()
+    WarmMark.of(smallest_job(["pixel_only"], {})).leave()
     assert holds() and not holds(["random"])
     (room / "__pycache__" / "module.kernel-1.py311.1.nbc").touch()  # what is compiled later does no harm
     assert holds()

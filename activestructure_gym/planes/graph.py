@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -17,9 +18,10 @@ from activestructure_gym.planes.quality import (
     QualityConfig,
     SpaceState,
     assess_quality,
+    coarse_patches,
     find_deficiencies,
 )
-from activestructure_gym.planes.sparseness import MapPoints
+from activestructure_gym.planes.sparseness import MapPoints, SparsePatches
 from activestructure_gym.planes.surface import cross, observe
 from activestructure_gym.planes.surprise import Surprise, SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.topology import (
@@ -30,6 +32,7 @@ from activestructure_gym.planes.topology import (
     tree_betweenness,
 )
 from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.splatting.crew import default_threads
 
 if TYPE_CHECKING:
     import networkx
@@ -87,7 +90,8 @@ class PlaneSceneGraph:
         self.nodes: list[PlaneNode] = []  # by id
         self.keyframes = 0  # updates so far
         self._next_id = 0
-        self._assess(None, None)
+        self._assess(None)
+        self._find_deficiencies(None)
 
     def update(
         self, frame: Frame, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None
@@ -117,7 +121,19 @@ class PlaneSceneGraph:
             self._fuse(frame, detection, owner, touched)
         merged = self._merge(touched)
         self.keyframes += 1
-        self._assess(space_state, map_points)
+        if map_points is None:
+            self._assess(space_state)
+            coarse = None
+        elif default_threads() == 1:
+            self._assess(space_state)
+            coarse = coarse_patches(self.nodes, self.config.quality, map_points)
+        else:
+            # Both read the same nodes, and the patches spend their time in kernels, which leave Python to the rest.
+            with ThreadPoolExecutor(1) as aside:
+                future = aside.submit(coarse_patches, self.nodes, self.config.quality, map_points)
+                self._assess(space_state)
+            coarse = future.result()
+        self._find_deficiencies(coarse)
         stays = {gone: kept for kept, gone in merged}
         ids = []
         for node_id in owner:
@@ -197,7 +213,7 @@ class PlaneSceneGraph:
                     break
         return merged
 
-    def _assess(self, space_state: SpaceState | None, map_points: MapPoints | None) -> None:
+    def _assess(self, space_state: SpaceState | None) -> None:
         nodes, config = self.nodes, self.config
         self.normals = np.array([node.normal for node in nodes]).reshape(-1, 3)  # [N, 3]
         self.offsets = np.array([node.offset for node in nodes], dtype=np.float64)  # [N]
@@ -218,7 +234,9 @@ class PlaneSceneGraph:
             self.normals, self.centroids, self.edges, self.tree, config.surprise
         )
         self.deficit = information_deficit(self.quality.scores, self.surprise.total)  # [N] gamma, Eq. 10
-        self.deficiencies: Deficiencies = find_deficiencies(nodes, config.quality, map_points=map_points)
+
+    def _find_deficiencies(self, coarse: SparsePatches | None) -> None:
+        self.deficiencies: Deficiencies = find_deficiencies(self.nodes, self.config.quality, coarse=coarse)
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
         """Pairs that at least one keyframe showed both of: only those relations have been observed."""

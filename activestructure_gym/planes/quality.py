@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.nodes import PlaneNode
-from activestructure_gym.planes.sparseness import MapPoints, sparse_patches
+from activestructure_gym.planes.sparseness import MapPoints, SparsePatches, sparse_patches
 from activestructure_gym.planes.surface import SurfaceGrid, stack_grids
 
 QUALITY_MODES = (
@@ -257,14 +257,21 @@ def assess_quality(
     return Quality(modes=modes, scores=(weights * modes).sum(axis=1))  # Eq. 7
 
 
-def find_deficiencies(
-    nodes: Sequence[PlaneNode], config: QualityConfig | None = None, *, map_points: MapPoints | None = None
-) -> Deficiencies:
-    """The holes of all planes as points in the world (C_def), in the order of the planes.
+def coarse_patches(nodes: Sequence[PlaneNode], config: QualityConfig, points: MapPoints) -> SparsePatches:
+    """The patches of all planes that were seen but that the map covers more coarsely than a plane's own cells.
 
-    With ``map_points`` also the patches that were seen but that the map covers too coarsely; those stand behind the
-    holes.
+    Asks nothing that `assess_quality` changes, so the two may run beside each other.
     """
+    largest = config.coarse_size * nodes[0].surface.cell if nodes else 0.0
+    return sparse_patches(
+        nodes, points, tile=config.hole_tile, least_cells=config.min_sparse_cells, largest=largest
+    )
+
+
+def find_deficiencies(
+    nodes: Sequence[PlaneNode], config: QualityConfig | None = None, *, coarse: SparsePatches | None = None
+) -> Deficiencies:
+    """The holes of all planes as points in the world (C_def), in the order of the planes; behind them ``coarse``."""
     config = config or QualityConfig()
     centres, normals, areas, owner = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, np.int64)]
     explained = [np.zeros(0, bool)]
@@ -277,20 +284,13 @@ def find_deficiencies(
             owner.append(np.full(len(inside.holes), k, np.int64))
             explained.append(node.surface.beside[inside.holes[:, 0], inside.holes[:, 1]] != kernels.UNKNOWN)
     sizes = [np.full(sum(map(len, areas)), np.inf)]
-    if map_points is not None and nodes:
-        sparse = sparse_patches(
-            nodes,
-            map_points,
-            tile=config.hole_tile,
-            least_cells=config.min_sparse_cells,
-            largest=config.coarse_size * nodes[0].surface.cell,
-        )
-        centres.append(sparse.centres)
-        normals.append(np.stack([node.normal for node in nodes])[sparse.planes])
-        areas.append(sparse.areas)
-        owner.append(sparse.planes)
-        sizes.append(sparse.sizes)
-        explained.append(np.zeros(len(sparse.sizes), bool))
+    if coarse is not None and nodes:
+        centres.append(coarse.centres)
+        normals.append(np.stack([node.normal for node in nodes])[coarse.planes])
+        areas.append(coarse.areas)
+        owner.append(coarse.planes)
+        sizes.append(coarse.sizes)
+        explained.append(np.zeros(len(coarse.sizes), bool))
     return Deficiencies(
         np.concatenate(centres), np.concatenate(normals), np.concatenate(areas), np.concatenate(owner),
         np.concatenate(sizes), np.concatenate(explained),

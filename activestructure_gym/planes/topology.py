@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 
 @dataclass(frozen=True)
@@ -58,12 +56,23 @@ def spanning_forest(
     if not len(rows):
         return tree
     order = np.lexsort((columns, rows, np.round(weights[rows, columns], 9)))
-    # Ranks instead of weights: unique, and never 0, which a sparse matrix would take for "no edge".
-    rank = np.empty(len(order))
-    rank[order] = np.arange(1, len(order) + 1)
-    found = minimum_spanning_tree(coo_matrix((rank, (rows, columns)), shape=(count, count))).tocoo()
-    tree[found.row, found.col] = True
-    return tree | tree.T
+    above, left = list(range(count)), count - 1  # Kruskal: towards the root of each one's component, joints to make
+    for row, column in zip(rows[order].tolist(), columns[order].tolist()):
+        one, other = _root(above, row), _root(above, column)
+        if one != other:
+            above[one] = other
+            tree[row, column] = tree[column, row] = True
+            left -= 1
+            if not left:
+                break
+    return tree
+
+
+def _root(above: list[int], node: int) -> int:
+    while above[node] != node:
+        above[node] = above[above[node]]
+        node = above[node]
+    return node
 
 
 def tree_betweenness(tree: np.ndarray) -> np.ndarray:  # [N, N] bool symmetric, no cycles -> [N] in [0, 1]

@@ -46,7 +46,7 @@ def bench(options: Bench) -> int:
             sizes, views, keyframes = (benchmark.SIZES[:1], 4, 8) if options.quick else (benchmark.SIZES, 20, 60)
             rows = [row for scene in loaded for row in benchmark.detection_rows(scene, sizes=sizes, views=views)]
             costs = [row for scene in loaded for row in benchmark.graph_rows(scene, keyframes=keyframes)]
-        print_whole(console, rows_table(costs, title="processor time of the planes, 256 candidates"))
+        print_whole(console, rows_table(costs, title="milliseconds of the planes per decision, 256 candidates"))
     elif options.what == "grid":
         from activestructure_gym.evaluation.grid_benchmark import run_grid_benchmark
 

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.evaluation import store
+from activestructure_gym.evaluation.engines.process import search_path
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.threads import core_count, worker_environment
@@ -166,7 +167,8 @@ def _start(part: str, job: str, tally: Callable[[str], None]) -> subprocess.Pope
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=worker_environment(slots=core_count()),
+        # It must compile what the workers will use, so it finds everything where they do.
+        env=worker_environment(slots=core_count()) | {"PYTHONPATH": os.pathsep.join(search_path())},
         text=True,
         start_new_session=True,  # Ctrl-C reaches it through us
     )

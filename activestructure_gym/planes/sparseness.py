@@ -250,7 +250,7 @@ def _coarse_tiles(
                                 for _ in range(_bits(around)):
                                     best = min(best, finest[rank])
                                     rank += 1
-                    size_sum += best
+                    size_sum += float(best)
                 a = (row_sum / coarse + lows[n, 0] + 0.5) * cell
                 b = (column_sum / coarse + lows[n, 1] + 0.5) * cell
                 for axis in range(3):

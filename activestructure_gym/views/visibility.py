@@ -104,7 +104,7 @@ def _make_cosines_in_sight(stamp: int) -> Any:
         _ = stamp
         samples = points.shape[1]
         while True:
-            k = take_ticket(tickets, 0)
+            k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]
             if k >= len(poses):
                 return
             eye_x, eye_y, eye_z = poses[k, 0, 3], poses[k, 1, 3], poses[k, 2, 3]

@@ -159,7 +159,7 @@ def test_workers_get_their_share_of_the_threads_and_the_callers_modules(tmp_path
 
 
 SUPERVISOR = f"""
-import sys
+import signal, sys
 from pathlib import Path
 from activestructure_gym.evaluation.engines.base import Limits
 from activestructure_gym.evaluation.engines.local import run_local
@@ -167,6 +167,7 @@ from activestructure_gym.evaluation.jobs import Job
 class Quiet:
     def progress(self, job, progress): print("running", flush=True)
     def ended(self, outcome): pass
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs hand down that it is ignored
 jobs = [Job("box", "slow", 0), Job("box", "slow", 1)]
 run_local(jobs, Path(sys.argv[1]), Quiet(), Limits(2), command=("-c", {GOOD!r}))
 """

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.planes import (
     QUALITY_MODES,
+    MapPoints,
     PlaneNode,
     PlaneSceneGraph,
     PlaneSegment,
@@ -17,6 +18,7 @@ from activestructure_gym.planes import (
     assess_quality,
     find_deficiencies,
 )
+from activestructure_gym.planes import graph as graph_module
 from activestructure_gym.planes.quality import boundary_closure, normal_consistency
 
 # A board of 2.4 x 1.4 m, 2 m in front of the camera and all in view; 2.5 m behind it a wall.
@@ -183,6 +185,37 @@ def test_centres_lie_in_an_unseen_patch(rectangles, new_graph, count_explained):
         for _ in range(3):
             graph.update(scene.shoot((0.3, y, 1.5), (2.0, -y, 0.0))[0])
     assert not (graph.deficiencies.planes == board_of(graph)).any()
+
+
+def test_what_the_map_covers_coarsely_is_deficient_on_any_number_of_threads(rectangles, new_graph, monkeypatch):
+    """Fine Gaussians on one half of the board, wide ones on the other."""
+    y, z = np.meshgrid(np.arange(-1.175, 1.2, 0.05), np.arange(0.825, 2.2, 0.05))
+    means = np.stack([np.full(y.size, 2.0), y.ravel(), z.ravel()], axis=1)
+    points = MapPoints(means, np.where(means[:, 1] < 0, 0.02, 0.1))
+    frame, results = whole_board(rectangles).shoot(EYE, AHEAD)[0], []
+    for threads in (1, 2):
+        monkeypatch.setattr(graph_module, "default_threads", lambda count=threads: count)
+        graph = new_graph()
+        graph.update(frame, map_points=points)
+        results.append(graph.deficiencies)
+    for name, values in vars(results[0]).items():
+        np.testing.assert_array_equal(values, getattr(results[1], name))
+    coarse = (results[0].planes == board_of(graph)) & np.isfinite(results[0].sizes)
+    assert (results[0].centres[coarse, 1] > 0).all()
+    assert results[0].areas[coarse].sum() == pytest.approx(1.2 * 1.4, rel=0.1)
+    assert results[0].sizes[coarse].min() > 0.05  # patches at the seam mix both halves
+    assert np.median(results[0].sizes[coarse]) == pytest.approx(0.1, rel=1e-6)
+    graph.update(frame)
+    assert np.isinf(graph.deficiencies.sizes).all()  # without a map there are holes only
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_beside_the_assessment_reaches_the_caller(rectangles, new_graph, monkeypatch, threads):
+    monkeypatch.setattr(graph_module, "default_threads", lambda: threads)
+    with pytest.raises(ValueError):
+        new_graph().update(
+            whole_board(rectangles).shoot(EYE, AHEAD)[0], map_points=MapPoints(np.zeros((2, 4)), np.zeros(2))
+        )
 
 
 def test_known_space_closes_a_boundary(rectangles, new_graph):

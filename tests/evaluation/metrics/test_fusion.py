@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+import trimesh
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import fusion
-from activestructure_gym.evaluation.metrics.fusion import fused_surface
+from activestructure_gym.evaluation.metrics.fusion import fused_surface, triangle_areas
 from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
 
 CAMERA = PinholeCamera.from_size(120, 90, 60.0)
@@ -24,6 +25,12 @@ def around() -> np.ndarray:
 
 def area(triangles: np.ndarray) -> float:
     return 0.5 * float(np.linalg.norm(np.cross(*(triangles[:, i] - triangles[:, 0] for i in (1, 2))), axis=1).sum())
+
+
+def test_areas_are_those_of_trimesh(rng):
+    triangles = rng.normal(size=(50, 3, 3))
+    np.testing.assert_allclose(triangle_areas(triangles), trimesh.triangles.area(triangles), rtol=1e-12)
+    assert triangle_areas(np.zeros((0, 3, 3))).shape == (0,)
 
 
 def test_a_sphere_comes_back(around):

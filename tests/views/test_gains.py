@@ -77,6 +77,19 @@ def test_solid_angles_add_up_to_that_of_the_frustum() -> None:
     assert solid_angles(camera).sum() == pytest.approx(4 * np.pi / 6, rel=1e-4)
 
 
+def test_what_gains_share_is_computed_once_per_step() -> None:
+    calls: list[int] = []
+
+    def covered(context: GainContext) -> float:
+        calls.append(len(context.alpha))
+        return float(context.alpha.mean())
+
+    step = context(np.ones((3, 24, 40), np.float32))
+    assert (step.once(covered), step.once(covered)) == (1.0, 1.0)
+    assert calls == [3]
+    assert context(np.zeros((2, 24, 40), np.float32)).once(covered) == 0.0
+
+
 def test_a_third_party_gain_is_evaluated_by_name_and_checked() -> None:
     alpha = np.linspace(0, 1, 4, dtype=np.float32)[:, None, None] * np.ones((1, 24, 40), np.float32)
 

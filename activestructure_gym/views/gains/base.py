@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.registry import Registry
 from activestructure_gym.views.visibility import visible_planes
 from activestructure_gym.volume import VoxelVolume
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,16 @@ class GainContext:
     def visible(self) -> np.ndarray:  # [K, N] bool
         """Which planes of the graph every candidate would see (V_c^vis), occlusion included."""
         return visible_planes(self.planes.nodes, self.camera, self.world_from_camera, self.volume)
+
+    def once(self, compute: Callable[[GainContext], T]) -> T:
+        """``compute(self)``, called at most once per step: what several gains have in common."""
+        if compute not in self._results:
+            self._results[compute] = compute(self)
+        return self._results[compute]
+
+    @cached_property
+    def _results(self) -> dict[Callable[[GainContext], Any], Any]:
+        return {}
 
 
 Gain = Callable[[GainContext], np.ndarray]

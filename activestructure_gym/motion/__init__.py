@@ -4,13 +4,18 @@ from activestructure_gym.motion.clearance import first_blocked_edge
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
 from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate
+from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
 
 __all__ = [
     "DistanceMap",
     "MotionConfig",
+    "VoronoiGraph",
     "first_blocked",
     "first_blocked_edge",
+    "free_plan",
     "interpolate",
     "path_lengths",
     "plan_path",
+    "planar_graph",
+    "voronoi_graph",
 ]

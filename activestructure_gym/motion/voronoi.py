@@ -1,0 +1,229 @@
+"""The Voronoi graph of a floor plan: the places that are as far from everything as possible, and how they connect.
+
+ActiveSplat and ANM-S choose among these nodes (`../shared/research/peers_active.md`, 3.1 and 3.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import networkx as nx
+import numpy as np
+from scipy.spatial import QhullError, Voronoi
+
+from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
+
+SIMPLIFIED_M = 0.225  # metres that the outline may be off where it is simplified (ActiveSplat's)
+SPACING_M = 0.2  # metres between the points of the outline
+MERGED_M = 0.5  # metres of way below which two nodes are one
+_DETOUR = 1.2  # ways along the outline this much longer than the straight line lead around a corner
+_SPECK = 4  # cells: unknown islands up to this size are taken for free
+
+
+@dataclass(frozen=True)
+class VoronoiGraph:
+    """Nodes are the vertices of degree 3 or more; chains that end in a corner or a dead end are cut off."""
+
+    nodes: np.ndarray  # [N, 2] metres, world, in the order of their coordinates
+    clearance: np.ndarray  # [N] metres to the outline
+    edges: np.ndarray  # [E, 2] int64 indices of nodes, the smaller one first
+    lengths: np.ndarray  # [E] metres along the graph
+    chain_ends: np.ndarray  # [C, 2] metres: where the chains that were cut off end
+    chain_nodes: np.ndarray  # [C] int64, the node each of them hung from
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    @property
+    def distances(self) -> np.ndarray:  # [N, N] metres along the graph, inf where no way leads
+        """Lengths of the shortest ways between the nodes."""
+        graph = nx.Graph()
+        graph.add_nodes_from(range(len(self)))
+        graph.add_weighted_edges_from((int(a), int(b), float(d)) for (a, b), d in zip(self.edges, self.lengths))
+        table = np.full((len(self), len(self)), np.inf)
+        for start, ways in nx.all_pairs_dijkstra_path_length(graph):
+            table[start, list(ways)] = list(ways.values())
+        return table
+
+
+def planar_graph(
+    volume: VoxelVolume,
+    position: np.ndarray,  # [3] metres, world: the height of the plan, and a place within it
+    *,
+    radius: float = 0.2,  # metres that nodes and edges keep from the outline
+) -> VoronoiGraph:
+    """The Voronoi graph of the floor plan that the volume knows at this height, around this place."""
+    free = free_plan(volume, position)
+    return voronoi_graph(free, volume.origin[:2], volume.voxel_size, radius=radius)
+
+
+def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y] bool
+    """The free cells at the height of ``position`` [3] that hang together with it; all False in a place not free.
+
+    Single unknown cells amid free ones are what no ray happened to go through; they count as free.
+    """
+    i, j, k = volume.voxel_of(position)
+    plan = np.zeros(volume.shape[:2], dtype=bool)
+    if not volume.contains(position):
+        return plan
+    layer = volume.state[:, :, k]
+    free = layer == FREE
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((~free).astype(np.uint8), connectivity=8)
+    solid = np.bincount(labels.ravel(), weights=(layer == OCCUPIED).ravel(), minlength=count) > 0
+    free |= ((stats[:, cv2.CC_STAT_AREA] <= _SPECK) & ~solid)[labels]
+    _, labels = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+    return free & (labels == labels[i, j]) if free[i, j] else plan
+
+
+def voronoi_graph(
+    free: np.ndarray,  # [X, Y] bool
+    origin: np.ndarray,  # [2] metres: the lower corner of cell (0, 0)
+    cell: float,  # metres
+    *,
+    radius: float,  # metres
+) -> VoronoiGraph:
+    """Nodes and edges that keep ``radius`` from the outline of ``free``; a single node where nothing branches.
+
+    The outline is simplified and set with points; of their Voronoi diagram those edges remain that run between
+    different parts of the outline. The outline runs through the centres of the outermost free cells, so clearances are
+    half a cell short. Empty if no free cell has the clearance.
+    """
+    graph = _skeleton(free, cell, radius)
+    if not len(graph):
+        return _lonely(free, origin, cell, radius)
+    junctions = {v for v, degree in graph.degree if degree >= 3}
+    if not junctions:  # a path or a ring: its widest place
+        widest = max(graph, key=lambda v: (graph.nodes[v]["clearance"], v))
+        at = np.asarray(origin) + graph.nodes[widest]["at"]
+        return _assembled(at[None], np.array([graph.nodes[widest]["clearance"]]), {}, [])
+    ways, chains = _contracted(graph, junctions)
+    leader = _merged(graph, junctions, ways)
+    order = sorted(set(leader.values()), key=lambda v: tuple(graph.nodes[v]["at"]))
+    number = {v: n for n, v in enumerate(order)}
+    edges: dict[tuple[int, int], float] = {}
+    for a, b, length in ways:
+        first, second = sorted((number[leader[a]], number[leader[b]]))
+        to_leaders = sum(float(np.linalg.norm(graph.nodes[v]["at"] - graph.nodes[leader[v]]["at"])) for v in (a, b))
+        if first != second:
+            edges[first, second] = min(length + to_leaders, edges.get((first, second), np.inf))
+    return _assembled(
+        np.asarray(origin) + np.array([graph.nodes[v]["at"] for v in order]),
+        np.array([graph.nodes[v]["clearance"] for v in order]),
+        edges,
+        [(np.asarray(origin) + graph.nodes[end]["at"], number[leader[v]]) for v, end in chains],
+    )
+
+
+def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
+    """Voronoi vertices in the free cells and the ridges between them; metres from the corner of cell (0, 0)."""
+    points, contour, along, whole = _outline(free, cell)
+    graph = nx.Graph()
+    if len(points) < 4:
+        return graph
+    try:
+        diagram = Voronoi(points)
+    except QhullError:  # all points on a line
+        return graph
+    ridges, pairs = np.array(diagram.ridge_vertices), diagram.ridge_points
+    gap = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
+    around = np.minimum(gap, whole[contour[pairs[:, 0]]] - gap)  # the shorter way along a closed outline
+    straight = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    branches = (contour[pairs[:, 0]] != contour[pairs[:, 1]]) | (around > _DETOUR * straight)
+    vertices = diagram.vertices
+    clearance = np.full(len(vertices), np.inf)
+    for end in (0, 1):
+        distance = np.linalg.norm(vertices[ridges[:, end]] - points[pairs[:, 0]], axis=1)
+        np.minimum.at(clearance, ridges[:, end], distance)
+    # A ridge is nearest to its two points between its ends where it passes between them, as in a door.
+    begin, way = vertices[ridges[:, 0]], vertices[ridges[:, 1]] - vertices[ridges[:, 0]]
+    share = ((points[pairs[:, 0]] - begin) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12)
+    closest = begin + np.clip(share, 0.0, 1.0)[:, None] * way
+    branches &= np.linalg.norm(closest - points[pairs[:, 0]], axis=1) > radius
+    cells = np.floor(vertices / cell).astype(np.int64)
+    inside = ((cells >= 0) & (cells < free.shape)).all(axis=1)
+    inside[inside] = free[tuple(cells[inside].T)]
+    good = inside & (clearance > radius)
+    for (a, b), branch in zip(ridges.tolist(), branches):
+        if branch and a >= 0 and good[a] and good[b]:
+            graph.add_edge(a, b, length=float(np.linalg.norm(vertices[a] - vertices[b])))
+    for v in graph:
+        graph.nodes[v]["at"], graph.nodes[v]["clearance"] = vertices[v], float(clearance[v])
+    return graph
+
+
+def _outline(free: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points on the simplified outlines [P, 2] metres, the outline of each [P], its place along it [P] metres, and
+    the length of every outline [outlines] metres."""
+    found, _ = cv2.findContours(np.pad(free, 1).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    points, contour, along, whole = [np.zeros((0, 2))], [], [], []
+    for number, chain in enumerate(found):
+        corners = cv2.approxPolyDP(chain, SIMPLIFIED_M / cell, closed=True).reshape(-1, 2)[:, ::-1]
+        corners = (corners - 0.5) * cell  # rows of the picture are x; the padding is one cell, centres are at halves
+        sides = np.roll(corners, -1, axis=0) - corners
+        lengths = np.linalg.norm(sides, axis=1)
+        starts = np.concatenate([[0.0], np.cumsum(lengths)])
+        whole.append(starts[-1])
+        for corner, side, length, start in zip(corners, sides, lengths, starts):
+            steps = np.arange(max(1, round(length / SPACING_M))) / max(1, round(length / SPACING_M))
+            points.append(corner + steps[:, None] * side)
+            along.append(start + steps * length)
+            contour.append(np.full(len(steps), number))
+    if not whole:
+        return points[0], np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    return np.concatenate(points), np.concatenate(contour), np.concatenate(along), np.array(whole)
+
+
+def _contracted(
+    graph: nx.Graph, junctions: set[int]
+) -> tuple[list[tuple[int, int, float]], list[tuple[int, int]]]:  # (junction, junction, metres), (junction, end)
+    """The ways from junction to junction and the chains that end somewhere else."""
+    ways, chains = [], []
+    for start in sorted(junctions):
+        for step in sorted(graph[start]):
+            last, here, length = start, step, graph.edges[start, step]["length"]
+            while here not in junctions and graph.degree[here] == 2:
+                following = next(v for v in graph[here] if v != last)
+                length += graph.edges[here, following]["length"]
+                last, here = here, following
+            if here not in junctions:
+                chains.append((start, here))
+            elif start <= here:
+                ways.append((start, here, length))
+    return ways, chains
+
+
+def _merged(graph: nx.Graph, junctions: set[int], ways: list[tuple[int, int, float]]) -> dict[int, int]:
+    """The junction that stands for each: the widest of those that short ways connect."""
+    near = nx.Graph()
+    near.add_nodes_from(sorted(junctions))
+    near.add_edges_from((a, b) for a, b, length in ways if length < MERGED_M)
+    leader = {}
+    for group in nx.connected_components(near):
+        widest = max(group, key=lambda v: (graph.nodes[v]["clearance"], v))
+        leader.update(dict.fromkeys(group, widest))
+    return leader
+
+
+def _lonely(free: np.ndarray, origin: np.ndarray, cell: float, radius: float) -> VoronoiGraph:
+    """The cell with the largest clearance alone, if that is enough."""
+    distance = cv2.distanceTransform(np.pad(free, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    best = np.unravel_index(int(np.argmax(distance)), distance.shape)
+    clearance = float(distance[best] - 0.5) * cell
+    if clearance <= radius:
+        return _assembled(np.zeros((0, 2)), np.zeros(0), {}, [])
+    return _assembled(np.asarray(origin) + (np.array([best]) + 0.5) * cell, np.array([clearance]), {}, [])
+
+
+def _assembled(
+    nodes: np.ndarray, clearance: np.ndarray, edges: dict[tuple[int, int], float], chains: list[tuple[np.ndarray, int]]
+) -> VoronoiGraph:
+    pairs = sorted(edges)
+    return VoronoiGraph(
+        nodes=nodes,
+        clearance=clearance,
+        edges=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        lengths=np.array([edges[pair] for pair in pairs]),
+        chain_ends=np.array([end for end, _ in chains]).reshape(-1, 2),
+        chain_nodes=np.array([node for _, node in chains], dtype=np.int64),
+    )

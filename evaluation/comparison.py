@@ -39,12 +39,16 @@ class Comparison:
     also_protocols: Sequence[str] = ()  # every finished map is measured by these too
 
     def __post_init__(self) -> None:
+        from activestructure_gym.policies import canonical_policy
+
         for name in ("scenes", "policies", "seeds"):
             given = getattr(self, name)
             if not given:
                 raise InputError(f"a comparison needs at least one of {name}, got none")
-            object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
         object.__setattr__(self, "scenes", tuple(absolute_spec(spec) for spec in self.scenes))
+        object.__setattr__(self, "policies", tuple(canonical_policy(spec) for spec in self.policies))
+        for name in ("scenes", "policies", "seeds"):  # each once, in the order given
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
@@ -96,17 +100,14 @@ class Comparison:
 
     def _check_policies(self) -> None:
         from activestructure_gym.config import configure
-        from activestructure_gym.policies import POLICIES, Policy
+        from activestructure_gym.policies import make_policy
 
         configure(self.preset, self.overrides)  # what policies replace must be usable too
         changes = dict(self.overrides)
         if self.frame_budget is not None:
             changes["frame_budget"] = self.frame_budget
-        for name in self.policies:
-            policy = POLICIES.get(name)
-            if not (isinstance(policy, type) and issubclass(policy, Policy)):
-                raise InputError(f"policy '{name}' is not a class derived from activestructure_gym.policies.Policy")
-            configure(self.preset, changes | {"gains": tuple(policy.required_gains)})
+        for spec in self.policies:
+            configure(self.preset, changes | {"gains": tuple(make_policy(spec).required_gains)})
         for seed in self.seeds:
             Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
 

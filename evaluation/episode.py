@@ -105,9 +105,9 @@ def build(job: Job, scene: Scene) -> tuple[Policy, ReconstructionEnv]:
     The env never ends an episode by how much surface was seen: that is ground truth, and no planner may profit.
     """
     from activestructure_gym.envs import ReconstructionEnv
-    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies import make_policy
 
-    policy = POLICIES.get(job.policy)()
+    policy = make_policy(job.policy)
     env = ReconstructionEnv(
         scene=scene,
         preset=job.preset,

@@ -24,7 +24,7 @@ class Job:
     """One policy on one scene with one seed. Equal jobs give equal results, whoever runs them."""
 
     scene: str  # spec, as `load_scene` takes it
-    policy: str  # name, or "module:Class"
+    policy: str  # name, or "module:Class", with its options: "naruto?travel=shared"
     seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
     scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
     preset: str = "default"

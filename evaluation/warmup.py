@@ -193,11 +193,11 @@ def _listen(process: subprocess.Popen[str], tally: Callable[[str], None]) -> Non
 
 def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
     """A few frames in the box room with small images, for the policy that asks for the most gains."""
-    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies import make_policy
 
     return Job(
         scene="box",
-        policy=max(policies, key=lambda name: len(POLICIES.get(name).required_gains)),
+        policy=max(policies, key=lambda name: len(make_policy(name).required_gains)),
         seed=0,
         preset="fast",
         frame_budget=_FRAMES,

@@ -8,8 +8,8 @@ from activestructure_gym.policies.activestructure import (
     ActiveStructureC,
     ActiveStructureD,
 )
-from activestructure_gym.policies.base import POLICIES, Policy, travel_discount
-from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
+from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
@@ -25,7 +25,10 @@ __all__ = [
     "Greedy",
     "HoleArea",
     "PixelOnly",
+    "Planner",
     "Policy",
     "Random",
+    "canonical_policy",
+    "make_policy",
     "travel_discount",
 ]

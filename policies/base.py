@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.errors import InputError
 from activestructure_gym.registry import Registry
+from activestructure_gym.specs import parse_options, typed_options
 
 Observation = dict[str, np.ndarray]
 
@@ -21,6 +24,9 @@ class Policy(ABC):
     A policy sees the observation and nothing else: no map, no scene, no env. So it runs unchanged in any vector env,
     and pickles. Its gains stand in the columns of ``observation["candidate_gains"]``, in the order the env was asked
     for; `bind` tells the policy that order.
+
+    Parameters of a subclass's constructor are its options: ``name?key=value`` in a command. They are checked there,
+    with a ValueError.
     """
 
     required_gains: ClassVar[tuple[str, ...]] = ()  # evaluated by the env for every candidate
@@ -54,6 +60,39 @@ class Policy(ABC):
 
 
 POLICIES: Registry[type[Policy]] = Registry("policy", "policies")
+
+
+def make_policy(spec: str) -> Policy:
+    """The policy that ``spec`` names: ``pixel_only``, ``active_gs?travel=shared``, ``my_policy:Mine?depth=3``.
+
+    Raises `InputError`: unknown name or option, a value of the wrong kind, or one that the policy refuses.
+    """
+    kind, options = _class_and_options(spec)
+    try:
+        return kind(**options)
+    except ValueError as error:
+        raise InputError(f"policy '{spec}': {error}") from error
+
+
+def canonical_policy(spec: str) -> str:
+    """The one text for a policy: options sorted by name, without those that say what is usual.
+
+    Raises `InputError` like `make_policy` for unknown names and options.
+    """
+    kind, options = _class_and_options(spec)
+    usual = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
+    name, _, query = spec.partition("?")
+    texts = parse_options(query, f"policy '{spec}'")
+    kept = [f"{key}={texts[key]}" for key in sorted(texts) if options[key] != usual.get(key, inspect.Parameter.empty)]
+    return f"{name}?{'&'.join(kept)}" if kept else name
+
+
+def _class_and_options(spec: str) -> tuple[type[Policy], dict[str, Any]]:
+    name, _, query = spec.partition("?")
+    kind = POLICIES.get(name)
+    if not (isinstance(kind, type) and issubclass(kind, Policy)):
+        raise InputError(f"policy '{name}' is not a class derived from activestructure_gym.policies.Policy")
+    return kind, typed_options(f"policy '{name}'", kind, parse_options(query, f"policy '{spec}'"))
 
 
 def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.ndarray:  # [K] in (0, 1]

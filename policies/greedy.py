@@ -1,33 +1,77 @@
-"""Greedy in one gain: the common shape of every planner that scores views one by one."""
+"""The common shape of every planner that scores views one by one: a gain, and a travel term that can be exchanged."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from activestructure_gym.policies.base import Observation, Policy, best_valid, travel_discount
 
+TRAVEL = ("native", "shared")
 
-class Greedy(Policy):
-    """T* = argmax softmax(log IG) g = argmax IG g (Eq. 15) with the first of the required gains as IG.
 
-    softmax(log IG) is IG / sum IG, and the sum is the same for every candidate. The gain must not be negative.
+class Planner(Policy):
+    """A planner with its own travel term, which can be run with everybody's instead.
+
+    ``travel``: "native" scores a view as the planner's paper does, by `native`; "shared" by its gain times
+    `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
     """
 
-    def __init__(self) -> None:
+    least: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit
+
+    def __init__(self, travel: str = "native") -> None:
         super().__init__()
+        if travel not in TRAVEL:
+            raise ValueError(f"option travel must be {' or '.join(TRAVEL)}, got '{travel}'")
+        self.travel = travel
         self._trace: dict[str, Any] = {}
 
-    def act(self, observation: Observation) -> int:
-        """The valid row with the largest product of gain and travel discount."""
-        name = self.required_gains[0]
-        gain, travel = self.gain(observation, name), travel_discount(observation)
-        # Where nothing is left to gain the product is 0 throughout; the floor then leaves the choice to the distance.
-        choice = best_valid(np.maximum(gain, 1e-6) * travel, observation)
-        self._trace = {name: float(gain[choice]), "travel": float(travel[choice])}
-        return choice
+    def native_travel(self, observation: Observation) -> np.ndarray:  # [K]
+        """The planner's own factor on the gain; 1 for a planner without a travel term."""
+        return np.ones(len(observation["action_mask"]))
+
+    def native(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] -> [K]
+        """The planner's own score; to be replaced where its travel term is no factor."""
+        return gain * self.native_travel(observation)
+
+    def travel_factor(self, observation: Observation) -> np.ndarray:  # [K]
+        """The factor in use."""
+        return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
+
+    def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
+        """What decides between the views. Where no valid one has anything to gain, the travel term alone does."""
+        gain = np.maximum(gain, self.least)
+        if not gain[observation["action_mask"].astype(bool)].any():
+            gain = np.ones_like(gain)
+        if self.travel == "shared":
+            return gain * travel_discount(observation)
+        return self.native(gain, observation)
 
     def trace(self) -> dict[str, Any]:
-        """The two factors of the chosen view."""
+        """What a planner noted about the chosen view."""
         return self._trace
+
+
+class Greedy(Planner):
+    """T* = argmax of the score of one gain, the first of the required ones, which must not be negative."""
+
+    def act(self, observation: Observation) -> int:
+        """The valid row with the highest score; the first of equals."""
+        name = self.required_gains[0]
+        gain = self.gain(observation, name)
+        choice = best_valid(self.scores(gain, observation), observation)
+        self._trace = {name: float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
+        return choice
+
+
+class SharedGreedy(Greedy):
+    """Greedy whose own travel term is the shared one: T* = argmax softmax(log IG) g = argmax IG g (Eq. 15).
+
+    softmax(log IG) is IG / sum IG, and the sum is the same for every candidate.
+    """
+
+    least = 1e-6  # of gains that are shares of an image: below the share of any pixel
+
+    def __init__(self) -> None:
+        super().__init__("shared")

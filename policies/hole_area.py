@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
-from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.greedy import SharedGreedy
 
 
 @POLICIES.register("hole_area")
-class HoleArea(Greedy):
+class HoleArea(SharedGreedy):
     """The first term of rung E alone: no Plane Scene Graph, no phases (docs/method.md has the comparison)."""
 
     required_gains = ("hole_area",)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
-from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.greedy import SharedGreedy
 
 
 @POLICIES.register("pixel_only")
-class PixelOnly(Greedy):
+class PixelOnly(SharedGreedy):
     """IG_px, Eq. 15 with omega = 0 and rho = 0."""
 
     required_gains = ("pixel",)

@@ -67,7 +67,7 @@ def test_nothing_walks_back(path: Path) -> None:
     if top == "policies":
         world = [n for n in names if n.startswith("activestructure_gym.")]
         allowed = ("activestructure_gym.policies", "activestructure_gym.envs.observation",
-                   "activestructure_gym.registry", "activestructure_gym.errors")
+                   "activestructure_gym.registry", "activestructure_gym.errors", "activestructure_gym.specs")
         assert all(name.startswith(allowed) for name in world), f"{path}: a policy sees the observation only"
     if "gains" in path.parts:
         assert not [n for n in names if n.startswith("activestructure_gym.scenes")], "no ground truth in a gain"

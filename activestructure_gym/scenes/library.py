@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import inspect
 import os
-import typing
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from types import UnionType
 from typing import Any
-from urllib.parse import parse_qsl
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.registry import Registry
@@ -18,6 +15,7 @@ from activestructure_gym.scenes.matterport3d import is_matterport3d, load_matter
 from activestructure_gym.scenes.mesh_loader import MESH_SUFFIXES, load_mesh_scene
 from activestructure_gym.scenes.replica import is_replica, load_replica_scene
 from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.specs import parse_options, typed_options
 
 # Factories of generated scenes take keyword options only. A factory whose first parameter is called `path` reads
 # files: its name becomes a prefix, as in "mesh:house.obj?units=cm".
@@ -98,10 +96,7 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
     target, _, query = spec.rpartition("?")
     if not Path(target).expanduser().exists():
         target, _, query = spec.partition("?")
-    try:
-        return target, dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
-    except ValueError as error:
-        raise InputError(f"'{query}' in scene '{spec}' is not of the form key=value&key=value") from error
+    return target, parse_options(query, f"scene '{spec}'")
 
 
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
@@ -129,62 +124,5 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
     label = f"scene '{name}'" if name else f"scene '{path}'"
-    parameters = dict(inspect.signature(factory).parameters)
-    if path is not None:
-        parameters.pop("path", None)
-    takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
-    known = [key for key, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
-    hints = _hints(factory)
-    arguments = {}
-    for key, value in options.items():
-        if key not in known and not takes_any:
-            raise unknown_name(f"option of {label}", key, known)
-        arguments[key] = _typed(f"option {key} of {label}", value, hints.get(key, Any))
-    missing = [k for k in known if parameters[k].default is inspect.Parameter.empty and k not in arguments]
-    if missing:
-        raise InputError(f"{label} needs the option {missing[0]} (as in '{name}?{missing[0]}=...')")
+    arguments = typed_options(label, factory, options, apart=("path",) if path is not None else ())
     return factory(path, **arguments) if path is not None else factory(**arguments)
-
-
-def _hints(factory: Callable[..., Scene]) -> dict[str, Any]:
-    """The type of every option: its annotation, or that of its default where there is none to be had."""
-    defaults = {
-        key: type(p.default)
-        for key, p in inspect.signature(factory).parameters.items()
-        if isinstance(p.default, bool | int | float)
-    }
-    try:
-        return {**defaults, **typing.get_type_hints(factory)}
-    except (NameError, TypeError):  # names imported for type checkers only, or a callable object
-        return defaults
-
-
-def _typed(what: str, value: Any, hint: Any) -> Any:
-    """A text value as its annotation says; values that are no text are passed on."""
-    if not isinstance(value, str):
-        return value
-    origin, inner = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, UnionType):
-        # Numbers first: "0.01" is a number wherever a number may stand, and any text is a text.
-        order = sorted(inner, key=lambda t: {bool: 0, int: 1, float: 2}.get(t, 3))
-        for candidate in (t for t in order if t is not type(None)):
-            try:
-                return _typed(what, value, candidate)
-            except InputError:
-                continue
-        raise InputError(f"{what} cannot be '{value}'")
-    try:
-        if hint is bool:
-            return {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}[value.lower()]
-        if hint in (int, float):
-            return hint(value)
-        if origin is tuple:
-            items = value.split(",")
-            kinds = [inner[0]] * len(items) if inner[-1] is Ellipsis else list(inner)
-            if len(items) != len(kinds):
-                raise ValueError
-            return tuple(_typed(what, item, kind) for item, kind in zip(items, kinds))
-    except (ValueError, KeyError):
-        expected = f"{len(inner)} values with commas" if origin is tuple else getattr(hint, "__name__", str(hint))
-        raise InputError(f"{what} must be {expected}, got '{value}'") from None
-    return value

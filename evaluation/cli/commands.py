@@ -20,7 +20,8 @@ class Compare:
     scenes: tuple[str, ...] = ()
     """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
     policies: tuple[str, ...] = ("random", "pixel_only")
-    """Who explores: names, package.module:Class, `ladder` (the paper's ablation, A to E), or `all`."""
+    """Who explores: names, package.module:Class, `ladder` (the paper's ablation, A to E), or `all`. Options stand
+    behind a question mark: "active_gs?travel=shared" is a planner with everybody's travel term (docs/planners.md)."""
     seeds: tuple[str, ...] = ("0",)
     """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
     preset: str | None = None

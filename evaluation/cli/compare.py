@@ -54,6 +54,7 @@ def compare(options: Compare) -> int:
     from activestructure_gym.evaluation.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.engines import Limits, get_engine
     from activestructure_gym.evaluation.holding import hold
+    from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
     get_engine(options.engine).check(limits)
@@ -68,7 +69,9 @@ def compare(options: Compare) -> int:
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
     if options.baseline is not None and options.baseline not in policies:
-        raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
+        options = dataclasses.replace(options, baseline=canonical_policy(options.baseline))
+        if options.baseline not in policies:
+            raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
     if comparison:
         _announce(console, comparison, directory, len(jobs), demo=demo)
 

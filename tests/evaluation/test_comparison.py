@@ -36,6 +36,7 @@ def test_the_grid_has_its_seeds_outside(no_warm_up):
         ({"scenes": []}, "at least one of scenes"),
         ({"policies": ["frontire"]}, "unknown policy 'frontire'"),
         ({"policies": ["randm"]}, "did you mean 'random'"),
+        ({"policies": ["random?travel=shared"]}, "policy 'random' takes no options, got 'travel=shared'"),
         ({"policies": ["no_module:Policy"]}, "no module called 'no_module'"),
         ({"policies": ["os:path"]}, "not a class derived from"),
         ({"scenes": ["bxo"]}, "unknown scene 'bxo'; did you mean 'box'"),

@@ -26,6 +26,7 @@ def test_the_hash_does_not_depend_on_the_order_of_overrides_nor_on_how_the_scene
     "change",
     [
         {"policy": "pixel_only"},
+        {"policy": "random?travel=shared"},
         {"seed": 4},
         {"scene_hash": "abd"},
         {"preset": "fast"},
@@ -95,3 +96,4 @@ def test_run_directory_names_work_on_any_system():
     assert set(job.name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
     assert job.name.endswith(job.hash)
     assert slug("../..") == "unnamed"
+    assert Job("room", "naruto?travel=shared", 0).name.startswith("room--naruto-travel-shared--seed0--")

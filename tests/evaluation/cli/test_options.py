@@ -62,6 +62,8 @@ def test_overrides():
 
 def test_groups_of_policies() -> None:
     assert split_policies(["random,ladder", "mine:Mine"]) == ("random", *LADDER, "mine:Mine")
+    assert split_policies(["naruto?travel=shared,random"]) == ("naruto?travel=shared", "random")
+    assert split_policies(["naruto?targets=300&travel=shared,random"])[1:] == ("random",)
     assert set(split_policies(["all"])) == set(POLICIES)
     with pytest.raises(InputError, match=r"did you mean 'ladder'\? Known: .*\ball\b.*\bladder\b"):
         split_policies(["random,lader"])

@@ -39,16 +39,12 @@ class Comparison:
     also_protocols: Sequence[str] = ()  # every finished map is measured by these too
 
     def __post_init__(self) -> None:
-        from activestructure_gym.policies import canonical_policy
-
         for name in ("scenes", "policies", "seeds"):
             given = getattr(self, name)
             if not given:
                 raise InputError(f"a comparison needs at least one of {name}, got none")
+            object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
         object.__setattr__(self, "scenes", tuple(absolute_spec(spec) for spec in self.scenes))
-        object.__setattr__(self, "policies", tuple(canonical_policy(spec) for spec in self.policies))
-        for name in ("scenes", "policies", "seeds"):  # each once, in the order given
-            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
@@ -73,7 +69,7 @@ class Comparison:
         views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
         stopped early has compared something. Raises `InputError` for the first thing that cannot work.
         """
-        self._check_policies()
+        policies = self._check_policies()
         hashes = {}
         with warming_up(self.policies, self.overrides, notify):
             for number, spec in enumerate(self.scenes, start=1):
@@ -95,12 +91,13 @@ class Comparison:
             )
             for seed in self.seeds
             for scene in self.scenes
-            for policy in self.policies
+            for policy in policies
         ]
 
-    def _check_policies(self) -> None:
+    def _check_policies(self) -> list[str]:
+        """One name for each."""
         from activestructure_gym.config import configure
-        from activestructure_gym.policies import make_policy
+        from activestructure_gym.policies import canonical_policy, make_policy
 
         configure(self.preset, self.overrides)  # what policies replace must be usable too
         changes = dict(self.overrides)
@@ -110,6 +107,7 @@ class Comparison:
             configure(self.preset, changes | {"gains": tuple(make_policy(spec).required_gains)})
         for seed in self.seeds:
             Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
+        return list(dict.fromkeys(canonical_policy(spec) for spec in self.policies))
 
     def _check_scene(self, spec: str) -> Scene:
         from activestructure_gym.config import configure

@@ -30,6 +30,19 @@ def test_the_grid_has_its_seeds_outside(no_warm_up):
     assert all(len(job.scene_hash) == 64 for job in jobs)
 
 
+def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):
+    from activestructure_gym.policies import POLICIES, Greedy
+
+    class Plain(Greedy):
+        required_gains = ("pixel",)
+
+    monkeypatch.setitem(POLICIES._entries, "plain", Plain)
+    specs = ["plain?travel=shared", "plain", "plain?travel=native"]
+    jobs = Comparison(["box"], specs).prepare()
+    assert [job.policy for job in jobs] == ["plain?travel=shared", "plain"]
+    assert len({job.hash for job in jobs}) == 2
+
+
 @pytest.mark.parametrize(
     "change, message",
     [

@@ -1,0 +1,146 @@
+"""The rasteriser's second pass: Fisher information of single Gaussians, weights and counts of a view, without torch.
+
+The block of a Gaussian is the sum over pixels and colour channels of J^T J, J the derivative of a rendered colour by
+the Gaussian's mean (metres, world) and log-scales: what information planners compare between a candidate and the
+keyframes (FisherRF, Jiang et al. 2024; POp-GS, Wilson et al. 2025, for which these parameters alone do as well as all).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting.cpu import _check
+from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, Workspace, fitted, flat, inverse_of_pose
+
+TOUCH_TRANSMITTANCE = 0.5  # the released counters take 0.5 or 0.8
+BLOCK_NUMBERS = 21  # of a symmetric 6 x 6 matrix
+DIAGONAL = np.array([0, 6, 11, 15, 18, 20])  # where in `ViewInformation.blocks`: mean x, y, z, log-scale 0, 1, 2
+_NO_FLOATS = np.empty(0, np.float32)
+
+
+@dataclass(frozen=True)
+class ViewInformation:
+    """What one camera sees, and for each of the S Gaussians that have a weight in it what it tells about them."""
+
+    color: np.ndarray  # [H, W, 3] float32
+    depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth
+    alpha: np.ndarray  # [H, W] float32 0..1
+    channels: np.ndarray  # [H, W, D] float32: sum of weight times channel
+    indices: np.ndarray  # [S] int64, rising: columns of the parameters
+    numbers: np.ndarray  # [S, 26] float32, of which the following are views
+
+    @property
+    def blocks(self) -> np.ndarray:  # [S, 21]
+        """Upper triangles, row by row, of the blocks by (mean 3, log-scale 3); see `full_blocks`."""
+        return self.numbers[:, :BLOCK_NUMBERS]
+
+    @property
+    def logits(self) -> np.ndarray:  # [S]
+        """The information about the opacity logit: its own diagonal entry."""
+        return self.numbers[:, 21]
+
+    @property
+    def colors(self) -> np.ndarray:  # [S]
+        """The information about each colour channel: sum of squared weights, the same for all three."""
+        return self.numbers[:, 22]
+
+    @property
+    def weights(self) -> np.ndarray:  # [S] > 0
+        """Sum of weights (alpha times the transmittance in front) over the pixels."""
+        return self.numbers[:, 23]
+
+    @property
+    def touches(self) -> np.ndarray:  # [S]
+        """Pixels in which it counts and the transmittance in front is above the limit; whole numbers."""
+        return self.numbers[:, 24]
+
+    @property
+    def gathered(self) -> np.ndarray:  # [S]
+        """Sum of weight times pixel value over the pixels of `touches`; 0 without pixel values."""
+        return self.numbers[:, 25]
+
+
+def view_information(
+    parameters: np.ndarray,  # [14, capacity] float32, rows as in `cpu`
+    count: int,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [4, 4] or [C, 4, 4]
+    *,
+    channels: np.ndarray | None = None,  # [N, D] any numbers of the Gaussians, to be blended
+    pixel_values: np.ndarray | None = None,  # [H, W] any numbers of the pixels, to be gathered by the Gaussians
+    touch_transmittance: float = TOUCH_TRANSMITTANCE,
+    max_alpha: float = MAX_ALPHA,
+    threads: int | None = None,
+    unseen: np.ndarray | None = None,  # [chunks] bool, as in `cpu.render`
+) -> Iterator[ViewInformation]:
+    """One `ViewInformation` per camera, each made when it is asked for: all at once would fill the memory.
+
+    Results are the same to the bit for any number of threads. Source: ``../shared/research/peers_info_rl.md`` A0, the
+    exact choice there (channels are squared before they are summed).
+
+    Raises:
+        ValueError: arrays of another shape or type than said here.
+    """
+    _check(parameters, count)
+    poses = np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4)
+    if channels is None:
+        channels = np.empty((count, 0), np.float32)
+    if channels.ndim != 2 or len(channels) != count:
+        raise ValueError(f"channels must have the shape [{count}, D], got {channels.shape}")
+    if pixel_values is not None and pixel_values.shape != (camera.height, camera.width):
+        raise ValueError(f"pixel_values must have the shape {camera.height, camera.width}, got {pixel_values.shape}")
+    values = _NO_FLOATS if pixel_values is None else flat(pixel_values)
+    given = (fitted(parameters), count, camera)
+    options = {"max_alpha": max_alpha, "threads": threads, "unseen": unseen}
+    own, touch = flat(channels), np.float32(touch_transmittance)
+    return (_of_view(given, pose, own, values, touch, options) for pose in poses)
+
+
+def _of_view(given, pose, channels, values, touch, options) -> ViewInformation:  # type: ignore[no-untyped-def]
+    parameters, count, camera = given
+    lease = Lease()
+    workspace = lease.workspace
+    workspace.prepare(parameters, count, camera, inverse_of_pose(pose), **options)
+    width = len(channels) // max(1, count)
+    pictures = np.empty((camera.height, camera.width, width), np.float32)
+    indices, numbers = _run(workspace, channels, values, touch, pictures)
+    return ViewInformation(*workspace.pictures(), pictures, indices, numbers)
+
+
+def _run(
+    workspace: Workspace, channels: np.ndarray, values: np.ndarray, touch: np.float32, pictures: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # [S], [S, 26]
+    """The kernel on a prepared workspace; leaves its pictures there."""
+    from activestructure_gym.splatting import fisher_kernels as f
+
+    camera, grid = workspace.camera, workspace.grid
+    capacity, count = int(grid[k.CAPACITY]), int(grid[k.COUNT])
+    pixels = camera.width * camera.height
+    workspace.depth, workspace.alpha = workspace._buffer("depth", pixels), workspace._buffer("alpha", pixels)
+    workspace.color = workspace._image("color")
+    slots = workspace._buffer("information slots", workspace.total * f.SLOT_FLOATS)
+    result = workspace._buffer("information", capacity * f.RESULT_FLOATS)
+    view, _, records, tile_start, tile_order, entries = workspace._lists
+    workspace._run_through(
+        f.inform, workspace.parameters, view, grid, records, workspace.visible, tile_start, tile_order, entries,
+        workspace._scratch, touch, channels, values, workspace.color, workspace.depth, workspace.alpha,
+        pictures.reshape(-1), slots, result,
+    )  # fmt: skip
+    bits = workspace.visible[: -(-count // k.LANES)].astype("<u2").view(np.uint8)
+    indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])
+    first, second = result[: capacity * f.RESULT_FLOATS].reshape(2, capacity, k.LANES)
+    return indices, np.concatenate([first[indices], second[indices, : f.COLUMNS - k.LANES]], axis=1)
+
+
+def full_blocks(blocks: np.ndarray) -> np.ndarray:  # [..., 21] -> [..., 6, 6]
+    """Symmetric matrices from their upper triangles."""
+    full = np.empty((*blocks.shape[:-1], 6, 6), blocks.dtype)
+    row, column = np.triu_indices(6)
+    full[..., row, column] = blocks
+    full[..., column, row] = blocks
+    return full

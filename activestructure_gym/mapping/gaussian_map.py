@@ -28,12 +28,15 @@ class GaussianMap:
 
     The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
     are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
+    ``ids`` [capacity] int64 names every Gaussian for as long as it lives: columns change hands, names do not.
     """
 
     def __init__(self, capacity: int = 4096) -> None:
         self.parameters = _empty_rows(_rounded_up(capacity))
         self.first_moment = _empty_rows(_rounded_up(capacity))
         self.second_moment = _empty_rows(_rounded_up(capacity))
+        self.ids = np.zeros(_rounded_up(capacity), dtype=np.int64)
+        self.named = 0  # how many Gaussians there have ever been: the next name
         self.count = 0
 
     def __len__(self) -> int:
@@ -84,6 +87,8 @@ class GaussianMap:
         self.parameters[:, start:stop] = block
         self.first_moment[:, start:stop] = 0.0
         self.second_moment[:, start:stop] = 0.0
+        self.ids[start:stop] = np.arange(self.named, self.named + stop - start)
+        self.named += stop - start
         self.count = stop
 
     def keep(self, mask: np.ndarray) -> int:
@@ -102,6 +107,7 @@ class GaussianMap:
             movers = np.flatnonzero(mask[kept:]) + kept
             for array in (self.parameters, self.first_moment, self.second_moment):
                 array[:, gaps] = array[:, movers]
+            self.ids[gaps] = self.ids[movers]
             self.count = kept
         return removed
 
@@ -116,6 +122,9 @@ class GaussianMap:
             new = _empty_rows(capacity)
             new[:, : self.count] = old[:, : self.count]
             setattr(self, name, new)
+        ids = np.zeros(capacity, dtype=np.int64)
+        ids[: self.count] = self.ids[: self.count]
+        self.ids = ids
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""

@@ -1,0 +1,148 @@
+"""What the keyframes together tell about every Gaussian: the sum of their Fisher blocks, kept between decisions.
+
+FisherRF renders all keyframes at every planning step, so planning takes longer with every keyframe. Here the share of
+each keyframe is stored, and at every decision only the ones that have no share yet and a fixed number of the stalest
+are rendered. What that means for the sum:
+
+- it counts every keyframe once, each with the map as it was when that keyframe was last rendered: up to ``renders``
+  keyframes it is exact, beyond that no share is older than ``ceil(T / renders)`` decisions;
+- Gaussians that were removed are gone from it at once, those that are new have nothing from a keyframe until its turn;
+- when the shares outgrow ``budget_mb``, the stalest are settled: they stay in the sum as they are (and follow removals)
+  but cannot be measured anew.
+
+Source: ``../shared/research/peers_info_rl.md``, A0 (H_train).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.splatting.fisher import view_information
+
+COLUMNS = 24  # of `ViewInformation.numbers`: the block's 21, opacity logit, squared weights (colour), weights
+RENDERS = 16  # of keyframes per decision
+BUDGET_MB = 256.0
+
+
+@dataclass
+class _Share:
+    """What one keyframe has added to the sum."""
+
+    ids: np.ndarray  # [S] int64 names of Gaussians
+    numbers: np.ndarray  # [S, 24] float32
+
+    @property
+    def bytes(self) -> int:
+        return self.ids.nbytes + self.numbers.nbytes
+
+
+class KeyframeInformation:
+    """The sum over the keyframes of the first 24 columns of `ViewInformation.numbers`, row by row as the map's columns.
+
+    ``camera`` is the one the keyframes are rendered with: that of the candidates, so that both count the same pixels;
+    without it each keyframe's own.
+    """
+
+    def __init__(
+        self,
+        gaussians: GaussianMap,
+        *,
+        camera: PinholeCamera | None = None,
+        budget_mb: float = BUDGET_MB,
+    ) -> None:
+        if budget_mb <= 0:
+            raise ValueError(f"budget_mb must be above 0, got {budget_mb}")
+        self._map, self._camera, self._budget = gaussians, camera, budget_mb * 1e6
+        self._sum = np.zeros((0, COLUMNS))  # [capacity, 24] float64: shares are taken out again
+        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], names of its rows
+        self._rows = np.zeros(0, dtype=np.int32)  # by name, the row of a Gaussian, -1 for none
+        self._count = 0
+        self._shares: dict[int, _Share] = {}  # by keyframe, the stalest first
+        self._bytes = 0
+        self._known = 0  # keyframes that are in the sum, settled ones too
+
+    @property
+    def megabytes(self) -> float:
+        """Of all stored shares; at most the budget."""
+        return self._bytes / 1e6
+
+    @property
+    def settled(self) -> int:
+        """Keyframes whose share can no longer be measured anew."""
+        return self._known - len(self._shares)
+
+    def update(
+        self,
+        keyframes: Sequence[Frame],  # all of them; a longer list than the last one's, or the same
+        *,
+        renders: int | None = RENDERS,
+    ) -> np.ndarray:  # [N, 24] float64, one row per Gaussian, a view until the next call
+        """Measure the keyframes that have no share yet and up to ``renders`` keyframes in all, the stalest first.
+
+        ``renders=None`` measures all that are not settled. In a steady state the cost does not grow with the number of
+        keyframes.
+        """
+        if len(keyframes) < self._known:
+            raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
+        if renders is not None and renders < 0:
+            raise ValueError(f"renders must not be negative, got {renders}")
+        self.follow()
+        new = list(range(self._known, len(keyframes)))
+        old = len(self._shares) if renders is None else max(0, renders - len(new))
+        stalest = [index for index, _ in zip(self._shares, range(old))]
+        parts = MapParts(self._map) if len(new) + len(stalest) > 3 else None
+        for index in stalest + new:
+            self._measure(index, keyframes[index], parts)
+        self._known = len(keyframes)
+        self._settle()
+        return self._sum[: self._count]
+
+    def follow(self) -> None:
+        """Bring the rows of the sum into the order of the map's columns; the cost is that of what has changed."""
+        gaussians, before = self._map, self._count
+        count = gaussians.count
+        if len(self._sum) < count:
+            rows, ids = np.zeros((gaussians.capacity, COLUMNS)), np.full(gaussians.capacity, -1, dtype=np.int64)
+            rows[:before], ids[:before] = self._sum[:before], self._ids[:before]
+            self._sum, self._ids = rows, ids
+        if len(self._rows) < gaussians.named:
+            rows_of = np.full(gaussians.named + gaussians.named // 2, -1, dtype=np.int32)
+            rows_of[: len(self._rows)] = self._rows
+            self._rows = rows_of
+        names = gaussians.ids[:count]
+        shared = min(before, count)
+        moved = np.flatnonzero(names[:shared] != self._ids[:shared])
+        changed = np.concatenate([moved, np.arange(shared, count)])
+        sources = self._rows[names[changed]]
+        values = np.where(sources[:, None] >= 0, self._sum[sources], 0.0)
+        gone = np.concatenate([self._ids[moved], self._ids[shared:before]])
+        self._rows[gone] = -1
+        self._rows[names[changed]] = changed
+        self._sum[changed], self._ids[changed] = values, names[changed]
+        self._count = count
+
+    def _measure(self, index: int, frame: Frame, parts: MapParts | None) -> None:
+        camera, pose = self._camera or frame.camera, frame.world_from_camera
+        unseen = parts.unseen(camera, pose) if parts else None
+        (seen,) = view_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
+        before = self._shares.pop(index, None)
+        if before is not None:
+            rows = self._rows[before.ids]
+            there = rows >= 0
+            self._sum[rows[there]] -= before.numbers[there]
+            self._bytes -= before.bytes
+        share = _Share(self._map.ids[seen.indices], seen.numbers[:, :COLUMNS].copy())
+        self._sum[seen.indices] += share.numbers
+        self._shares[index] = share  # the last one is the freshest
+        self._bytes += share.bytes
+
+    def _settle(self) -> None:
+        while self._bytes > self._budget:
+            self._bytes -= self._shares.pop(next(iter(self._shares))).bytes

@@ -8,7 +8,8 @@ W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iterati
 Next to the times stand ratios, which compare machines and versions where milliseconds do not, all from the same run:
 ``floor_share``, the time the needed arithmetic would take at the measured multiply-add peak over the time taken (of an
 iteration: forward and backward alone, so that losses and Adam count against it); ``vs_torch``, the time of the batched
-plain-torch renderer over the time taken; ``vs_one``, the time on the first thread count over the time taken.
+plain-torch renderer over the time taken; ``vs_one``, the time on the first thread count over the time taken;
+``second_pass``, what the information of a view (`fisher`) takes beyond a forward rendering, in forward renderings.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
 from activestructure_gym.splatting import kernels
 from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
 from activestructure_gym.splatting.crew import CREW
+from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.workspace import Lease, aligned_zeros, inverse_of_pose
 
 WORKLOADS = ("W1", "W2", "W3", "W4")
@@ -33,6 +35,7 @@ _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 3
 # Per needed pair, a multiply-add as two: offsets 2, exponent 8, exp2 13, limits 2, transmittance 3, sums 8; backward
 # the first 25 again and 40.
 _FLOPS_FORWARD, _FLOPS_BACKWARD = 36, 65
+_INFORMATION = "information"  # render and second pass
 _IN_A_ROW = 5  # runs per repetition, as a mapping event has iterations, after one that is not counted
 _RATES = np.zeros(14, np.float32)  # all the arithmetic, but every repetition meets the same map
 _ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
@@ -84,7 +87,8 @@ def run_splatting_benchmark(
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[dict]:
     """Rows ``{workload, visible, pairs_per_pixel, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms,
-    floor_share, vs_torch, vs_one, repeats}``.
+    floor_share, vs_torch, vs_one, second_pass, repeats}``; of the last but one quartiles, by processor time, for the
+    task "information" alone.
 
     ``visible`` Gaussians and needed (pixel, Gaussian) ``pairs_per_pixel`` are means over the workload's views. A
     repetition is the mean of five runs one after the other, after a sixth that is not counted: as in a mapping event,
@@ -125,7 +129,10 @@ def run_splatting_benchmark(
                     "best_ms": min(own), "cpu_ms": statistics.median(busy[task, count]),
                     "floor_share": _floor_share(flops, peaks[task, count], own) if flops else float("nan"),
                     "vs_torch": statistics.median(rival) / median if rival else float("nan"),
-                    "vs_one": statistics.median(wall[task, counts[0]]) / median, "repeats": len(own),
+                    "vs_one": statistics.median(wall[task, counts[0]]) / median,
+                    "second_pass": _second_pass(busy[task, count], busy["forward", count])
+                    if task == _INFORMATION else None,
+                    "repeats": len(own),
                 })  # fmt: skip
     return rows
 
@@ -133,6 +140,12 @@ def run_splatting_benchmark(
 def _floor_share(flops: float, peaks: list[float], times_ms: list[float]) -> float:
     """Median over the repetitions: each beside the peak measured just before it, as clocks rise and fall."""
     return statistics.median(1e3 * flops / peak / time_ms for peak, time_ms in zip(peaks, times_ms))
+
+
+def _second_pass(whole: list[float], forward: list[float]) -> tuple[float, ...]:
+    """Quartiles over the repetitions, each beside the forward rendering of the same round."""
+    shares = [(own - first) / first for own, first in zip(whole, forward)]
+    return tuple(statistics.quantiles(shares, n=4)) if len(shares) > 1 else tuple(shares) * 3
 
 
 def _measure(tasks, counts, few, repeats):
@@ -171,8 +184,8 @@ _BASELINES = {
 
 
 def _flops(task: str) -> int:
-    """Per needed pair."""
-    if task.endswith(", torch"):
+    """Per needed pair; 0 where nobody has counted."""
+    if task.endswith(", torch") or task == _INFORMATION:
         return 0
     return _FLOPS_FORWARD if task in ("forward", "score 64 views") else _FLOPS_FORWARD + _FLOPS_BACKWARD
 
@@ -255,6 +268,9 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
     return {
         "forward + backward": there_and_back,
         "forward": lambda threads: render(work.parameters, work.count, work.camera, work.poses[0], threads=threads),
+        _INFORMATION: lambda threads: next(
+            view_information(work.parameters, work.count, work.camera, work.poses[0], threads=threads)
+        ),
         "iteration, L1": lambda threads: step(LossWeights(l1_share=1.0), threads),
         "iteration, L1 + SSIM": lambda threads: step(LossWeights(), threads),
     }

@@ -134,7 +134,10 @@ def _run(
     bits = workspace.visible[: -(-count // k.LANES)].astype("<u2").view(np.uint8)
     indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])
     first, second = result[: capacity * f.RESULT_FLOATS].reshape(2, capacity, k.LANES)
-    return indices, np.concatenate([first[indices], second[indices, : f.COLUMNS - k.LANES]], axis=1)
+    numbers = np.empty((len(indices), f.COLUMNS), np.float32)
+    numbers[:, : k.LANES] = first[indices]
+    numbers[:, k.LANES :] = second[indices, : f.COLUMNS - k.LANES]
+    return indices, numbers
 
 
 def full_blocks(blocks: np.ndarray) -> np.ndarray:  # [..., 21] -> [..., 6, 6]

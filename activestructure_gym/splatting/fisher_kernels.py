@@ -2,8 +2,8 @@
 
 A tile is blended front to back as ever; then the pass goes back to front over the alphas that were kept, so that the
 transmittance after a Gaussian and the colour behind it are both known to the last digits. With t and s the whitened
-offsets (alpha = 2^(lo - t^2 - s^2)), every derivative of alpha by the projected mean, the conic and the opacity is alpha
-times a combination of b = (1, t, s, t^2, t s, s^2). So the 21 sums over pixels of q b_i b_j, with q the squared
+offsets (alpha = 2^(lo - t^2 - s^2)), every derivative of alpha by the projected mean, the conic and the opacity is
+alpha times a combination of b = (1, t, s, t^2, t s, s^2). So the 21 sums over pixels of q b_i b_j, with q the squared
 derivative of the colours by log(alpha), are 15 different numbers: the moments sum of q t^i s^j, i + j <= 4. They fill
 one vector together with the sum of the weights.
 
@@ -28,7 +28,8 @@ _inner, _inline = njit(**_plain), njit(forceinline=True, **_plain)
 F = np.float32
 
 SLOT_FLOATS = 2 * k.LANES  # of a (tile, Gaussian): the moments and the sum of weights; what follows it
-SQUARED, TOUCHES, GATHERED = range(3)  # in the second vector
+SQUARED, GATHERED, TOUCHES = range(3)  # in the second vector
+_TOUCHES_LANE = k.SUM_LANES.index(TOUCHES)
 # Columns of a result: the block by mean and log-scale row by row from the diagonal on; the opacity logit's own entry;
 # sums of squared weights, of weights, of pixels in which the transmittance before it is above a limit, and of weight
 # times pixel value in these.
@@ -72,14 +73,17 @@ def _write_channels(tile, grid, painted, channels, pictures):
 
 @_inner
 def _sum_tile(
-    x, y, start, done, stop, entries, records, view, state, kept, touch, channels, width, painted, slots
+    x, y, start, done, stop, entries, records, view, state, kept, touch, gathers, channels, width, painted, slots
 ):  # fmt: skip
     """Back to front over the entries that ``_forward`` has blended into this tile; one slot of sums per entry.
 
     With ``after`` the transmittance behind a Gaussian and R the colour behind it, the derivative of a colour by
     log(alpha) is alpha / (1 - alpha) (after c - R): one division, and nothing is found by subtracting large numbers.
+    Few callers gather pixel values or paint channels: these sums lie in memory, behind ``painted``, since all others
+    together just fit into the registers.
     """
-    room, zero, one, end = entries.shape[1], k.spread(F(0.0)), k.spread(F(1.0)), np.int64(0)
+    room, zero, end = entries.shape[1], k.spread(F(0.0)), np.int64(0)
+    at_gathered = 64 * k.LANES * width
     for entry in range(start, done):
         end += k.LANES * k.count_bits(k.peek(entries, k.SORTED_REACH * room + entry))
     for entry in range(done - 1, start - 1, -1):
@@ -104,7 +108,8 @@ def _sum_tile(
         )  # fmt: skip
         m00, m10, m01, m20, m11, m02, m30, m21 = zero, zero, zero, zero, zero, zero, zero, zero
         m12, m03, m40, m31, m22, m13, m04 = zero, zero, zero, zero, zero, zero, zero
-        weights, squares, touches, gathered = zero, zero, zero, zero
+        weights, squares, touches = zero, zero, np.int64(0)
+        k.store(painted, at_gathered, zero)
         while reach != 0:
             block = k.lowest_bit(reach)
             reach &= reach - 1
@@ -113,7 +118,7 @@ def _sum_tile(
             opaque = k.load(kept, at_kept)
             at_kept += k.LANES
             after = k.load(state, at)
-            ratio = opaque / (one - opaque)
+            ratio = opaque / (k.peek(view, k.ONE) - opaque)
             weight = ratio * after
             before = after + weight
             k.store(state, at, before)
@@ -135,8 +140,10 @@ def _sum_tile(
             m13, m04 = k.fma(q02, ts, m13), k.fma(q02, ss, m04)
             weights, squares = weights + weight, k.fma(weight, weight, squares)
             counts = (opaque > F(0.0)) & (before > touch)
-            touches = touches + k.sel(counts, one, F(0.0))
-            gathered = k.fma(k.sel(counts, weight, F(0.0)), k.load(state, at + 80), gathered)
+            touches += k.count_bits(np.uint64(k.bits(counts)))
+            if gathers:
+                share = k.sel(counts, weight, F(0.0))
+                k.store(painted, at_gathered, k.fma(share, k.load(state, at + 80), k.load(painted, at_gathered)))
             for channel in range(width):
                 own = k.LANES * (width * block + channel)
                 value = k.spread(k.peek(channels, width * splat + channel))
@@ -145,7 +152,8 @@ def _sum_tile(
             slots, slot,
             k.sums((m00, m10, m01, m20, m11, m02, m30, m21, m12, m03, m40, m31, m22, m13, m04, weights)),
         )  # fmt: skip
-        k.store(slots, slot + k.LANES, k.sums((squares, touches, gathered)))
+        k.store(slots, slot + k.LANES, k.sums((squares, k.load(painted, at_gathered))))
+        k.poke(slots, slot + k.LANES + _TOUCHES_LANE, F(touches))
     for entry in range(done, stop):
         slot = SLOT_FLOATS * np.int64(k.peek(entries, k.SORTED_SPLAT * room + entry) >> np.uint64(32))
         k.store(slots, slot, zero)
@@ -350,7 +358,7 @@ def _make_inform(stamp):
         state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + k.SCRATCH]
         digits, tiles = np.empty(k.DIGITS, np.int64), grid[k.TILES_X] * grid[k.TILES_Y]
         width = len(pictures) // (grid[k.WIDTH] * grid[k.HEIGHT])
-        painted, no_light = k._scratch(64 * k.LANES * width), k.spread(F(0.0))
+        painted, no_light = k._scratch(64 * k.LANES * width + k.LANES), k.spread(F(0.0))
         while True:
             ticket = k.take_ticket(tickets, 2)
             if ticket >= tiles:
@@ -369,8 +377,8 @@ def _make_inform(stamp):
             for at in range(0, 64 * k.LANES * width, k.LANES):
                 k.store(painted, at, no_light)
             _sum_tile(
-                F(x), F(y), start, done, stop, entries, records, view, state, kept, touch, channels, width, painted,
-                slots,
+                F(x), F(y), start, done, stop, entries, records, view, state, kept, touch, len(pixel_values) != 0,
+                channels, width, painted, slots,
             )  # fmt: skip
             if width != 0:
                 _write_channels(tile, grid, painted, width, pictures)

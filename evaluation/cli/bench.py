@@ -61,15 +61,19 @@ def bench(options: Bench) -> int:
 
                 rows = run_sensor_benchmark(scenes or ["room"])
             else:
+                from activestructure_gym.mapping.information_benchmark import run_information_benchmark
                 from activestructure_gym.splatting.benchmark import run_splatting_benchmark
 
+                def tell(line: str) -> None:
+                    status.update(f"measuring the {line}")
+
                 rows = run_splatting_benchmark(
-                    split_list(options.workloads),
-                    repeats=options.repeats,
-                    baseline=options.baseline,
-                    progress=lambda line: status.update(f"measuring the {line}"),
+                    split_list(options.workloads), repeats=options.repeats, baseline=options.baseline, progress=tell
                 )
+                of_keyframes = run_information_benchmark(repeats=options.repeats, progress=tell)
     print_whole(console, rows_table(rows, title=_TITLES[options.what]))
+    if options.what == "splatting":
+        print_whole(console, rows_table(of_keyframes, title="a decision's information of the keyframes, processor ms"))
     return 0
 
 

@@ -23,7 +23,8 @@ def some_gaussians(count, rng):
 
 
 def keyframe(angle):
-    pose = look_along(np.array([2.5 * np.cos(angle), 2.5 * np.sin(angle), 1.0]), -np.array([np.cos(angle), np.sin(angle), 0.0]))
+    outwards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    pose = look_along(2.5 * outwards + [0.0, 0.0, 1.0], -outwards)
     return Frame(np.zeros((18, 24, 3), np.uint8), np.ones((18, 24), np.float32), pose, CAMERA)
 
 
@@ -93,9 +94,12 @@ def test_a_decision_renders_a_fixed_number(grown, monkeypatch):
     gaussians, keyframes, _ = grown
     information, rendered = KeyframeInformation(gaussians), []
     measure = KeyframeInformation._measure
-    monkeypatch.setattr(
-        KeyframeInformation, "_measure", lambda self, index, *rest: (rendered.append(index), measure(self, index, *rest))
-    )
+
+    def listen(self, index, *rest):
+        rendered.append(index)
+        measure(self, index, *rest)
+
+    monkeypatch.setattr(KeyframeInformation, "_measure", listen)
     information.update(keyframes[:6], renders=2)
     information.update(keyframes[:7], renders=3)
     information.update(keyframes[:7], renders=3)

@@ -1,13 +1,11 @@
 """The second pass against autograd Jacobians in float64, and its sums against brute force over all pixels."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting import fisher_kernels, render
+from activestructure_gym.splatting import fisher_kernels, kernels, render
 from activestructure_gym.splatting.benchmark import make_workload
 from activestructure_gym.splatting.fisher import DIAGONAL, full_blocks, view_information
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, project_gaussians, rasterize_reference
@@ -86,10 +84,11 @@ def test_blocks_are_those_of_autograd(kind, splats_of, settled):
     error = np.zeros_like(exact)
     error[:, :6, :6] = full_blocks(found.blocks) - exact[:, :6, :6]
     error[:, 6, 6] = found.logits - exact[:, 6, 6]
-    error = np.abs(error / (own[:, :, None] * own[:, None, :]))[sure]
-    print(kind, sure.sum(), error.max(), np.median(error.max(axis=(1, 2))))
-    total = np.linalg.norm((full_blocks(found.blocks) - exact[:, :6, :6])[sure]) / np.linalg.norm(exact[sure, :6, :6])
-    print("  norm", total)
+    error = np.abs(error / (own[:, :, None] * own[:, None, :]))[sure]  # free of units
+    whole = np.linalg.norm((full_blocks(found.blocks) - exact[:, :6, :6])[sure])
+    assert whole <= 1e-5 * np.linalg.norm(exact[sure, :6, :6])
+    assert np.median(error.max(axis=(1, 2))) <= 1e-5
+    assert error.max() <= 1e-4, error.max()
 
 
 @pytest.mark.parametrize("kind", ["random", "behind", "border", "clamped", "pixel"])
@@ -114,3 +113,73 @@ def test_sums_are_those_over_all_pixels(kind, splats_of, settled):
     picture = (weight @ channels).reshape(found.channels.shape)
     certain = settled(splats).numpy()
     assert np.abs(found.channels - picture)[certain].max() < 1e-5
+
+
+def test_pictures_are_those_of_render_and_all_cameras_come_one_by_one(splats_of):
+    splats = splats_of("random")
+    turn = np.eye(4)
+    turn[0, 3] = 0.3
+    poses = np.stack([splats.world_from_camera, splats.world_from_camera @ turn])
+    views = list(view_information(splats.parameters(), 200, splats.camera, poses))
+    for pose, view in zip(poses, views):
+        rendering = render(splats.parameters(), 200, splats.camera, pose)
+        for name in ("color", "depth", "alpha"):
+            assert np.array_equal(getattr(view, name), getattr(rendering, name))
+        (again,) = view_information(splats.parameters(), 200, splats.camera, pose)
+        assert np.array_equal(again.numbers, view.numbers)
+    assert len(views[0].indices) != len(views[1].indices) or not np.array_equal(views[0].numbers, views[1].numbers)
+    assert views[0].channels.shape == (50, 70, 0) and views[0].gathered.max() == 0.0
+    assert list(view_information(splats.parameters(), 200, splats.camera, poses[:0])) == []
+
+
+def test_same_bits_for_any_number_of_threads():
+    work = make_workload("W1")
+    channels = np.random.default_rng(0).random((work.count, 2), dtype=np.float32)
+    results = [
+        next(
+            view_information(
+                work.parameters, work.count, work.camera, work.poses[0], channels=channels,
+                pixel_values=work.target_depth, threads=threads,
+            )
+        )
+        for threads in (1, 2, 3)
+    ]  # fmt: skip
+    assert len(results[0].indices) > 5000
+    for other in results[1:]:
+        for name in ("color", "depth", "alpha", "channels", "indices", "numbers"):
+            assert np.array_equal(getattr(other, name), getattr(results[0], name)), name
+    assert len(fisher_kernels.inform.signatures) == 1
+    traces = results[0].blocks[:, DIAGONAL]
+    assert (traces >= 0).all() and (traces.sum(axis=1) > 0).mean() > 0.99
+
+
+def test_a_tile_with_more_alphas_than_fit_is_the_same(splats_of, monkeypatch):
+    # Five layers of large Gaussians; with shorter chunks of scratch nothing may change.
+    parts = [splats_of("large", seed=seed) for seed in range(5)]
+    parameters = np.concatenate([part.parameters() for part in parts], axis=1)
+    splats = parts[0]
+    blocks = 64 * parameters.shape[1]  # at most
+    assert blocks * kernels.LANES > kernels.SCRATCH - fisher_kernels._STATE
+    view = next(view_information(parameters, parameters.shape[1], splats.camera, splats.world_from_camera))
+    rendering = render(parameters, parameters.shape[1], splats.camera, splats.world_from_camera)
+    assert np.array_equal(view.color, rendering.color)
+    # The weights of all Gaussians are the opacity of all pixels.
+    assert view.weights.sum() == pytest.approx(rendering.alpha.sum(), rel=1e-5)
+
+
+def test_nothing_is_told_of_what_lies_behind(splats_of):
+    splats = splats_of("random")
+    behind = splats.world_from_camera @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    (view,) = view_information(splats.parameters(), 200, splats.camera, behind)
+    assert view.numbers.shape == (0, 26) and view.alpha.max() == 0.0
+
+
+def test_arrays_that_do_not_fit_are_named(splats_of):
+    splats = splats_of("random")
+    arguments = (splats.parameters(), 200, splats.camera, splats.world_from_camera)
+    with pytest.raises(ValueError, match=r"channels must have the shape \[200, D\]"):
+        view_information(*arguments, channels=np.zeros((199, 1), np.float32))
+    with pytest.raises(ValueError, match="pixel_values"):
+        view_information(*arguments, pixel_values=np.zeros((5, 5), np.float32))
+    with pytest.raises(ValueError, match="parameters"):
+        view_information(arguments[0][:13], *arguments[1:])

@@ -204,9 +204,12 @@ def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, cap
 
 
 def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys):
+    from activestructure_gym.mapping import information_benchmark
     from activestructure_gym.splatting import benchmark
 
     asked = []
+    of_keyframes = [{"keyframes": 137, "decision_ms": 20.0}]
+    monkeypatch.setattr(information_benchmark, "run_information_benchmark", lambda **options: of_keyframes)
 
     def measure(names, *, progress, **options):
         asked.append((names, options))
@@ -215,7 +218,8 @@ def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys
     monkeypatch.setattr(benchmark, "run_splatting_benchmark", measure)
     assert main(["bench", "splatting", "--workloads", "W1,W4", "--repeats", "3", "--no-baseline"]) == 0
     assert asked == [(("W1", "W4"), {"repeats": 3, "baseline": False})]
-    assert "71.3" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "71.3" in shown and "137" in shown
     assert main(["bench", "splatting"]) == 0
     assert asked[1] == (("W1", "W2", "W3", "W4"), {"repeats": 15, "baseline": True})
 

@@ -63,9 +63,7 @@ def sure_of(splats, settled, weight):
 
 def one_view(splats, **options):
     parameters = splats.parameters(capacity=splats.means.shape[0] + 5)
-    return next(
-        view_information(parameters, splats.means.shape[0], splats.camera, splats.world_from_camera, **options)
-    )
+    return next(view_information(parameters, splats.means.shape[0], splats.camera, splats.world_from_camera, **options))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -133,11 +133,9 @@ def _run(
     )  # fmt: skip
     bits = workspace.visible[: -(-count // k.LANES)].astype("<u2").view(np.uint8)
     indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])
-    first, second = result[: capacity * f.RESULT_FLOATS].reshape(2, capacity, k.LANES)
-    numbers = np.empty((len(indices), f.COLUMNS), np.float32)
-    numbers[:, : k.LANES] = first[indices]
-    numbers[:, k.LANES :] = second[indices, : f.COLUMNS - k.LANES]
-    return indices, numbers
+    rows = result[: capacity * f.RESULT_FLOATS].reshape(capacity, f.RESULT_FLOATS)
+    # Whole rows: copying 26 numbers of 32 takes longer.
+    return indices, np.take(rows, indices, axis=0, mode="clip")[:, : f.COLUMNS]
 
 
 def full_blocks(blocks: np.ndarray) -> np.ndarray:  # [..., 21] -> [..., 6, 6]

@@ -244,7 +244,7 @@ def _times_curved(a, m):
 def _chain_block(parameters, i, view, grid, records, sums_of, result):
     """Blocks of Gaussians i .. i + 15 from their gathered sums; returns which had a weight.
 
-    ``sums_of [2 * 256]``: the moments, then the other sums. ``result``: two parts of [count, 16].
+    ``sums_of [2 * 256]``: the moments, then the other sums; lost. ``result [count, 32]``.
     """
     capacity = grid[k.CAPACITY]
     m = k.load_sums(sums_of, 0)
@@ -300,7 +300,7 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
     d0, d1, d2 = _times_curved(c0, m), _times_curved(c1, m), _times_curved(c2, m)
     _, complement, _ = k._opacity(parameters, capacity, i)
     k.store_transposed(
-        result, k.LANES * i,
+        sums_of, 0,
         (
             _dot5(a0, b0), _dot5(a1, b0), _dot5(a2, b0), _dot_curved(c0, b0), _dot_curved(c1, b0), _dot_curved(c2, b0),
             _dot5(a1, b1), _dot5(a2, b1), _dot_curved(c0, b1), _dot_curved(c1, b1), _dot_curved(c2, b1),
@@ -309,7 +309,7 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
         ),
     )  # fmt: skip
     k.store_transposed(
-        result, k.LANES * (i + capacity),
+        sums_of, k.LANES * k.LANES,
         (
             k._dot3(c1[0], c1[1], c1[2], d0[0], d0[1], d0[2]), k._dot3(c2[0], c2[1], c2[2], d0[0], d0[1], d0[2]),
             k._dot3(c1[0], c1[1], c1[2], d1[0], d1[1], d1[2]), k._dot3(c2[0], c2[1], c2[2], d1[0], d1[1], d1[2]),
@@ -317,6 +317,10 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
             complement * complement * m[0], n[SQUARED], m[15], n[TOUCHES], n[GATHERED],
         ),
     )  # fmt: skip
+    for lane in range(k.LANES):
+        row = RESULT_FLOATS * (i + lane)
+        k.store(result, row, k.load(sums_of, k.LANES * lane))
+        k.store(result, row + k.LANES, k.load(sums_of, k.LANES * (k.LANES + lane)))
     return k.bits(seen)
 
 

@@ -1,5 +1,6 @@
 """Who chooses the next view. A policy is a pure function of the observation and its own state."""
 
+from activestructure_gym.policies.activegamer import ActiveGAMER
 from activestructure_gym.policies.activestructure import (
     LADDER,
     ActiveStructure,
@@ -17,6 +18,7 @@ from activestructure_gym.policies.random import Random
 __all__ = [
     "LADDER",
     "POLICIES",
+    "ActiveGAMER",
     "ActiveStructure",
     "ActiveStructureA",
     "ActiveStructureB",

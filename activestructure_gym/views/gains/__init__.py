@@ -15,6 +15,7 @@ from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.pixel import pixel
 from activestructure_gym.views.gains.structure import structure
+from activestructure_gym.views.gains.uncovered import uncovered
 
 __all__ = [
     "GAINS",
@@ -25,4 +26,5 @@ __all__ = [
     "hole_area",
     "pixel",
     "structure",
+    "uncovered",
 ]

@@ -1,0 +1,141 @@
+"""ActiveGAMER: two stages of uncovered pixels, then the keyframes that render worst."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.greedy import Greedy
+
+REVISIT = CANDIDATE_FEATURES.index("revisit")
+
+STAGES = ("coarse", "fine", "post-refinement")
+COARSE_STEP = 1.0  # m between the positions of the coarse lattice
+COARSE_DIRECTIONS = 5  # of the coarse lattice, on the Fibonacci sphere
+POOL_SHARE = 0.005  # of the pixels: a view with fewer uncovered leaves the pool of its stage for good
+GOOD_PSNR = 34.0  # dB, exceeded by nine tenths of the keyframes when post-refinement is done
+
+# Guard rails, which the original lacks.
+PATIENCE = 3  # decisions in a row without a view above POOL_SHARE: the table is a draw from a larger pool
+MOST_VISITS = 2  # choices of one view in one stage
+STAGNATION = 30  # decisions in which the best share of the pool never sank: what is left stays uncovered
+
+
+def travel_factor(distance: np.ndarray) -> np.ndarray:  # [n] metres -> [n] in [0, 1]
+    """1 - softmax(d + 1e-6): of raw metres, so it only bites on views that are alone in being far away."""
+    weight = np.exp(distance - distance.max(initial=0.0))  # the 1e-6 of the original cancels, as any shift does
+    return 1.0 - weight / max(float(weight.sum()), 1e-12)
+
+
+def coarse_views(offset: np.ndarray, look: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] -> [n, 3] int, [n]
+    """Which view (ix, iy, direction) of the coarse lattice each view stands for, and how far it is from that one.
+
+    The lattice has its origin at the start, one height, and the Fibonacci directions. ``offset`` is in metres from the
+    start; the distance adds metres and radians.
+    """
+    index = np.arange(COARSE_DIRECTIONS)
+    z = 1.0 - (2.0 * index + 1.0) / COARSE_DIRECTIONS
+    azimuth = 2.0 * np.pi * index / (0.5 * (1.0 + np.sqrt(5.0)))
+    lattice = np.stack([np.sqrt(1.0 - z**2) * np.cos(azimuth), np.sqrt(1.0 - z**2) * np.sin(azimuth), z], axis=1)
+    cosine = look @ lattice.T
+    direction = cosine.argmax(axis=1)
+    cell = np.floor(offset[:, :2] / COARSE_STEP + 0.5 + 1e-3).astype(np.int64)
+    away = np.linalg.norm(offset - np.pad(cell * COARSE_STEP, ((0, 0), (0, 1))), axis=1)
+    return np.column_stack([cell, direction]), away + np.arccos(np.clip(cosine.max(axis=1, initial=-1.0), -1.0, 1.0))
+
+
+@POLICIES.register("activegamer")
+class ActiveGAMER(Greedy):
+    """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage (CVPR 2025).
+
+    IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
+    pool after the choice; a stage ends when its pool is empty. Source: peers_active.md, section 1.
+    """
+
+    required_gains = ("uncovered",)
+
+    def __init__(self, travel: str = "native") -> None:
+        super().__init__()
+        self.travel = travel
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Begin with the coarse stage."""
+        super().reset(seed)
+        self._start: np.ndarray | None = None
+        self._stage = 0
+        self._begin_stage()
+
+    def _begin_stage(self) -> None:
+        self._pruned: set[tuple[int, ...]] = set()
+        self._visits: Counter[tuple[int, ...]] = Counter()
+        self._poor = 0  # decisions in a row without a view worth its while
+        self._lowest, self._stagnant = np.inf, 0
+
+    def act(self, observation: Observation) -> int:
+        """The best view of the stage's pool; in post-refinement the keyframe that renders worst."""
+        valid = observation["action_mask"].astype(bool)
+        if self._start is None:
+            self._start = observation["pose"][:3].astype(np.float64)
+        gain = self.gain(observation, "uncovered").astype(np.float64)
+        keys, pool = self._pool(observation, valid)
+        ended = self._ended(gain[pool])
+        if ended and STAGES[self._stage] != STAGES[-1]:
+            self._stage += 1
+            self._begin_stage()
+            keys, pool = self._pool(observation, valid)
+        self._trace = {"stage": STAGES[self._stage], "pool": int(pool.sum()), "changed": ended}
+        revisits = valid & (observation["candidates"][:, REVISIT] > 0)
+        if STAGES[self._stage] == STAGES[-1] and revisits.any() and float(observation["fidelity"][0]) < GOOD_PSNR:
+            # The worst is offered first. The original's factor of distance is switched off here.
+            nearness = travel_discount(observation) if self.travel == "shared" else np.ones(len(valid))
+            return best_valid(revisits * nearness, observation)
+        among = pool if pool.any() else valid & ~revisits if (valid & ~revisits).any() else valid
+        scores = np.where(among, self._scores(observation, gain, among), -1.0)
+        choice = best_valid(scores, observation)
+        self._trace |= {"uncovered": float(gain[choice]), "score": float(scores[choice])}
+        self._visits[keys[choice]] += 1
+        # The choice comes before the pruning, so a view below the threshold can be chosen once.
+        self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
+        return choice
+
+    def _scores(self, observation: Observation, gain: np.ndarray, among: np.ndarray) -> np.ndarray:  # [K]
+        total = float(gain[among].sum())
+        share = gain / total if total > 0 else np.ones(len(gain))  # nothing uncovered: 0 / 0 in the original
+        if self.travel == "shared":
+            return share * travel_discount(observation)
+        factor = np.zeros(len(gain))
+        moved = observation["candidates"][among, :3].astype(np.float64) - observation["pose"][:3]
+        factor[among] = travel_factor(np.linalg.norm(moved, axis=1))
+        return share * factor
+
+    def _pool(self, observation: Observation, valid: np.ndarray) -> tuple[list[tuple[int, ...]], np.ndarray]:
+        """What names each row in this stage, and which rows [K] are in its pool.
+
+        Coarse: of the offered views that stand for the same view of the coarse lattice, the nearest to it.
+        """
+        table = observation["candidates"].astype(np.float64)
+        pool = valid & (table[:, REVISIT] == 0)
+        names = np.round(100.0 * table[:, :6]).astype(np.int64)
+        if STAGES[self._stage] == STAGES[0]:
+            names, away = coarse_views(table[:, :3] - self._start, table[:, 3:6])
+            nearest = np.full(len(pool), False)
+            order = np.lexsort((away, ~pool))  # those of the pool first, by distance
+            nearest[order[np.unique(names[order], axis=0, return_index=True)[1]]] = True
+            pool &= nearest
+        keys = [tuple(int(n) for n in name) for name in names]
+        kept = [key not in self._pruned and self._visits[key] < MOST_VISITS for key in keys]
+        return keys, pool & np.array(kept, dtype=bool)
+
+    def _ended(self, gain: np.ndarray) -> str | None:  # [n] of the pool
+        """Why the stage is over, if it is."""
+        best = float(gain.max(initial=0.0))
+        self._poor = 0 if best >= POOL_SHARE else self._poor + 1
+        self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1
+        self._lowest = min(self._lowest, best)
+        if self._poor >= PATIENCE:
+            return f"the pool was empty for {PATIENCE} decisions"
+        return f"no progress in {STAGNATION} decisions" if self._stagnant >= STAGNATION else None

@@ -13,9 +13,12 @@ name without registering, in every worker process.
 from activestructure_gym.views.gains.base import GAINS, Gain, GainContext, evaluate_gains
 from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.hole_area import hole_area
+from activestructure_gym.views.gains.in_horizon import in_horizon
 from activestructure_gym.views.gains.pixel import pixel
 from activestructure_gym.views.gains.structure import structure
 from activestructure_gym.views.gains.uncovered import uncovered
+from activestructure_gym.views.gains.visited_distance import visited_distance
+from activestructure_gym.views.gains.voronoi_node import floor_graph, voronoi_node
 
 __all__ = [
     "GAINS",
@@ -23,8 +26,12 @@ __all__ = [
     "GainContext",
     "deficiency",
     "evaluate_gains",
+    "floor_graph",
     "hole_area",
+    "in_horizon",
     "pixel",
     "structure",
     "uncovered",
+    "visited_distance",
+    "voronoi_node",
 ]

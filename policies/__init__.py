@@ -11,6 +11,7 @@ from activestructure_gym.policies.activestructure import (
 )
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
 from activestructure_gym.policies.greedy import Greedy, Planner
+from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
@@ -24,6 +25,7 @@ __all__ = [
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "GSPlanner",
     "Greedy",
     "HoleArea",
     "PixelOnly",

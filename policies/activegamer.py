@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
-from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.greedy import Planner
 
 REVISIT = CANDIDATE_FEATURES.index("revisit")
 
@@ -48,7 +48,7 @@ def coarse_views(offset: np.ndarray, look: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 @POLICIES.register("activegamer")
-class ActiveGAMER(Greedy):
+class ActiveGAMER(Planner):
     """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage (CVPR 2025).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
@@ -58,8 +58,7 @@ class ActiveGAMER(Greedy):
     required_gains = ("uncovered",)
 
     def __init__(self, travel: str = "native") -> None:
-        super().__init__()
-        self.travel = travel
+        super().__init__(travel)
         self.reset(0)
 
     def reset(self, seed: int) -> None:

@@ -12,6 +12,7 @@ name without registering, in every worker process.
 
 from activestructure_gym.views.gains.base import GAINS, Gain, GainContext, evaluate_gains
 from activestructure_gym.views.gains.deficiency import deficiency
+from activestructure_gym.views.gains.gs_planner import gs_planner_loss, gs_planner_volume
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.in_horizon import in_horizon
 from activestructure_gym.views.gains.pixel import pixel
@@ -27,6 +28,8 @@ __all__ = [
     "deficiency",
     "evaluate_gains",
     "floor_graph",
+    "gs_planner_loss",
+    "gs_planner_volume",
     "hole_area",
     "in_horizon",
     "pixel",

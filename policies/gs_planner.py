@@ -1,0 +1,114 @@
+"""GS-Planner: unobserved volume that light would reach, badly rendered surface, and a library of views left behind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.greedy import Planner
+
+_LENGTH = CANDIDATE_FEATURES.index("path_length")
+
+# The paper prints no values for these; ours are shares of what a view could gain at most.
+QUALITY_WEIGHT = 0.1  # of the mean loss in metres against the share of unobserved volume
+LEAST_GAIN = 0.02  # g_lb: a view below is dropped
+STORED_GAIN = 0.05  # g_thres: a view above that is not chosen goes into the library
+LEAST_OVERLAP = 0.5  # epsilon: from this overlap on two views are one to the library
+OVERLAP_M = 2.0  # metres apart at which two views have nothing in common
+OVERLAP_RAD = np.pi / 2.0  # angle between them at which they have nothing in common: the width of the image
+
+VIEWPOINTS = 10  # that an iteration of the tree adds
+
+
+def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m, 6] position and look -> [n, m] in 0..1
+    """What two views have in common, from how far they are apart and turned from each other alone."""
+    apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
+    angle = np.arccos(np.clip(first[:, 3:] @ second[:, 3:].T, -1.0, 1.0))
+    return np.maximum(1.0 - apart / OVERLAP_M, 0.0) * np.maximum(1.0 - angle / OVERLAP_RAD, 0.0)
+
+
+def best_per_viewpoint(
+    positions: np.ndarray,  # [n, 3]
+    lengths: np.ndarray,  # [n] metres of way
+    gain: np.ndarray,  # [n]
+) -> np.ndarray:  # [v] rows, nearest viewpoint first
+    """Of every position its best direction: the original turns a window over 360 degrees at each."""
+    _, which = np.unique(np.round(100.0 * positions).astype(np.int64), axis=0, return_inverse=True)
+    which = which.ravel()
+    order = np.lexsort((-gain, which))
+    best = order[np.unique(which[order], return_index=True)[1]]
+    return best[np.argsort(lengths[best], kind="stable")]
+
+
+@POLICIES.register("gs_planner")
+class GSPlanner(Planner):
+    """G = G_completeness + w G_quality: `gs_planner_volume` and `gs_planner_loss` (GS-Planner, IROS 2024).
+
+    Native: the best of the VIEWPOINTS nearest positions, each with its best direction, as one growth of the original's
+    tree from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
+    LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
+    Source: peers_info_rl.md, A4.
+    """
+
+    required_gains = ("gs_planner_volume", "gs_planner_loss")
+
+    def __init__(self, travel: str = "native") -> None:
+        super().__init__(travel)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Begin with an empty library."""
+        super().reset(seed)
+        self._library = np.zeros((0, 6))  # position [m] and look of each view
+
+    def act(self, observation: Observation) -> int:
+        """The best near view, or one from the library."""
+        volume, loss = (self.gain(observation, name).astype(np.float64) for name in self.required_gains)
+        gain = volume + QUALITY_WEIGHT * loss
+        if self.travel == "shared":
+            choice, source = best_valid(self.scores(gain, observation), observation), "all"
+        else:
+            choice, source = self._local_or_library(gain, observation)
+        self._trace = {"volume": float(volume[choice]), "loss": float(loss[choice]), "from": source}
+        self._trace["library"] = len(self._library)
+        return choice
+
+    def _local_or_library(self, gain: np.ndarray, observation: Observation) -> tuple[int, str]:
+        valid = np.flatnonzero(observation["action_mask"])
+        table = observation["candidates"].astype(np.float64)
+        rows = valid[best_per_viewpoint(table[valid, :3], table[valid, _LENGTH], gain[valid])][:VIEWPOINTS]
+        rows = rows[gain[rows] >= LEAST_GAIN]
+        if len(rows):
+            choice = int(rows[np.argmax(gain[rows])])
+            self._forget(table[[choice], :6])
+            self._store(table[rows[(gain[rows] > STORED_GAIN) & (rows != choice)], :6])
+            return choice, "near"
+        found = self._offered(table[valid, :6], gain[valid])
+        if len(found):
+            choice = int(valid[found[np.argmax(gain[valid[found]])]])
+            self._forget(table[[choice], :6])
+            return choice, "library"
+        return best_valid(gain, observation), "all"
+
+    def _store(self, views: np.ndarray) -> None:  # [n, 6]
+        for view in views:
+            if not len(self._library) or overlap(view[None], self._library).max() < LEAST_OVERLAP:
+                self._library = np.vstack([self._library, view])
+
+    def _forget(self, chosen: np.ndarray) -> None:  # [1, 6]
+        self._library = self._library[overlap(self._library, chosen).max(axis=1, initial=0.0) < LEAST_OVERLAP]
+
+    def _offered(self, views: np.ndarray, gain: np.ndarray) -> np.ndarray:  # [n, 6], [n] -> [f] rows
+        """Where the library's views, or what has most in common with them, stand in the table.
+
+        Those that lost their gain since leave the library; those that are not on offer this time stay.
+        """
+        if not len(self._library) or not len(views):
+            return np.zeros(0, dtype=np.int64)
+        common = overlap(self._library, views)
+        row = common.argmax(axis=1)
+        offered = common.max(axis=1) >= LEAST_OVERLAP
+        worth = gain[row] >= LEAST_GAIN
+        self._library = self._library[~offered | worth]
+        return row[offered & worth]

@@ -13,6 +13,7 @@ from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy
 from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
+from activestructure_gym.policies.naruto import Naruto
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
 
@@ -28,6 +29,7 @@ __all__ = [
     "GSPlanner",
     "Greedy",
     "HoleArea",
+    "Naruto",
     "PixelOnly",
     "Planner",
     "Policy",

@@ -15,6 +15,7 @@ from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.gs_planner import gs_planner_loss, gs_planner_volume
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.in_horizon import in_horizon
+from activestructure_gym.views.gains.naruto import naruto
 from activestructure_gym.views.gains.pixel import pixel
 from activestructure_gym.views.gains.structure import structure
 from activestructure_gym.views.gains.uncovered import uncovered
@@ -32,6 +33,7 @@ __all__ = [
     "gs_planner_volume",
     "hole_area",
     "in_horizon",
+    "naruto",
     "pixel",
     "structure",
     "uncovered",

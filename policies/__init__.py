@@ -1,6 +1,7 @@
 """Who chooses the next view. A policy is a pure function of the observation and its own state."""
 
 from activestructure_gym.policies.activegamer import ActiveGAMER
+from activestructure_gym.policies.activesplat import ActiveSplat
 from activestructure_gym.policies.activestructure import (
     LADDER,
     ActiveStructure,
@@ -21,6 +22,7 @@ __all__ = [
     "LADDER",
     "POLICIES",
     "ActiveGAMER",
+    "ActiveSplat",
     "ActiveStructure",
     "ActiveStructureA",
     "ActiveStructureB",

@@ -10,6 +10,12 @@ The env evaluates the gains it is asked for (``gains=("pixel", "mine")``); ``"pa
 name without registering, in every worker process.
 """
 
+from activestructure_gym.views.gains.activesplat import (
+    activesplat_information,
+    activesplat_region,
+    activesplat_view,
+    activesplat_volume,
+)
 from activestructure_gym.views.gains.base import GAINS, Gain, GainContext, evaluate_gains
 from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.gs_planner import gs_planner_loss, gs_planner_volume
@@ -26,6 +32,10 @@ __all__ = [
     "GAINS",
     "Gain",
     "GainContext",
+    "activesplat_information",
+    "activesplat_region",
+    "activesplat_view",
+    "activesplat_volume",
     "deficiency",
     "evaluate_gains",
     "floor_graph",

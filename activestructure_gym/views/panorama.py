@@ -1,0 +1,115 @@
+"""What is missing all around a place: panoramas of the map, the clusters of their open pixels, and how much each hides.
+
+ActiveSplat's measure of a Voronoi node (RA-L 2025; peers_active.md, 3.1), at half its resolution: its thresholds in
+pixels are for one pixel per degree, ours are what they mean in degrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import convolve, distance_transform_edt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, QhullError
+
+from activestructure_gym.geometry import PinholeCamera, look_along
+
+DEG_PER_PIXEL = 2.0
+SIDES = 3  # pinhole images, side by side
+SIDE_DEG = (120.0, 150.0)  # width and height of each: what is steeper than 75 degrees is not in the panorama
+OPEN = 0.8  # a pixel is open where 1 - opacity is above
+NEIGHBOUR_DEG = 5.0  # eps of DBSCAN
+LEAST_DEG2 = 25.0  # its least neighbourhood, in square degrees
+DILATION_DEG = 15.0  # width of the ellipse by which a cluster is dilated to reach the surface around it
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A cluster of open pixels."""
+
+    missing: float  # square degrees: sum of 1 - opacity
+    volume: float  # rad^2 m: convex hull of (azimuth, elevation, depth) of the surface around it
+
+
+def camera() -> PinholeCamera:
+    """One side of a panorama. Its pixels are not square: it is as many degrees wide and high as it has pixels."""
+    width, height = (round(side / DEG_PER_PIXEL) for side in SIDE_DEG)
+    focal = 0.5 * np.array([width, height]) / np.tan(0.5 * np.radians(SIDE_DEG))
+    return PinholeCamera(width, height, float(focal[0]), float(focal[1]), width / 2.0, height / 2.0)
+
+
+def poses(positions: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N * SIDES, 4, 4] world_from_camera
+    """Level cameras that look around at each position, clockwise as their images stand side by side."""
+    azimuth = -np.arange(SIDES) * np.radians(SIDE_DEG[0])
+    looks = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(SIDES)], axis=1)
+    return np.stack([look_along(p, look) for p in positions for look in looks]).reshape(-1, 4, 4)
+
+
+def side_by_side(images: np.ndarray) -> np.ndarray:  # [N * SIDES, h, w] -> [N, h, SIDES * w]
+    """Panoramas from what `poses` rendered."""
+    count, height, width = images.shape
+    return images.reshape(count // SIDES, SIDES, height, width).transpose(0, 2, 1, 3).reshape(-1, height, SIDES * width)
+
+
+def clusters(
+    mask: np.ndarray,  # [H, W] bool
+    radius: float,  # pixels
+    least: int,  # pixels within the radius, the pixel itself included, that make it a core
+) -> np.ndarray:  # [H, W] int64: 0 outside, numbers from 1 inside a cluster
+    """DBSCAN of the pixels of a mask. A border pixel belongs to the cluster of its nearest core."""
+    reach = int(radius)
+    dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disk = dy**2 + dx**2 <= radius**2
+    core = mask & (convolve(mask.astype(np.int64), disk.astype(np.int64), mode="constant") >= least)
+    labels = np.zeros(mask.shape, dtype=np.int64)
+    if not core.any():
+        return labels
+    number = np.full(mask.shape, -1)
+    number[core] = np.arange(core.sum())
+    padded = np.pad(number, reach, constant_values=-1)
+    pairs = []
+    for down, right in np.argwhere(disk) - reach:
+        if (down, right) > (0, 0):
+            other = padded[reach + down :, reach + right :][: mask.shape[0], : mask.shape[1]]
+            both = (number >= 0) & (other >= 0)
+            pairs.append(np.stack([number[both], other[both]]))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_matrix((np.ones(len(first), dtype=bool), (first, second)), shape=(core.sum(), core.sum()))
+    labels[core] = 1 + connected_components(graph, directed=False)[1]
+    away, nearest = distance_transform_edt(~core, return_indices=True)
+    return np.where(mask & (away <= radius), labels[tuple(nearest)], 0)
+
+
+def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panoramas [H, W] in 0..1, [H, W] metres
+    """The clusters of open pixels. ``depth`` is 0 where nothing is rendered."""
+    missing = 1.0 - alpha.astype(np.float64)
+    pixel = DEG_PER_PIXEL**2
+    labels = clusters(missing > OPEN, NEIGHBOUR_DEG / DEG_PER_PIXEL, round(LEAST_DEG2 / pixel))
+    return [
+        Opening(float(missing[labels == label].sum()) * pixel, hull_volume(labels == label, depth))
+        for label in range(1, int(labels.max()) + 1)
+    ]
+
+
+def hull_volume(mask: np.ndarray, depth: np.ndarray) -> float:  # [H, W] bool, [H, W] metres -> rad^2 m
+    """Volume of the convex hull of (azimuth, elevation, depth) along the outline of the dilated mask.
+
+    0 where fewer than four points of the outline have something rendered, or all lie in a plane.
+    """
+    width = 2 * int(0.5 * DILATION_DEG / DEG_PER_PIXEL) + 1
+    ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    dilated = cv2.dilate(mask.astype(np.uint8), ellipse)
+    outlines, _ = cv2.findContours(dilated, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    columns, rows = np.concatenate(outlines).reshape(-1, 2).T
+    known = depth[rows, columns] > 0
+    points = np.column_stack([np.radians(DEG_PER_PIXEL) * np.stack([columns, rows], axis=1), depth[rows, columns]])
+    points = points[known].astype(np.float64)
+    if len(points) < 4:
+        return 0.0
+    try:
+        return float(ConvexHull(points).volume)
+    except QhullError:  # flat
+        return 0.0

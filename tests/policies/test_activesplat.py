@@ -1,0 +1,172 @@
+"""ActiveSplat: its integer score, its subregions, and when it looks around instead of going on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.activesplat import (
+    DEFERRED_M,
+    LOCAL_DEG2,
+    LOCAL_VIEWS,
+    RICH,
+    UNARRIVED_M,
+    ActiveSplat,
+    Nodes,
+    choose_node,
+    node_scores,
+)
+
+AHEAD, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+
+
+def nodes(count: int = 3, **changes: Any) -> Nodes:
+    values: dict[str, Any] = {
+        "rows": tuple(np.array([n]) for n in range(count)),
+        "information": np.zeros(count),
+        "volume": np.zeros(count),
+        "unarrived": np.ones(count, bool),
+        "horizon": np.zeros(count, bool),
+        "failed": np.zeros(count, bool),
+        "region": np.ones(count),
+        "length": np.arange(1.0, count + 1.0),
+    }
+    return Nodes(**{**values, **{name: np.array(value) for name, value in changes.items()}})
+
+
+def test_the_score_by_hand() -> None:
+    known = nodes(
+        information=[400.0, 100.0, 0.0], volume=[2.0, 4.0, 0.0], unarrived=[True, False, True],
+        horizon=[False, True, False], failed=[False, False, True],
+    )  # fmt: skip
+    # 20 + 2 x 10 + 5; 10 + 2 x ceil(2.5) + 10; 20 - 60
+    assert node_scores(known).tolist() == [45, 26, -40]
+
+
+def test_when_every_node_is_arrived_at_or_failed_information_alone_counts() -> None:
+    known = nodes(
+        information=[400.0, 100.0, 400.0], volume=[2.0, 4.0, 0.0], unarrived=[False, False, True],
+        horizon=[False, True, True], failed=[False, False, True],
+    )  # fmt: skip
+    # 10 x 10 + 10 x 5; 10 x 3 + 10 x 10 - 1; 10 x 10 - 1 - 60
+    assert node_scores(known).tolist() == [150, 129, 39]
+
+
+def test_nothing_missing_anywhere_is_no_division_by_zero() -> None:
+    assert node_scores(nodes()).tolist() == [20, 20, 20]
+
+
+def test_a_subregion_is_finished_before_the_next() -> None:
+    known = nodes(information=[1.1 * RICH, 9.0 * RICH, 0.0], region=[1, 2, 1])
+    scores = node_scores(known)
+    assert scores.tolist() == [24, 40, 20]
+    assert choose_node(known, scores) == 0
+    # Its rich node was visited, or is no longer rich, or failed.
+    for change in ({"unarrived": [False, True, True]}, {"information": [0.9 * RICH, 9.0 * RICH, 0.0]},
+                   {"failed": [True, False, False]}):  # fmt: skip
+        changed = nodes(**{"information": [1.1 * RICH, 9.0 * RICH, 0.0], "region": [1, 2, 1], **change})
+        assert choose_node(changed, node_scores(changed)) == 1
+
+
+def test_ties_go_to_the_shortest_way_and_the_far_is_deferred() -> None:
+    assert choose_node(nodes(length=[3.0, 2.0, 4.0]), np.array([7, 7, 7])) == 1
+    far = nodes(length=[1.0, 5.0, DEFERRED_M + 1.0])
+    assert choose_node(far, np.array([1, 2, 9])) == 1
+    alone = nodes(length=[DEFERRED_M + 2.0, DEFERRED_M + 3.0, DEFERRED_M + 1.0])
+    assert choose_node(alone, np.array([1, 2, 9])) == 2
+
+
+def observation(
+    positions: list[tuple[float, float]],
+    *,
+    node: list[int],
+    show: list[float],
+    looks: list[tuple[float, float, float]] | None = None,
+    information: list[float] | None = None,
+    visited: list[float] | None = None,
+    here: tuple[float, float] = (0.0, 0.0),
+) -> dict[str, np.ndarray]:
+    """The agent looks along +x."""
+    count = len(positions)
+    table = np.zeros((count, len(CANDIDATE_FEATURES)), np.float32)
+    table[:, :2] = positions
+    table[:, 3:6] = [AHEAD] * count if looks is None else looks
+    table[:, CANDIDATE_FEATURES.index("path_length")] = np.linalg.norm(np.subtract(positions, here), axis=1)
+    table[:, CANDIDATE_FEATURES.index("frames")] = 10.0 * table[:, CANDIDATE_FEATURES.index("path_length")] + 1.0
+    gains = np.zeros((count, len(ActiveSplat.required_gains)), np.float32)
+    for name, values in {
+        "voronoi_node": node,
+        "visited_distance": [2 * UNARRIVED_M] * count if visited is None else visited,
+        "activesplat_information": [1.0] * count if information is None else information,
+        "activesplat_region": [1.0] * count,
+        "activesplat_view": show,
+    }.items():
+        gains[:, ActiveSplat.required_gains.index(name)] = values
+    return {
+        "candidates": table,
+        "candidate_gains": gains,
+        "action_mask": np.ones(count, np.int8),
+        "pose": np.array([*here, 0.0, 0.5, 0.5, 0.5, 0.5], np.float32),
+    }
+
+
+def policy(travel: str = "native") -> ActiveSplat:
+    made = ActiveSplat(travel)
+    made.reset(0)
+    return made
+
+
+def test_it_looks_around_before_it_goes_on_but_not_for_ever() -> None:
+    rich = 2.0 * LOCAL_DEG2
+    seen = observation(
+        [(0.5, 0.0), (0.0, 0.5), (3.0, 0.0), (3.0, 0.5)], node=[-1, -1, 0, 0], show=[rich, rich + 1.0, 5.0, 9.0],
+        looks=[BACK, AHEAD, AHEAD, AHEAD],
+    )  # fmt: skip
+    seen["pose"][3:] = (0.5, -0.5, 0.5, -0.5)  # along +x, as the camera of look_along is turned
+    made = policy()
+    chosen, modes = [], []
+    for _ in range(LOCAL_VIEWS + 2):
+        chosen.append(made.act(seen))
+        modes.append(made.trace()["mode"])
+        seen["pose"][:3] = seen["candidates"][chosen[-1], :3]
+    # Row 1 would show more, but the agent looks that way already. At the node the view that shows most.
+    assert chosen == [0] * LOCAL_VIEWS + [3, 0]
+    assert modes == ["local"] * LOCAL_VIEWS + ["node", "local"]
+    poor = observation([(0.5, 0.0), (3.0, 0.0)], node=[-1, 0], show=[0.9 * LOCAL_DEG2, 0.0], looks=[BACK, AHEAD])
+    assert policy().act(poor) == 1
+
+
+def test_a_node_that_was_not_reached_has_failed_also_under_another_number() -> None:
+    positions = [(2.0, 0.0), (4.0, 0.0)]
+    seen = observation(positions, node=[0, 1], show=[0.0, 0.0], information=[9.0, 1.0])
+    made = policy()
+    assert made.act(seen) == 0
+    assert made.act(seen) == 1  # it stands where it stood
+    arrived = observation(positions, node=[1, 0], show=[0.0, 0.0], information=[9.0, 1.0], here=(4.0, 0.0))
+    assert made.act(arrived) == 1
+    # The other way round: it arrives, and nothing has failed.
+    made = policy()
+    assert made.act(seen) == 0
+    assert made.act(observation(positions, node=[0, 1], show=[0, 0], information=[9.0, 1.0], here=(2.0, 0.0))) == 0
+
+
+def test_shared_travel_weighs_the_score_by_the_frames() -> None:
+    positions = [(1.0, 0.0), (1.0, 0.1), (9.0, 0.0)]
+    seen = observation(
+        positions, node=[0, 0, 1], show=[1.0, 2.0, 0.0], information=[1.0, 1.0, 5.0], visited=[2.0, 2.0, 2.0]
+    )
+    assert policy().act(seen) == 2  # 20 + 20 against 20 + 4
+    assert policy("shared").act(seen) == 1
+    with pytest.raises(ValueError, match="travel must be native or shared"):
+        policy("none")
+
+
+def test_pathology_views_that_stand_at_no_node_are_never_gone_to() -> None:
+    """However much they would show: the planner sees the plan's nodes, and the views within reach of where it is."""
+    seen = observation([(3.0, 0.0), (5.0, 2.0)], node=[0, -1], show=[0.0, 4000.0], information=[0.0, 0.0])
+    assert policy().act(seen) == 0
+    none = observation([(3.0, 0.0), (5.0, 2.0)], node=[-1, -1], show=[0.0, 4000.0])
+    assert policy().act(none) == 1  # unless there is no node at all

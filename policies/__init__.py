@@ -1,5 +1,6 @@
 """Who chooses the next view. A policy is a pure function of the observation and its own state."""
 
+from activestructure_gym.policies.active_gs import ActiveGS
 from activestructure_gym.policies.activegamer import ActiveGAMER
 from activestructure_gym.policies.activesplat import ActiveSplat
 from activestructure_gym.policies.activestructure import (
@@ -11,23 +12,28 @@ from activestructure_gym.policies.activestructure import (
     ActiveStructureD,
 )
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
+from activestructure_gym.policies.frontier import Frontier
 from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.naruto import Naruto
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.random import Random
+from activestructure_gym.policies.rt_guide import RTGuide
+from activestructure_gym.policies.view_angle import ViewAngle
 
 __all__ = [
     "LADDER",
     "POLICIES",
     "ActiveGAMER",
+    "ActiveGS",
     "ActiveSplat",
     "ActiveStructure",
     "ActiveStructureA",
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "Frontier",
     "GSPlanner",
     "Greedy",
     "HoleArea",
@@ -35,7 +41,9 @@ __all__ = [
     "PixelOnly",
     "Planner",
     "Policy",
+    "RTGuide",
     "Random",
+    "ViewAngle",
     "canonical_policy",
     "make_policy",
     "travel_discount",

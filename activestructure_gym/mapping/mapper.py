@@ -16,6 +16,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.scans import CHUNK, fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
@@ -61,6 +62,7 @@ class Mapper:
         self._store = KeyframeStore(border_share=config.overlap_border)
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
+        self._movement: Movement | None = None
         self._weights = cpu.LossWeights(
             image=config.image_weight,
             l1_share=config.l1_share,
@@ -147,6 +149,11 @@ class Mapper:
         """
         self._measure_psnr(self._store.stalest(len(self.keyframes) if renders is None else renders))
         return np.array(self._store.psnr, dtype=np.float64)
+
+    def movement(self) -> np.ndarray:  # [N] float32 metres
+        """How far the last event that moved a Gaussian moved it; followed from the first call on, 0 until then."""
+        self._movement = self._movement or Movement(self.map)
+        return self._movement.metres()
 
     def _seed(
         self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None
@@ -275,6 +282,8 @@ class Mapper:
         """
         config = self.config
         losses = np.full((len(views), 3), np.nan)
+        if self._movement is not None:
+            self._movement.begin()
         if config.adam_reset:
             self.map.reset_moments()
         rates, epsilon = config.learning_rates(self.scene_radius), config.adam_epsilon
@@ -318,6 +327,8 @@ class Mapper:
             losses[step] = result.color, result.depth, result.ssim
         if -1 in config.prune_steps:
             pruned += self._prune(changed)
+        if self._movement is not None:
+            self._movement.end()
         return losses, pruned
 
     def _prune(self, changed: np.ndarray) -> int:

@@ -21,6 +21,7 @@ _TITLES = {
     "growth": "cost of one place while the map grows elsewhere",
     "grid": "the same jobs by hand and through the supervisor",
     "evaluation": "cost of an episode's evaluation, the truth in the cache",
+    "policies": "seconds of a decision, median and quartiles",
 }
 
 
@@ -37,6 +38,17 @@ def bench(options: Bench) -> int:
         from activestructure_gym.evaluation.cli.bench_evaluation import measure_evaluation
 
         rows = measure_evaluation(console, scenes, quick=options.quick)
+    elif options.what == "policies":
+        from activestructure_gym.evaluation import policy_benchmark
+
+        few: dict[str, Any] = {"preset": "fast", "frames": 25, "repeats": 1} if options.quick else {}
+        with console.status("measuring the policies") as status:
+            where = scenes or ["box" if options.quick else policy_benchmark.SCENE]
+            rows = [
+                row | {"scene": spec}
+                for spec in where
+                for row in policy_benchmark.run_policy_benchmark(spec, notify=lambda line: status.update(line), **few)
+            ]
     elif options.what == "planes":
         from activestructure_gym.planes import benchmark
         from activestructure_gym.scenes.library import load_scene

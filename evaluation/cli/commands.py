@@ -96,19 +96,21 @@ class Doctor:
 @dataclass(frozen=True)
 class Bench:
     """Measure a part on this machine: speed of the sensor or the rasteriser, planes found, quality of maps, cost of
-    their growth, what the supervisor of a comparison costs, time of an episode's evaluation."""
+    their growth, what the supervisor of a comparison costs, time of an episode's evaluation and of every policy's
+    decisions."""
 
     what: Annotated[
-        Literal["sensor", "splatting", "planes", "mapping", "growth", "grid", "evaluation"], tyro.conf.Positional
+        Literal["sensor", "splatting", "planes", "mapping", "growth", "grid", "evaluation", "policies"],
+        tyro.conf.Positional,
     ]
     """The part to measure."""
     scene: str | None = None
     """The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), that are mapped (two
-    apartments), or that a grid explores (room); separated by commas."""
+    apartments), that a grid explores (room), or where policies decide (apartment?rooms=3); separated by commas."""
     out: str | None = None
     """Directory for the figure and the numbers of mapping and growth; only printed if not given."""
     quick: Switch = False
-    """Planes, mapping, growth, grid and evaluation in small, to see that they run."""
+    """Planes, mapping, growth, grid, evaluation and policies in small, to see that they run."""
 
     workloads: tuple[str, ...] = ("W1", "W2", "W3", "W4")
     """Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k

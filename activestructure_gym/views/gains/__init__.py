@@ -17,14 +17,18 @@ from activestructure_gym.views.gains.activesplat import (
     activesplat_volume,
 )
 from activestructure_gym.views.gains.base import GAINS, Gain, GainContext, evaluate_gains
+from activestructure_gym.views.gains.confidence import confidence
 from activestructure_gym.views.gains.deficiency import deficiency
 from activestructure_gym.views.gains.gs_planner import gs_planner_loss, gs_planner_volume
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.views.gains.in_horizon import in_horizon
 from activestructure_gym.views.gains.naruto import naruto
 from activestructure_gym.views.gains.pixel import pixel
+from activestructure_gym.views.gains.rt_guide import rt_guide, rt_guide_cuboid, rt_guide_region
 from activestructure_gym.views.gains.structure import structure
 from activestructure_gym.views.gains.uncovered import uncovered
+from activestructure_gym.views.gains.unexplored import unexplored
+from activestructure_gym.views.gains.view_angle import view_angle
 from activestructure_gym.views.gains.visited_distance import visited_distance
 from activestructure_gym.views.gains.voronoi_node import floor_graph, voronoi_node
 
@@ -36,6 +40,7 @@ __all__ = [
     "activesplat_region",
     "activesplat_view",
     "activesplat_volume",
+    "confidence",
     "deficiency",
     "evaluate_gains",
     "floor_graph",
@@ -45,8 +50,13 @@ __all__ = [
     "in_horizon",
     "naruto",
     "pixel",
+    "rt_guide",
+    "rt_guide_cuboid",
+    "rt_guide_region",
     "structure",
     "uncovered",
+    "unexplored",
+    "view_angle",
     "visited_distance",
     "voronoi_node",
 ]

@@ -1,0 +1,32 @@
+"""ActiveGS (Jin et al. 2025): unexplored space and unsure surface, less the share of the way."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.base import POLICIES, Observation
+from activestructure_gym.policies.greedy import Greedy
+
+LENGTH = CANDIDATE_FEATURES.index("path_length")
+
+
+@POLICIES.register("active_gs")
+class ActiveGS(Greedy):
+    """score = U / sum U - 0.5 L / sum L over the valid candidates (peers_active.md 3.4).
+
+    U is the gain, L the path length in metres. Where nothing has a gain all U count the same, and the nearest view is
+    taken; the original then draws scores by lot.
+    """
+
+    required_gains = ("confidence",)
+    way: ClassVar[float] = 0.5  # weight of the path's share
+
+    def native(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
+        """The difference of the two shares."""
+        valid = observation["action_mask"].astype(bool)
+        length = observation["candidates"][:, LENGTH].astype(np.float64)
+        sums = max(float(gain[valid].sum()), 1e-300), max(float(length[valid].sum()), 1e-12)
+        return gain.astype(np.float64) / sums[0] - self.way * length / sums[1]

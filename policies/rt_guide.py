@@ -1,0 +1,38 @@
+"""RT-GuIDE (Tao et al. 2025): first the region that is worth its way, then the view in it where most still moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.greedy import Planner
+
+LENGTH = CANDIDATE_FEATURES.index("path_length")
+_NOTHING = -1e6  # below the logarithm of anything above 0, with any way
+
+
+@POLICIES.register("rt_guide")
+class RTGuide(Planner):
+    """Region: argmax Omega / e^d, d the way in metres to its nearest view; view in it: argmax xi (peers_info_rl.md A6).
+
+    With the shared travel term there are no regions: xi, counted from the lowest one on offer, times the factor of all.
+    """
+
+    required_gains = ("rt_guide", "rt_guide_region", "rt_guide_cuboid")
+
+    def act(self, observation: Observation) -> int:
+        """The best view of the best region; the nearest region where no Gaussian has moved."""
+        valid = observation["action_mask"].astype(bool)
+        xi, region, cuboid = (self.gain(observation, name).astype(np.float64) for name in self.required_gains)
+        if self.travel == "shared" or not valid.any():
+            gain = xi - xi[valid].min() if valid.any() else xi
+            choice = best_valid(self.scores(gain, observation), observation)
+        else:
+            length = observation["candidates"][:, LENGTH].astype(np.float64)
+            # As logarithms: e^d of a long way is no number.
+            worth = np.where(region > 0, np.log(np.maximum(region, 1e-300)), _NOTHING) - length
+            inside = valid & (cuboid == cuboid[best_valid(worth, observation)])
+            choice = int(np.argmax(np.where(inside, xi, -np.inf)))
+        self._trace = {"rt_guide": float(xi[choice]), "region": float(region[choice]), "cuboid": int(cuboid[choice])}
+        return choice

@@ -1,0 +1,93 @@
+"""The further references (active_gs, frontier, rt_guide, view_angle) on tables of three or four views, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies import ActiveGS, Frontier, Greedy, RTGuide, ViewAngle
+
+LENGTH, FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")
+
+
+def observation(gains: list, length: list, valid: list | None = None) -> dict[str, np.ndarray]:
+    """Ten frames per metre of path."""
+    table = np.array(gains, np.float32).reshape(len(length), -1)
+    candidates = np.zeros((len(length), len(CANDIDATE_FEATURES)), np.float32)
+    candidates[:, LENGTH], candidates[:, FRAMES] = length, 10 * np.array(length)
+    mask = np.ones(len(length), np.int8) if valid is None else np.array(valid, np.int8)
+    return {"candidates": candidates, "candidate_gains": table, "action_mask": mask}
+
+
+@pytest.mark.parametrize(("kind", "gain"), [(ActiveGS, "confidence"), (Frontier, "unexplored")])
+def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Greedy], gain: str) -> None:
+    assert kind.required_gains == (gain,)
+    # Shares of the gain 0.3, 0.3, 0.4; of the way 0.3, 0.1, 0.6: 0.15, 0.25, 0.1.
+    seen = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0])
+    np.testing.assert_allclose(kind().native(seen["candidate_gains"][:, 0], seen), [0.15, 0.25, 0.1], rtol=1e-6)
+    assert kind().act(seen) == 1
+    assert kind().act(observation([3.0, 3.0, 6.0], [3.0, 1.0, 6.0])) == 1  # 0.25 - 0.05, 0.5 - 0.3
+    assert kind().act(observation([2.0, 2.0, 6.0], [3.0, 1.0, 6.0])) == 2  # 0.2 - 0.05, 0.6 - 0.3
+    # What is masked takes no share: alone, the first two have 0.5 each.
+    masked = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0], [1, 1, 0])
+    np.testing.assert_allclose(kind().native(masked["candidate_gains"][:, 0], masked)[:2], [0.125, 0.375], rtol=1e-6)
+    # With everybody's term the last one is worth 4 / 13, the second 3 / 3.
+    assert kind("shared").act(seen) == 1
+
+
+def test_active_gs_goes_far_for_a_little_more_where_all_ways_are_long() -> None:
+    """Its pathology: only shares of the way count, so that with many views on offer the way hardly does."""
+    gains, length = np.full(100, 1.0), np.full(100, 8.0)
+    gains[0], length[0] = 0.9, 0.5  # beside the agent
+    gains[1], length[1] = 1.1, 12.0
+    seen = observation(gains.tolist(), length.tolist())
+    assert ActiveGS().act(seen) == 0
+    gains[1] = 1.7
+    assert ActiveGS().act(observation(gains.tolist(), length.tolist())) == 1  # 24 times the way for twice the gain
+    assert ActiveGS("shared").act(observation(gains.tolist(), length.tolist())) == 0
+
+
+def test_without_any_gain_the_nearest_view_is_taken() -> None:
+    nothing = observation([0.0, 0.0, 0.0], [3.0, 1.0, 0.5], [1, 1, 0])
+    for kind in (ActiveGS, Frontier):
+        assert kind().act(nothing) == kind("shared").act(nothing) == 1
+
+
+def test_view_angle_takes_the_newest_side_however_far() -> None:
+    seen = observation([0.3, 0.4, 0.5], [0.1, 1.0, 30.0])
+    assert ViewAngle().act(seen) == 2
+    assert ViewAngle("shared").act(seen) == 0
+
+
+# Columns: xi, Omega, cuboid.
+VIEWS = [[0.0, 0.010, 4], [0.2, 0.010, 4], [0.5, 0.030, 7], [0.9, 0.080, 9]]
+
+
+def test_rt_guide_chooses_a_region_by_its_way_and_then_the_view() -> None:
+    policy = RTGuide()
+    # Omega / e^d: 0.010 / e^0.5 = 0.0061, 0.030 / e^2 = 0.0041, 0.080 / e^3 = 0.0040: the first region, and in it the
+    # better view though it is farther away.
+    assert policy.act(observation(VIEWS, [0.5, 2.5, 2.0, 3.0])) == 1
+    assert policy.trace() == {"rt_guide": pytest.approx(0.2), "region": pytest.approx(0.01), "cuboid": 4}
+    assert policy.act(observation(VIEWS, [1.5, 1.8, 2.0, 3.0])) == 2  # 0.0022
+    assert policy.act(observation(VIEWS, [1.5, 1.8, 2.0, 2.0])) == 3  # 0.0108
+    assert policy.act(observation(VIEWS, [0.5, 2.5, 2.0, 3.0], [1, 0, 1, 1])) == 0
+
+
+def test_rt_guide_stays_where_it_is_while_much_moves_farther_away() -> None:
+    """Its pathology: e^-d outweighs any uncertainty that is some metres off."""
+    assert RTGuide().act(observation([[0.1, 0.001, 1], [0.9, 0.1, 2]], [0.1, 6.0])) == 0
+
+
+def test_rt_guide_where_nothing_moves_and_where_all_ways_are_very_long() -> None:
+    still = [[-0.1, 0.0, 4], [0.2, 0.0, 4], [0.5, 0.0, 7]]
+    assert RTGuide().act(observation(still, [0.5, 2.5, 2.0])) == 1  # the nearest region, its best view
+    assert RTGuide().act(observation(VIEWS, [900.0, 990.0, 899.0, 950.0])) == 2
+    assert RTGuide().act(observation([[0.0, 0.0, 1], [0.0, 1e-30, 2]], [0.1, 800.0])) == 1  # little is more than none
+
+
+def test_rt_guide_shared_counts_xi_from_the_lowest() -> None:
+    # 0, 0.3 / 3, 0.6 / 11 of -0.1, 0.2, 0.5; a masked row is not the lowest.
+    seen = observation([[-0.1, 0, 4], [0.2, 0, 4], [0.5, 0, 7], [-5.0, 0, 7]], [0.5, 1.0, 5.0, 0.5], [1, 1, 1, 0])
+    assert RTGuide("shared").act(seen) == 1

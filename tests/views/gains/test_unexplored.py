@@ -1,0 +1,62 @@
+"""Unknown voxels in sight, against counting them one by one."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
+from activestructure_gym.views import GainContext, evaluate_gains
+from activestructure_gym.views.gains.unexplored import unknown_cells
+from activestructure_gym.volume import FREE, UNKNOWN
+
+CAMERA = PinholeCamera.from_size(40, 24)
+EYE = np.array([2.03, 2.01, 2.02])
+DIRECTIONS = np.array([[1.0, 0, 0], [0, -1.0, 0], [0.6, 0.3, -0.2]])
+
+
+def context(state: np.ndarray, alpha: float, depth: float, *, max_range: float = 5.0) -> GainContext:
+    poses = np.stack([look_along(EYE, d / np.linalg.norm(d)) for d in DIRECTIONS])
+    size = (len(poses), 24, 40)
+    images = np.full(size, alpha * depth, np.float32), np.full(size, alpha, np.float32)
+    config = SimpleNamespace(voxel_size=0.1, max_range=max_range)
+    return GainContext(
+        mapper=SimpleNamespace(render_depth_alpha=lambda camera, poses: images),
+        volume=SimpleNamespace(state=state, origin=np.zeros(3), config=config),
+        planes=None, camera=CAMERA, bounds=np.array([[0.1] * 3, [4.1] * 3]), coverage_alpha=0.5, max_range=10.0,
+        world_from_camera=poses,
+    )  # fmt: skip
+
+
+def counted(state: np.ndarray, pose: np.ndarray, reach: float) -> float:
+    """Share of the inner voxels that are unknown and whose cell of 2 x 2 x 2 has its centre in sight."""
+    voxels = np.argwhere(state[1:-1, 1:-1, 1:-1] == UNKNOWN)
+    centres = ((voxels // 2) * 2 + 1 + 1) * 0.1
+    seen = np.c_[centres, np.ones(len(centres))] @ invert_rigid(pose).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = CAMERA.fx * seen[:, 0] / seen[:, 2] + CAMERA.cx
+        v = CAMERA.fy * seen[:, 1] / seen[:, 2] + CAMERA.cy
+    inside = (seen[:, 2] > 0) & (u >= 0) & (u < 40) & (v >= 0) & (v < 24) & (seen[:, 2] < reach)
+    return inside.sum() / 40**3
+
+
+@pytest.mark.parametrize(
+    ("alpha", "depth", "reach"), [(0.0, 1.0, 1.7), (1.0, 0.9, 0.9), (0.7, 1.2, 1.2), (1.0, 3.0, 1.7)]
+)
+def test_the_share_is_counted_up_to_the_surface_or_the_range(alpha: float, depth: float, reach: float) -> None:
+    state = np.random.default_rng(3).choice(np.array([UNKNOWN, FREE], np.uint8), (42, 42, 42))
+    step = context(state, alpha, depth, max_range=1.7)
+    gain = evaluate_gains(("unexplored",), step)[:, 0]
+    expected = [counted(state, pose, reach) for pose in step.world_from_camera]
+    np.testing.assert_allclose(gain, expected, rtol=1e-5)
+    assert min(expected) > 0.001
+
+
+def test_known_space_has_nothing_to_explore_and_what_lies_outside_is_no_workspace() -> None:
+    state = np.full((42, 42, 42), UNKNOWN, np.uint8)
+    state[1:-1, 1:-1, 1:-1] = FREE
+    assert not evaluate_gains(("unexplored",), context(state, 0.0, 1.0)).any()
+    centres, counts, total = unknown_cells(context(state, 0.0, 1.0).volume)
+    assert (len(centres), len(counts), total) == (0, 0, 40**3)

@@ -22,6 +22,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.mapping.named_rows import NamedRows
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting.fisher import view_information
@@ -60,10 +61,7 @@ class KeyframeInformation:
         if budget_mb <= 0:
             raise ValueError(f"budget_mb must be above 0, got {budget_mb}")
         self._map, self._camera, self._budget = gaussians, camera, budget_mb * 1e6
-        self._sum = np.zeros((0, COLUMNS))  # [capacity, 24] float64: shares are taken out again
-        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], names of its rows
-        self._rows = np.zeros(0, dtype=np.int32)  # by name, the row of a Gaussian, -1 for none
-        self._count = 0
+        self._sum = NamedRows(gaussians, COLUMNS)  # float64, since shares are taken out again
         self._shares: dict[int, _Share] = {}  # by keyframe, the stalest first
         self._bytes = 0
         self._known = 0  # keyframes that are in the sum, settled ones too
@@ -93,7 +91,7 @@ class KeyframeInformation:
             raise ValueError(f"expected the {self._known} keyframes of the last call and more, got {len(keyframes)}")
         if renders is not None and renders < 0:
             raise ValueError(f"renders must not be negative, got {renders}")
-        self.follow()
+        self._sum.follow()
         new = list(range(self._known, len(keyframes)))
         old = len(self._shares) if renders is None else max(0, renders - len(new))
         stalest = [index for index, _ in zip(self._shares, range(old))]
@@ -102,31 +100,7 @@ class KeyframeInformation:
             self._measure(index, keyframes[index], parts)
         self._known = len(keyframes)
         self._settle()
-        return self._sum[: self._count]
-
-    def follow(self) -> None:
-        """Bring the rows of the sum into the order of the map's columns; the cost is that of what has changed."""
-        gaussians, before = self._map, self._count
-        count = gaussians.count
-        if len(self._sum) < count:
-            rows, ids = np.zeros((gaussians.capacity, COLUMNS)), np.full(gaussians.capacity, -1, dtype=np.int64)
-            rows[:before], ids[:before] = self._sum[:before], self._ids[:before]
-            self._sum, self._ids = rows, ids
-        if len(self._rows) < gaussians.named:
-            rows_of = np.full(gaussians.named + gaussians.named // 2, -1, dtype=np.int32)
-            rows_of[: len(self._rows)] = self._rows
-            self._rows = rows_of
-        names = gaussians.ids[:count]
-        shared = min(before, count)
-        moved = np.flatnonzero(names[:shared] != self._ids[:shared])
-        changed = np.concatenate([moved, np.arange(shared, count)])
-        sources = self._rows[names[changed]]
-        values = np.where(sources[:, None] >= 0, self._sum[sources], 0.0)
-        gone = np.concatenate([self._ids[moved], self._ids[shared:before]])
-        self._rows[gone] = -1
-        self._rows[names[changed]] = changed
-        self._sum[changed], self._ids[changed] = values, names[changed]
-        self._count = count
+        return self._sum.values
 
     def _measure(self, index: int, frame: Frame, parts: MapParts | None) -> None:
         camera, pose = self._camera or frame.camera, frame.world_from_camera
@@ -134,12 +108,12 @@ class KeyframeInformation:
         (seen,) = view_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
         before = self._shares.pop(index, None)
         if before is not None:
-            rows = self._rows[before.ids]
+            rows = self._sum.rows_of(before.ids)
             there = rows >= 0
-            self._sum[rows[there]] -= before.numbers[there]
+            self._sum.values[rows[there]] -= before.numbers[there]
             self._bytes -= before.bytes
         share = _Share(self._map.ids[seen.indices], seen.numbers[:, :COLUMNS].copy())
-        self._sum[seen.indices] += share.numbers
+        self._sum.values[seen.indices] += share.numbers
         self._shares[index] = share  # the last one is the freshest
         self._bytes += share.bytes
 

@@ -15,13 +15,17 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
+from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.mapping.scans import CHUNK, fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
 from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
+
+_NOTHING = np.empty((0, 0))
 
 # Keyframes that a decision renders to know how well they are mapped: a quarter of what scoring 256 candidates at half
 # the size draws in pixels (own choice).
@@ -60,6 +64,10 @@ class Mapper:
         self.map = GaussianMap()
         self._rng = rng
         self._store = KeyframeStore(border_share=config.overlap_border)
+        self._events = 0  # observations and refinements so far
+        self._information: dict[PinholeCamera, KeyframeInformation] = {}
+        self._informed: dict[PinholeCamera, tuple[int, np.ndarray]] = {}  # event, what was found then
+        self._reliability: DirectionalReliability | None = None
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
         self._movement: Movement | None = None
@@ -92,6 +100,7 @@ class Mapper:
                 f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
             )
         iterations = self.config.iterations if iterations is None else iterations
+        self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         replaced, bared = self._remove_coarse(frame)
         boxes = MapParts(self.map, **self._slack(iterations))
@@ -120,6 +129,7 @@ class Mapper:
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
+        self._events += 1
         views: list[int] = []
         while len(indices) and len(views) < iterations:
             views += self._rng.permutation(indices).tolist()
@@ -154,6 +164,27 @@ class Mapper:
         """How far the last event that moved a Gaussian moved it; followed from the first call on, 0 until then."""
         self._movement = self._movement or Movement(self.map)
         return self._movement.metres()
+
+    def keyframe_information(self, camera: PinholeCamera) -> np.ndarray:  # [N, 24] float64, to be read only
+        """What all keyframes tell about every Gaussian, each as seen by ``camera`` (see `KeyframeInformation`).
+
+        Measured when somebody asks, and at most once between two mapping events: who else asks cannot change it.
+        """
+        event, found = self._informed.get(camera, (-1, _NOTHING))
+        if event != self._events:
+            information = self._information.setdefault(camera, KeyframeInformation(self.map, camera=camera))
+            found = information.update(self.keyframes)
+            self._informed[camera] = self._events, found
+        return found
+
+    def reliability(self) -> np.ndarray:  # [N, 4] float64 log-odds, to be read only
+        """How far every Gaussian can be relied on from each side (see `DirectionalReliability`).
+
+        Keyframes vote when somebody asks for the first time after them.
+        """
+        if self._reliability is None:
+            self._reliability = DirectionalReliability(self.map)
+        return self._reliability.update(self.keyframes)
 
     def _seed(
         self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None

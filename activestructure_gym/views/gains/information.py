@@ -1,0 +1,102 @@
+"""What the information gains have in common: the prior, the candidates' information, and the term for unseen space.
+
+H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`):
+H_train of all keyframes, H_c of a candidate, both at the candidates' camera. Metres, logarithms and colours have other
+units, and one prior for all would mean something else in every map: so every entry is counted in units of the median
+positive entry of H_train of its kind, and the prior lambda is the same small share of that unit for all.
+
+Source: ``../shared/research/peers_info_rl.md``, A0 to A2 (lambda: decision 3 there).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, view_information
+from activestructure_gym.views.gains.base import GAINS, Gain, GainContext
+from activestructure_gym.views.gains.hole_area import hole_area
+from activestructure_gym.volume import UNKNOWN
+
+LAMBDA = 1e-2  # of the median positive entry
+WINDOW = 6.0  # metres, side of HGS-Planner's local window
+MEAN, LOG_SCALE, LOGIT, COLOR = range(4)  # kinds of parameters
+_COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # of `ViewInformation.numbers`, by kind
+
+
+def trained(context: GainContext) -> np.ndarray:  # [N, 24] float64
+    """H_train, columns as in `ViewInformation.numbers`."""
+    return context.mapper.keyframe_information(context.camera)
+
+
+def units(context: GainContext) -> np.ndarray:  # [4]
+    """Median positive entry of H_train by kind of parameter; 1 where there is none."""
+    known = trained(context)
+    entries = [known[:, columns] for columns in _COLUMNS]
+    return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
+
+
+def diagonal_units(context: GainContext, kinds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
+    """Columns of the diagonal entries of these kinds, and the unit of each."""
+    of_kind = context.once(units)
+    columns = np.concatenate([_COLUMNS[kind] for kind in kinds])
+    return columns, np.concatenate([np.full(len(_COLUMNS[kind]), of_kind[kind]) for kind in kinds])
+
+
+def informed_views(context: GainContext) -> Iterator[ViewInformation]:
+    """The second pass over every candidate, one after the other."""
+    gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
+    for pose in context.world_from_camera:
+        unseen = parts.unseen(context.camera, pose)
+        yield from view_information(gaussians.parameters, gaussians.count, context.camera, pose, unseen=unseen)
+
+
+def diagonal_gain(
+    context: GainContext,
+    criterion: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    kinds: tuple[int, ...] = (MEAN, LOG_SCALE),
+) -> np.ndarray:  # [K]
+    """Sum of ``criterion(h + lambda, d)`` over the parameters a candidate informs about, per Gaussian of the map.
+
+    h and d [S, P]: diagonals of H_train and H_c in their units. What a candidate does not see must add nothing.
+    """
+    columns, unit = diagonal_units(context, kinds)
+    prior = np.ascontiguousarray(trained(context)[:, columns] / unit + LAMBDA)
+    sums = [
+        criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in informed_views(context)
+    ]
+    return np.array(sums) / max(1, len(prior))
+
+
+def observed_share(context: GainContext) -> float:  # 0..1
+    """lambda_o: how much of the local window around the agent is known to be free or occupied."""
+    volume, eye = context.volume, context.mapper.keyframes[-1].world_from_camera[:3, 3]
+    size = volume.config.voxel_size
+    low = np.floor((eye[:2] - 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
+    high = np.ceil((eye[:2] + 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
+    x, y = (slice(max(0, a), max(0, b)) for a, b in zip(low, high))
+    window = volume.state[x, y]
+    return float((window != UNKNOWN).mean()) if window.size else 0.0
+
+
+def adaptive(context: GainContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
+    """G = G_cov + lambda_o G_Q (HGS-Planner), G_Q as a share of the best candidate's and G_cov one of a whole view."""
+    best = quality.max(initial=0.0)
+    return coverage + observed_share(context) * (quality / best if best > 0 else quality)
+
+
+def register_both(name: str) -> Callable[[Gain], Gain]:
+    """Decorator of a gain that is blind to unseen space: as ``NAME_pure``, and with `hole_area` for it as ``NAME``."""
+
+    def register(pure: Gain) -> Gain:
+        def with_coverage(context: GainContext) -> np.ndarray:  # [K]
+            return adaptive(context, hole_area(context), pure(context))
+
+        with_coverage.__doc__ = f"G_cov + lambda_o G_Q with `hole_area` and `{name}_pure`; see `adaptive`."
+        GAINS.register(f"{name}_pure")(pure)
+        GAINS.register(name)(with_coverage)
+        return pure
+
+    return register

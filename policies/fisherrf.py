@@ -1,0 +1,23 @@
+"""FisherRF as a policy (Jiang et al., ECCV 2024)."""
+
+from __future__ import annotations
+
+from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.greedy import Greedy
+
+
+@POLICIES.register("fisherrf")
+class FisherRF(Greedy):
+    """argmax G_cov + lambda_o G_Q with G_Q = sum H_c / (H_train + lambda); no travel term, like its selector.
+
+    The gain `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
+    """
+
+    required_gains = ("fisherrf",)
+
+
+@POLICIES.register("fisherrf_pure")
+class FisherRFPure(Greedy):
+    """argmax sum H_c / (H_train + lambda) and nothing else: the published selector."""
+
+    required_gains = ("fisherrf_pure",)

@@ -1,0 +1,23 @@
+"""GauSS-MI as a policy (Xie et al., RSS 2025)."""
+
+from __future__ import annotations
+
+from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.greedy import Greedy
+
+
+@POLICIES.register("gauss_mi")
+class GaussMI(Greedy):
+    """argmax G_cov + lambda_o G_Q with G_Q = sum w_i c_dir (-log r_dir); no travel term.
+
+    The gain `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
+    """
+
+    required_gains = ("gauss_mi",)
+
+
+@POLICIES.register("gauss_mi_pure")
+class GaussMIPure(Greedy):
+    """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
+
+    required_gains = ("gauss_mi_pure",)

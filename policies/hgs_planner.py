@@ -1,0 +1,75 @@
+"""HGS-Planner as a policy: local views by gain, then a tour through the parts that are not done (Xu et al., ICRA 2025).
+
+Source: ``../shared/research/peers_info_rl.md``, A4.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.greedy import Greedy
+
+LOCAL_M = 3.0  # metres of path: half the local window of 6 x 6 m
+CUBOID_M = 6.0  # metres, horizontal side of the global parts
+WORTH = 0.01  # of a view into nothing but unknown space; a part with such a view is not done
+_MOST = 6  # parts of a tour that is searched through in full
+_PLACE = [CANDIDATE_FEATURES.index(name) for name in ("x", "y")]
+_PATH = CANDIDATE_FEATURES.index("path_length")
+
+
+@POLICIES.register("hgs_planner")
+class HGSPlanner(Greedy):
+    """argmax G = G_cov + lambda_o G_Q in the local window; if nothing there is worth it, on to the next part.
+
+    A view is worth going to while its G_cov is above `WORTH`. Parts that hold such views are visited in the order of the
+    shortest tour, as long as there are any; at last the whole pool is scored by G. With ``travel=shared`` there are no
+    stages: G times the shared factor over the whole pool.
+    """
+
+    required_gains = ("hgs_planner", "hgs_coverage")
+
+    def act(self, observation: Observation) -> int:
+        """The valid row of the present stage with the highest G."""
+        if self.travel == "shared":
+            return super().act(observation)
+        gain, coverage = (self.gain(observation, name) for name in self.required_gains)
+        valid = observation["action_mask"].astype(bool)
+        worth = valid & (coverage > WORTH)
+        near = worth & (observation["candidates"][:, _PATH] <= LOCAL_M)
+        if near.any():
+            stage, pool = "local", near
+        elif worth.any():
+            stage, pool = "global", worth & self._next_part(observation, worth)
+        else:
+            stage, pool = "refine", valid
+        choice = best_valid(np.where(pool, gain, -np.inf), observation)
+        self._trace = {"stage": stage, "hgs_planner": float(gain[choice]), "hgs_coverage": float(coverage[choice])}
+        return choice
+
+    def _next_part(self, observation: Observation, worth: np.ndarray) -> np.ndarray:  # [K] bool
+        """The candidates in the first cuboid of the tour."""
+        candidates = observation["candidates"]
+        cuboids = np.floor(candidates[:, _PLACE] / CUBOID_M).astype(np.int64)
+        parts, of_part = np.unique(cuboids[worth], axis=0, return_inverse=True)
+        of_part = of_part.reshape(-1)
+        middles = np.stack([candidates[worth][of_part == p][:, _PLACE].mean(axis=0) for p in range(len(parts))])
+        ways = np.array([candidates[worth][of_part == p][:, _PATH].min() for p in range(len(parts))])
+        return (cuboids == parts[first_of_tour(ways, middles)]).all(axis=1)
+
+
+def first_of_tour(
+    ways: np.ndarray,  # [P] metres from the agent to each part
+    middles: np.ndarray,  # [P, 2] metres
+) -> int:
+    """Where the shortest open tour through the nearest `_MOST` parts begins."""
+    nearest = np.argsort(ways, kind="stable")[:_MOST]
+    between = np.linalg.norm(middles[:, None] - middles[None], axis=2)
+
+    def length(tour: tuple[int, ...]) -> float:
+        return float(ways[tour[0]] + sum(between[a, b] for a, b in zip(tour, tour[1:])))
+
+    return int(min(permutations(nearest.tolist()), key=length)[0])

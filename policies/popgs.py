@@ -1,0 +1,102 @@
+"""POp-GS as policies, one for each criterion of optimal design (Wilson et al., CVPR 2025); no travel term.
+
+The formulas stand with the gains of the same names: with H the information of the keyframes and h its diagonal, those of
+a candidate B and d, and everything in units of the median entry of H,
+
+- ``popgs_logdet``: log(1 + d / (h + lambda)) (D);
+- ``popgs_cov_trace``: 1 / (h + lambda) - 1 / (h + lambda + d) (textbook A, called T in the paper);
+- ``popgs_info_trace``: d (textbook T, called A in the paper), a negative control;
+- ``popgs_min_eig``: growth of the least entry of each Gaussian (E), a negative control;
+- ``popgs_logdet_block``, ``popgs_cov_trace_block``: the same of H + lambda + B, one 6 x 6 block per Gaussian.
+
+Each is summed over the Gaussians. ``NAME_pure`` maximises that, ``NAME`` adds unseen space: G_cov + lambda_o G_Q.
+"""
+
+from __future__ import annotations
+
+from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.greedy import Greedy
+
+
+@POLICIES.register("popgs_logdet")
+class LogDet(Greedy):
+    """D-optimality and unseen space."""
+
+    required_gains = ("popgs_logdet",)
+
+
+@POLICIES.register("popgs_logdet_pure")
+class LogDetPure(Greedy):
+    """D-optimality."""
+
+    required_gains = ("popgs_logdet_pure",)
+
+
+@POLICIES.register("popgs_cov_trace")
+class CovTrace(Greedy):
+    """Trace of the covariance and unseen space."""
+
+    required_gains = ("popgs_cov_trace",)
+
+
+@POLICIES.register("popgs_cov_trace_pure")
+class CovTracePure(Greedy):
+    """Trace of the covariance."""
+
+    required_gains = ("popgs_cov_trace_pure",)
+
+
+@POLICIES.register("popgs_info_trace")
+class InfoTrace(Greedy):
+    """Trace of the information and unseen space."""
+
+    required_gains = ("popgs_info_trace",)
+
+
+@POLICIES.register("popgs_info_trace_pure")
+class InfoTracePure(Greedy):
+    """Trace of the information."""
+
+    required_gains = ("popgs_info_trace_pure",)
+
+
+@POLICIES.register("popgs_min_eig")
+class MinEig(Greedy):
+    """E-optimality of every Gaussian and unseen space."""
+
+    required_gains = ("popgs_min_eig",)
+
+
+@POLICIES.register("popgs_min_eig_pure")
+class MinEigPure(Greedy):
+    """E-optimality of every Gaussian."""
+
+    required_gains = ("popgs_min_eig_pure",)
+
+
+@POLICIES.register("popgs_logdet_block")
+class LogDetBlock(Greedy):
+    """D-optimality by blocks and unseen space."""
+
+    required_gains = ("popgs_logdet_block",)
+
+
+@POLICIES.register("popgs_logdet_block_pure")
+class LogDetBlockPure(Greedy):
+    """D-optimality by blocks."""
+
+    required_gains = ("popgs_logdet_block_pure",)
+
+
+@POLICIES.register("popgs_cov_trace_block")
+class CovTraceBlock(Greedy):
+    """Trace of the covariance by blocks, and unseen space."""
+
+    required_gains = ("popgs_cov_trace_block",)
+
+
+@POLICIES.register("popgs_cov_trace_block_pure")
+class CovTraceBlockPure(Greedy):
+    """Trace of the covariance by blocks."""
+
+    required_gains = ("popgs_cov_trace_block_pure",)

@@ -12,12 +12,29 @@ from activestructure_gym.policies.activestructure import (
     ActiveStructureD,
 )
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
+from activestructure_gym.policies.fisherrf import FisherRF, FisherRFPure
 from activestructure_gym.policies.frontier import Frontier
+from activestructure_gym.policies.gauss_mi import GaussMI, GaussMIPure
 from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.gs_planner import GSPlanner
+from activestructure_gym.policies.hgs_planner import HGSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.naruto import Naruto
 from activestructure_gym.policies.pixel_only import PixelOnly
+from activestructure_gym.policies.popgs import (
+    CovTrace,
+    CovTraceBlock,
+    CovTraceBlockPure,
+    CovTracePure,
+    InfoTrace,
+    InfoTracePure,
+    LogDet,
+    LogDetBlock,
+    LogDetBlockPure,
+    LogDetPure,
+    MinEig,
+    MinEigPure,
+)
 from activestructure_gym.policies.random import Random
 from activestructure_gym.policies.rt_guide import RTGuide
 from activestructure_gym.policies.view_angle import ViewAngle
@@ -33,10 +50,27 @@ __all__ = [
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "CovTrace",
+    "CovTraceBlock",
+    "CovTraceBlockPure",
+    "CovTracePure",
+    "FisherRF",
+    "FisherRFPure",
     "Frontier",
     "GSPlanner",
+    "GaussMI",
+    "GaussMIPure",
     "Greedy",
+    "HGSPlanner",
     "HoleArea",
+    "InfoTrace",
+    "InfoTracePure",
+    "LogDet",
+    "LogDetBlock",
+    "LogDetBlockPure",
+    "LogDetPure",
+    "MinEig",
+    "MinEigPure",
     "Naruto",
     "PixelOnly",
     "Planner",

@@ -25,9 +25,9 @@ _PATH = CANDIDATE_FEATURES.index("path_length")
 class HGSPlanner(Greedy):
     """argmax G = G_cov + lambda_o G_Q in the local window; if nothing there is worth it, on to the next part.
 
-    A view is worth going to while its G_cov is above `WORTH`. Parts that hold such views are visited in the order of the
-    shortest tour, as long as there are any; at last the whole pool is scored by G. With ``travel=shared`` there are no
-    stages: G times the shared factor over the whole pool.
+    A view is worth going to while its G_cov is above `WORTH`. Parts that hold such views are visited in the order of
+    the shortest tour, as long as there are any; at last the whole pool is scored by G. With ``travel=shared`` there
+    are no stages: G times the shared factor over the whole pool.
     """
 
     required_gains = ("hgs_planner", "hgs_coverage")

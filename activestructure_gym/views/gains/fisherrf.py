@@ -13,11 +13,9 @@ def fisherrf(context: GainContext) -> np.ndarray:  # [K]
     """Sum over parameters of H_c / (H_train + lambda), per Gaussian of the map.
 
     Parameters are mean, log-scale, opacity logit and the three colours, which all have the same information; not the
-    rotation, as in the released selector. Its lambda is 1e-6 of no unit and leaves the ordering to what was hardly seen.
+    rotation, as in the released selector. Lambda there is 1e-6 of no unit.
     """
-    return diagonal_gain(
-        context, lambda known, seen: seen / known * _TIMES, kinds=(MEAN, LOG_SCALE, LOGIT, COLOR)
-    )
+    return diagonal_gain(context, lambda known, seen: seen / known * _TIMES, kinds=(MEAN, LOG_SCALE, LOGIT, COLOR))
 
 
 _TIMES = np.array([1.0] * 7 + [3.0])

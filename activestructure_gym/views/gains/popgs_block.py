@@ -42,8 +42,10 @@ def _block_gains(context: GainContext, number: int, sign: float) -> np.ndarray: 
     before = block_numbers(prior, np.arange(count), none, inverse_units, LAMBDA)[:, number]
     sums = []
     for view in informed_views(context):
-        after = block_numbers(prior, view.indices, view.blocks, inverse_units, LAMBDA)[:, number]
-        sums.append(sign * (after - before[view.indices]).sum())
+        blocks = np.ascontiguousarray(view.blocks)  # one layout, so that the kernel is compiled once
+        after = block_numbers(prior, view.indices, blocks, inverse_units, LAMBDA)[:, number]
+        # Of a block 10^5 units large, rounding is as large as lambda. No view can make a Gaussian less certain.
+        sums.append(np.maximum(sign * (after - before[view.indices]), 0.0).sum())
     return np.array(sums) / max(1, count)
 
 
@@ -60,15 +62,16 @@ def block_numbers(
     No pivot of a positive semi-definite matrix plus lambda is below lambda; what rounding makes of it is put back.
     """
     count = len(indices)
+    n = int(np.sqrt(2.0 * prior.shape[1]))  # 6, as a number that the compiler does not know: it would unroll the loops
     result = np.empty((count, 2))
-    a = np.empty((6, 6, _LANES))  # D on the diagonal, L below it
-    inverse = np.empty((6, _LANES))
+    a = np.empty((n, n, _LANES))  # D on the diagonal, L below it
+    inverse = np.empty((n, _LANES))
     product, trace = np.empty(_LANES), np.empty(_LANES)
     for first in range(0, count, _LANES):
         many = min(_LANES, count - first)
         entry = 0
-        for row in range(6):
-            for column in range(row, 6):
+        for row in range(n):
+            for column in range(row, n):
                 for lane in range(many):
                     value = prior[indices[first + lane], entry]
                     if len(blocks) != 0:
@@ -77,22 +80,22 @@ def block_numbers(
                 entry += 1
         for lane in range(_LANES):
             product[lane], trace[lane] = 1.0, 0.0
-        for j in range(6):
+        for j in range(n):
             for lane in range(_LANES):
                 a[j, j, lane] = max(a[j, j, lane], least)
                 product[lane] *= a[j, j, lane]
-            for i in range(j + 1, 6):
+            for i in range(j + 1, n):
                 for lane in range(_LANES):
                     inverse[i, lane] = a[i, j, lane] / a[j, j, lane]
                 for column in range(j + 1, i + 1):
                     for lane in range(_LANES):
                         a[i, column, lane] -= inverse[i, lane] * a[column, j, lane]
-            for i in range(j + 1, 6):
+            for i in range(j + 1, n):
                 for lane in range(_LANES):
                     a[i, j, lane] = inverse[i, lane]
         # tr A^-1 = sum of squares of L^-1, each divided by its row's D; one column of L^-1 at a time.
-        for j in range(6):
-            for i in range(j, 6):
+        for j in range(n):
+            for i in range(j, n):
                 for lane in range(_LANES):
                     inverse[i, lane] = 1.0 if i == j else 0.0
                 for k in range(j, i):

@@ -1,0 +1,69 @@
+"""The planners of information gains: no travel of their own, and HGS-Planner's stages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies import POLICIES, HGSPlanner
+from activestructure_gym.policies.hgs_planner import WORTH, first_of_tour
+from activestructure_gym.views import GAINS
+
+CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")
+NAMES = ["fisherrf", "gauss_mi", *(f"popgs_{name}" for name in CRITERIA)]
+
+
+def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndarray]:
+    candidates = np.zeros((len(gains), len(CANDIDATE_FEATURES)), np.float32)
+    for name, values in {"frames": frames, **features}.items():
+        candidates[:, CANDIDATE_FEATURES.index(name)] = values
+    return {
+        "candidates": candidates,
+        "candidate_gains": np.array(gains, np.float32).reshape(len(gains), -1),
+        "action_mask": np.ones(len(gains), np.int8),
+    }
+
+
+@pytest.mark.parametrize("name", [name + form for name in NAMES for form in ("", "_pure")])
+def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
+    policy = POLICIES.get(name)()
+    assert policy.required_gains == (name,) and name in GAINS
+    observed = observation([0.5, 0.6, 0.1], [5, 50, 1])
+    assert policy.act(observed) == 1
+    assert POLICIES.get(name)(travel="shared").act(observed) == 0
+
+
+def test_stages_of_hgs_planner() -> None:
+    policy = HGSPlanner()
+    # G, G_cov: a near view, the best of all far away, a near one without anything unseen.
+    gains = [[0.5, 0.1], [0.9, 0.3], [0.7, 0.0]]
+    ways = {"path_length": [2.0, 9.0, 1.0], "x": [1, 9, 1], "y": [1, 1, 1]}
+    assert policy.act(observation(gains, [20, 90, 10], **ways)) == 0
+    assert policy.trace()["stage"] == "local"
+    gains[0][1] = WORTH  # not above
+    assert policy.act(observation(gains, [20, 90, 10], **ways)) == 1
+    assert policy.trace()["stage"] == "global"
+    gains[1][1] = 0.0
+    gains[1][0] = 0.6
+    assert policy.act(observation(gains, [20, 90, 10], **ways)) == 2
+    assert policy.trace()["stage"] == "refine"
+    assert HGSPlanner(travel="shared").act(observation(gains, [20, 90, 10], **ways)) == 2
+
+
+def test_the_tour_begins_where_the_whole_way_is_shortest() -> None:
+    # One part 5 m to the left; two to the right at 6 and 7 m: first the left one, then the others.
+    assert first_of_tour(np.array([6.0, 5.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]])) == 1
+    # A wall makes the way to the left one long: it comes last.
+    assert first_of_tour(np.array([6.0, 30.0, 7.0]), np.array([[6.0, 0], [-5, 0], [7, 0]])) == 0
+    many = np.arange(20.0)[::-1]
+    assert first_of_tour(many, np.stack([many, many], axis=1)) == 19
+
+
+def test_the_next_part_is_entered_at_its_best_view() -> None:
+    gains = [[0.2, 0.1], [0.4, 0.1], [0.9, 0.0], [0.8, 0.1]]
+    # Two parts: x in 6..12 with three views, x above 18 with one. The best view there has nothing unseen.
+    ways = {"path_length": [6, 8, 7, 20], "x": [7, 8, 8, 20]}
+    assert HGSPlanner().act(observation(gains, [1, 1, 1, 1], **ways)) == 1

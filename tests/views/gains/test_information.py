@@ -1,0 +1,38 @@
+"""What the information gains share: units, the observed share, the sum with coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.views.gains.information import adaptive, observed_share, units
+from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
+
+
+def test_units_are_medians_of_what_is_known(hand_made) -> None:
+    assert units(hand_made) == pytest.approx([4.0, 9.0, 2.0, 5.0])
+    hand_made.mapper.keyframe_information = lambda camera: np.zeros((3, 24))
+    assert units(hand_made) == pytest.approx([1.0] * 4)
+
+
+def test_the_observed_share_is_that_of_the_window_around_the_agent(two_walls) -> None:
+    volume = two_walls.volume
+    context = two_walls.context(np.eye(4))
+    volume.state[:] = UNKNOWN
+    assert observed_share(context) == 0.0
+    volume.state[: volume.shape[0] // 2] = FREE
+    volume.state[volume.shape[0] // 2, 0, 0] = OCCUPIED
+    assert observed_share(context) == pytest.approx(0.5, abs=0.01)
+    # Near the border of the volume there is less of a window.
+    two_walls.mapper.keyframes[-1].world_from_camera[:3, 3] = [-5.0, 0.0, 0.0]
+    assert observed_share(context) == 1.0
+
+
+def test_quality_counts_as_much_as_is_observed(two_walls) -> None:
+    context = two_walls.context(np.eye(4))
+    two_walls.volume.state[:] = UNKNOWN
+    coverage, quality = np.array([0.3, 0.1, 0.0]), np.array([0.0, 5.0, 10.0])
+    assert adaptive(context, coverage, quality) == pytest.approx(coverage)
+    two_walls.volume.state[:] = FREE
+    assert adaptive(context, coverage, quality) == pytest.approx([0.3, 0.6, 1.0])
+    assert adaptive(context, coverage, 0.0 * quality) == pytest.approx(coverage)

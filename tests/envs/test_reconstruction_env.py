@@ -14,7 +14,7 @@ from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.views import CandidateTable
+from activestructure_gym.views import GAINS, CandidateTable
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 
@@ -200,7 +200,7 @@ def test_tasks_that_need_a_scene_say_so() -> None:
 
 def test_ground_truth_stays_behind(box_options: dict[str, Any]) -> None:
     """With the true mesh swapped after the frames are recorded, observation and gains stay the same."""
-    env = ReconstructionEnv(**{**box_options, "gains": ("pixel", "hole_area")})
+    env = ReconstructionEnv(**{**box_options, "gains": tuple(GAINS)})
     env.reset(seed=0)
     before = env._observe()
     env.reconstruction.scene = load_scene("box?seed=3")

@@ -19,6 +19,7 @@ OVERLAP_M = 2.0  # metres apart at which two views have nothing in common
 OVERLAP_RAD = np.pi / 2.0  # angle between them at which they have nothing in common: the width of the image
 
 VIEWPOINTS = 10  # that an iteration of the tree adds
+SPACING_M = 1.5  # metres between them: of HGS-Planner's samples, so that ten of them do not crowd around the agent
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m, 6] position and look -> [n, m] in 0..1
@@ -29,24 +30,30 @@ def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m,
 
 
 def best_per_viewpoint(
-    positions: np.ndarray,  # [n, 3]
+    positions: np.ndarray,  # [n, 3] metres
     lengths: np.ndarray,  # [n] metres of way
     gain: np.ndarray,  # [n]
-) -> np.ndarray:  # [v] rows, nearest viewpoint first
-    """Of every position its best direction: the original turns a window over 360 degrees at each."""
-    _, which = np.unique(np.round(100.0 * positions).astype(np.int64), axis=0, return_inverse=True)
-    which = which.ravel()
-    order = np.lexsort((-gain, which))
-    best = order[np.unique(which[order], return_index=True)[1]]
-    return best[np.argsort(lengths[best], kind="stable")]
+) -> np.ndarray:  # [v] rows, nearest viewpoint first, at most VIEWPOINTS
+    """The best view around each of the nearest places that keep SPACING_M from each other.
+
+    The original turns a window over 360 degrees at each viewpoint of its tree. A table of all positions holds few
+    directions of any one, so the views around a place stand for those at it.
+    """
+    left = np.argsort(lengths, kind="stable")
+    best: list[int] = []
+    while len(left) and len(best) < VIEWPOINTS:
+        around = np.linalg.norm(positions[left] - positions[left[0]], axis=1) < SPACING_M
+        best.append(int(left[around][np.argmax(gain[left[around]])]))
+        left = left[~around]
+    return np.array(best, dtype=np.int64)
 
 
 @POLICIES.register("gs_planner")
 class GSPlanner(Planner):
     """G = G_completeness + w G_quality: `gs_planner_volume` and `gs_planner_loss` (GS-Planner, IROS 2024).
 
-    Native: the best of the VIEWPOINTS nearest positions, each with its best direction, as one growth of the original's
-    tree from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
+    Native: the best of the VIEWPOINTS nearest places, each with its best view, as one growth of the original's tree
+    from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
     LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
     Source: peers_info_rl.md, A4.
     """
@@ -77,7 +84,7 @@ class GSPlanner(Planner):
     def _local_or_library(self, gain: np.ndarray, observation: Observation) -> tuple[int, str]:
         valid = np.flatnonzero(observation["action_mask"])
         table = observation["candidates"].astype(np.float64)
-        rows = valid[best_per_viewpoint(table[valid, :3], table[valid, _LENGTH], gain[valid])][:VIEWPOINTS]
+        rows = valid[best_per_viewpoint(table[valid, :3], table[valid, _LENGTH], gain[valid])]
         rows = rows[gain[rows] >= LEAST_GAIN]
         if len(rows):
             choice = int(rows[np.argmax(gain[rows])])

@@ -9,6 +9,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.gs_planner import (
     LEAST_GAIN,
     QUALITY_WEIGHT,
+    SPACING_M,
     STORED_GAIN,
     VIEWPOINTS,
     GSPlanner,
@@ -60,10 +61,14 @@ def test_overlap_by_hand() -> None:
     np.testing.assert_allclose(overlap(here, others), [[1.0, 0.5, 0.5, 0.25, 0.0]], atol=1e-9)
 
 
-def test_every_viewpoint_gives_its_best_direction_nearest_first() -> None:
-    positions = np.array([[2.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0]])
-    rows = best_per_viewpoint(positions, positions[:, 0], np.array([0.1, 0.2, 0.3, 0.1]))
-    assert rows.tolist() == [1, 2]
+def test_every_viewpoint_gives_its_best_view_nearest_first_and_keeps_its_distance() -> None:
+    x = np.array([2.0, 1.0, 2.0, 1.0, 1.0 + 0.9 * SPACING_M, 9.0])
+    positions = np.pad(x[:, None], ((0, 0), (0, 2)))
+    rows = best_per_viewpoint(positions, x, np.array([0.1, 0.2, 0.15, 0.1, 0.3, 0.05]))
+    assert rows.tolist() == [4, 5]  # all but the last stand around the place 1 m ahead
+    assert best_per_viewpoint(4 * positions, x, np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.1])).tolist() == [1, 2, 5]
+    many = np.pad(2 * SPACING_M * np.arange(3.0 * VIEWPOINTS)[:, None], ((0, 0), (0, 2)))
+    assert best_per_viewpoint(many, many[:, 0], many[:, 0]).tolist() == list(range(VIEWPOINTS))
 
 
 def test_native_looks_no_farther_than_the_nearest_viewpoints_and_shared_weighs_the_way() -> None:
@@ -83,8 +88,8 @@ def test_views_left_behind_are_come_back_to_and_forgotten() -> None:
     assert made.trace()["library"] == 1  # 4 m ahead; 8 m ahead is not worth storing
     # At the end of a corridor: nothing near is worth a view, and of what is far the stored one is, to half a metre.
     poor = [0.5 * LEAST_GAIN] * VIEWPOINTS
-    x = [30.0 + i for i in range(VIEWPOINTS)]
-    far = observation([*poor, 0.2, 0.9], [*x, 40.0, 45.0])
+    x = [30.0 + 2.0 * i for i in range(VIEWPOINTS)]
+    far = observation([*poor, 0.2, 0.9], [*x, 60.0, 65.0])
     far["candidates"][VIEWPOINTS, 0] = 4.5
     assert made.act(far) == VIEWPOINTS
     assert made.trace()["from"] == "library"
@@ -99,7 +104,7 @@ def test_a_stored_view_that_lost_its_gain_leaves_and_one_not_on_offer_stays() ->
     made.act(observation([0.5, 0.3, 0.3], [0.0, 4.0, 20.0]))
     assert made.trace()["library"] == 2
     poor = [0.5 * LEAST_GAIN] * VIEWPOINTS
-    barren = observation([*poor, 0.5 * LEAST_GAIN], [*[30.0 + i for i in range(VIEWPOINTS)], 40.0])
+    barren = observation([*poor, 0.5 * LEAST_GAIN], [*[30.0 + 2.0 * i for i in range(VIEWPOINTS)], 60.0])
     barren["candidates"][VIEWPOINTS, 0] = 4.0
     made.act(barren)
     assert made.trace() == {"volume": pytest.approx(0.01), "loss": 0.0, "from": "all", "library": 1}
@@ -108,5 +113,5 @@ def test_a_stored_view_that_lost_its_gain_leaves_and_one_not_on_offer_stays() ->
 def test_pathology_it_stays_with_small_near_gains_while_most_is_far() -> None:
     """Nothing weighs the near against the far as long as the near is worth anything at all."""
     gain = [1.5 * LEAST_GAIN] * VIEWPOINTS + [0.9] * 20
-    seen = observation(gain, [0.5 * i for i in range(len(gain))])
+    seen = observation(gain, [2.0 * i for i in range(len(gain))])
     assert policy().act(seen) < VIEWPOINTS

@@ -2,6 +2,7 @@
 
 from activestructure_gym.policies.active_gs import ActiveGS
 from activestructure_gym.policies.activegamer import ActiveGAMER
+from activestructure_gym.policies.activeinr import ActiveINR
 from activestructure_gym.policies.activesplat import ActiveSplat
 from activestructure_gym.policies.activestructure import (
     LADDER,
@@ -11,6 +12,7 @@ from activestructure_gym.policies.activestructure import (
     ActiveStructureC,
     ActiveStructureD,
 )
+from activestructure_gym.policies.anm_s import AnmS
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
 from activestructure_gym.policies.fisherrf import FisherRF, FisherRFPure
 from activestructure_gym.policies.frontier import Frontier
@@ -44,12 +46,14 @@ __all__ = [
     "POLICIES",
     "ActiveGAMER",
     "ActiveGS",
+    "ActiveINR",
     "ActiveSplat",
     "ActiveStructure",
     "ActiveStructureA",
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "AnmS",
     "CovTrace",
     "CovTraceBlock",
     "CovTraceBlockPure",

@@ -10,6 +10,7 @@ The env evaluates the gains it is asked for (``gains=("pixel", "mine")``); ``"pa
 name without registering, in every worker process.
 """
 
+from activestructure_gym.views.gains import activeinr, anm_s  # noqa: F401  several columns each
 from activestructure_gym.views.gains.activesplat import (
     activesplat_information,
     activesplat_region,

@@ -1,0 +1,50 @@
+"""Which view stands for which uncertain cluster, as ANM (ActiveINR) wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from activestructure_gym.views.gains.base import GAINS, GainContext
+from activestructure_gym.views.gains.uncertain_surface import Surface, by_perturbing_all, by_proxy, clusters
+from activestructure_gym.volume import FREE
+
+KEPT = 0.8  # of the surface, the most uncertain
+NEAREST = 1.0  # metres from the agent: a target nearer than this is none
+
+
+def assigned(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -> np.ndarray:  # [K, 4]
+    """Per candidate the share of the surface that its cluster has, and that cluster's target (metres, world).
+
+    A cluster counts where its target is free, inside the workspace and not too near to the agent. It stands with the
+    candidate nearest to the target that looks along -mean n: a metre counts as much as a right angle. Candidates
+    without a cluster have 0 and their own position. ANM (Yan et al., ICCV 2023).
+    """
+    poses, here = context.world_from_camera, context.mapper.keyframes[-1].world_from_camera[:3, 3]
+    table = np.concatenate([np.zeros((len(poses), 1)), poses[:, :3, 3]], axis=1)
+    found = clusters(context.once(uncertainty), KEPT)
+    good = context.volume.state_at(found.targets) == FREE
+    good &= ((found.targets >= context.bounds[0]) & (found.targets <= context.bounds[1])).all(axis=1)
+    good &= np.linalg.norm(found.targets - here, axis=1) > NEAREST
+    for cluster in np.flatnonzero(good):  # the largest first
+        target, direction = found.targets[cluster], found.directions[cluster]
+        cost = np.linalg.norm(poses[:, :3, 3] - target, axis=1) + 1.0 - poses[:, :3, 2] @ direction
+        row = int(cost.argmin())
+        if not table[row, 0]:
+            table[row, 0], table[row, 1:] = found.shares[cluster], target
+    return table
+
+
+_TABLES = {kind: partial(assigned, uncertainty=kind) for kind in (by_perturbing_all, by_proxy)}
+
+
+def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: int) -> np.ndarray:  # [K]
+    """A column of `assigned`."""
+    return context.once(_TABLES[uncertainty])[:, which]
+
+
+for _name, _kind in (("activeinr", by_perturbing_all), ("activeinr_proxy", by_proxy)):
+    for _which, _suffix in enumerate(("", "_x", "_y", "_z")):
+        GAINS.register(f"{_name}{_suffix}")(partial(column, uncertainty=_kind, which=_which))

@@ -1,0 +1,68 @@
+"""ANM (ActiveINR): go to the largest piece of uncertain surface, however far."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.anm_s import UNCERTAINTY
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.greedy import Planner
+
+_XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
+_REVISIT = CANDIDATE_FEATURES.index("revisit")
+
+REACHED_M = 0.8  # metres from the target at which the next one is chosen
+PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next one is chosen anyway
+
+
+@POLICIES.register("activeinr")
+class ActiveINR(Planner):
+    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n (ICCV 2023).
+
+    Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; their targets are
+    free and more than 1 m away (gain ``activeinr``). No travel term. The target is kept until the agent is nearer than
+    0.8 m or a tenth of the frame budget has passed; meanwhile the candidate nearest to it is gone to.
+
+    ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: ``../shared/research/peers_active.md`` 3.3; what differs is in docs/planners.md.
+    """
+
+    def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
+        if uncertainty not in UNCERTAINTY:
+            raise ValueError(f"option uncertainty must be {' or '.join(UNCERTAINTY)}, got '{uncertainty}'")
+        name = "activeinr" if uncertainty == "perturbation" else "activeinr_proxy"
+        self.required_gains = (name, *(f"{name}_{axis}" for axis in "xyz"))  # type: ignore[misc]
+        super().__init__(travel)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Begin without a target."""
+        super().reset(seed)
+        self._target: np.ndarray | None = None  # [3] metres
+        self._chosen_at = 1.0  # budget left then
+
+    def act(self, observation: Observation) -> int:
+        """The candidate that stands for the largest cluster, or on the way the one nearest to the target."""
+        usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0)
+        share = np.where(usable, self.gain(observation, self.required_gains[0]), 0.0)
+        left = float(observation["budget"][0])
+        if self._target is not None:
+            gap = float(np.linalg.norm(observation["pose"][:3] - self._target))
+            if gap < REACHED_M or self._chosen_at - left >= PATIENCE:
+                self._target = None
+        if self._target is None and share.any():
+            choice = best_valid(self.scores(share, observation), observation)
+            self._target = np.array([self.gain(observation, name)[choice] for name in self.required_gains[1:]], float)
+            self._chosen_at, stage = left, "new target"
+        elif self._target is not None and usable.any():
+            gap_of = np.linalg.norm(observation["candidates"][:, _XYZ] - self._target, axis=1)
+            choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
+        else:  # no cluster with a target that can be stood at
+            choice, stage = best_valid(travel_discount(observation), observation), "no target"
+        self._trace = {
+            "stage": stage,
+            self.required_gains[0]: float(share[choice]),
+            "target": None if self._target is None else self._target.round(2).tolist(),
+        }
+        return choice

@@ -1,0 +1,120 @@
+"""ANM-S: from node to node of the floor plan by an integer score, with a look at each uncertain piece of surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.greedy import Planner
+
+_XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
+_LOOK = [CANDIDATE_FEATURES.index(name) for name in ("look_x", "look_y", "look_z")]
+_LENGTH, _FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")
+_REVISIT = CANDIDATE_FEATURES.index("revisit")
+
+UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
+ARRIVED_M = 15 * 0.065  # metres from the way: 15 steps of 6.5 cm
+DEFERRED_M = 200 * 0.065  # metres of way: targets farther than 200 steps wait for those on the way
+AT_NODE = 0.5  # metres in the plane: candidates that stand for a node are no farther from it
+FACING = float(np.cos(np.radians(30.0)))  # between a candidate's axis and what it is to look at
+ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this are one look
+UNCERTAINTY = ("perturbation", "proxy")
+
+
+@POLICIES.register("anm_s")
+class AnmS(Planner):
+    """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way (IROS 2024).
+
+    Nodes are those of the floor plan's Voronoi graph. Unarrived: farther than 0.975 m from the way so far. In horizon:
+    in line of sight and inside the last frame's box. Has cluster: a connected piece of the most uncertain 20 % of the
+    surface, at least 0.5 % of it, lies nearest to this node. Failed: an earlier attempt did not arrive. A target
+    farther than 13 m waits for the node nearest to it within 13 m. At the node, all its clusters and the ends of the
+    chains that were cut off from it are looked at.
+
+    ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: ``../shared/research/peers_active.md`` 3.2; what differs is in docs/planners.md.
+    """
+
+    def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
+        if uncertainty not in UNCERTAINTY:
+            raise ValueError(f"option uncertainty must be {' or '.join(UNCERTAINTY)}, got '{uncertainty}'")
+        self._gains = "anm_s" if uncertainty == "perturbation" else "anm_s_proxy"
+        own = tuple(f"{self._gains}_{name}" for name in ("clusters", "looks", "facing"))
+        self.required_gains = ("voronoi_node", "visited_distance", "in_horizon", *own)  # type: ignore[misc]
+        super().__init__(travel)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Begin without a node, and without failures."""
+        super().reset(seed)
+        self._goal: np.ndarray | None = None  # [3] metres, of the candidate chosen last
+        self._left = 0  # looks left at this node
+        self._looked = np.zeros((0, 3))  # directions looked in at this node
+        self._failed = np.zeros((0, 2))  # metres, places that were not reached
+
+    def act(self, observation: Observation) -> int:
+        """The next look at this node, or the next node."""
+        places = observation["candidates"][:, _XYZ].astype(np.float64)
+        if self._goal is not None and np.linalg.norm(observation["pose"][:3] - self._goal) > AT_NODE:
+            self._failed = np.vstack([self._failed, self._goal[:2]])
+            self._left = 0
+        usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0)
+        stage, choice = "look", self._next_look(observation, usable, places)
+        if choice is None:
+            stage, choice = "node", self._next_node(observation, usable, places)
+            self._left = int(self.gain(observation, f"{self._gains}_looks")[choice])
+            self._looked = self._looked[:0]
+        if self.gain(observation, f"{self._gains}_facing")[choice] >= FACING:
+            self._left -= 1
+            self._looked = np.vstack([self._looked, observation["candidates"][choice, _LOOK]])
+        self._goal = places[choice]
+        self._trace = {
+            "stage": stage,
+            "score": float(self.node_score(observation, places)[choice]),
+            "node": int(self.gain(observation, "voronoi_node")[choice]),
+            "looks_left": self._left,
+            "failed": len(self._failed),
+        }
+        return choice
+
+    def node_score(self, observation: Observation, places: np.ndarray) -> np.ndarray:  # [K], whole numbers
+        """The integer score of each candidate's node; 0 where it has none."""
+        distance = np.linalg.norm(places[:, None, :2] - self._failed, axis=2)
+        score = (
+            UNARRIVED * (self.gain(observation, "visited_distance") > ARRIVED_M)
+            + IN_HORIZON * (self.gain(observation, "in_horizon") > 0)
+            + CLUSTER * (self.gain(observation, f"{self._gains}_clusters") > 0)
+            + FAILED * (distance <= AT_NODE).any(axis=1)
+        )
+        return np.where(self.gain(observation, "voronoi_node") >= 0, score, 0.0)
+
+    def _next_look(self, observation: Observation, usable: np.ndarray, places: np.ndarray) -> int | None:
+        """The candidate here that needs the fewest frames to look at something in a direction not yet looked in."""
+        if self._left <= 0 or self._goal is None:
+            return None
+        rows = usable & (np.linalg.norm(places[:, :2] - self._goal[:2], axis=1) <= AT_NODE)
+        rows &= self.gain(observation, f"{self._gains}_facing") >= FACING
+        rows &= (observation["candidates"][:, _LOOK] @ self._looked.T < ONE_LOOK).all(axis=1)
+        if not rows.any():
+            return None
+        return best_valid(np.where(rows, -observation["candidates"][:, _FRAMES], -np.inf), observation)
+
+    def _next_node(self, observation: Observation, usable: np.ndarray, places: np.ndarray) -> int:
+        """The best node's candidate that faces something there best; the nearest view where there is no node."""
+        node = self.gain(observation, "voronoi_node")
+        rows = usable & (node >= 0)
+        if not rows.any():
+            return best_valid(travel_discount(observation), observation)
+        way = observation["candidates"][:, _LENGTH].astype(np.float64)
+        score = self.node_score(observation, places)
+        if self.travel == "shared":
+            value = (score - FAILED) * travel_discount(observation)  # from 0 on
+        else:
+            value = score - 1e-4 * way  # ways are shorter than 1 km: they decide between equals alone
+        best = best_valid(np.where(rows, value, -np.inf), observation)
+        if self.travel == "native" and way[best] > DEFERRED_M and (rows & (way <= DEFERRED_M)).any():
+            apart = np.linalg.norm(places - places[best], axis=1)
+            best = best_valid(np.where(rows & (way <= DEFERRED_M), -apart, -np.inf), observation)
+        facing = self.gain(observation, f"{self._gains}_facing")
+        return best_valid(np.where(rows & (node == node[best]), facing - 1e-6 * way, -np.inf), observation)

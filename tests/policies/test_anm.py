@@ -1,0 +1,179 @@
+"""ANM-S's integer score and its looks, ActiveINR's one target at a time: by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies import ActiveINR, AnmS, make_policy
+from activestructure_gym.policies.anm_s import ARRIVED_M, AT_NODE, DEFERRED_M
+
+X, Y, Z = np.eye(3)
+
+
+def observation(rows: list[dict], names: tuple[str, ...], *, pose: np.ndarray = np.zeros(3), budget: float = 1.0):  # noqa: B008
+    """Rows with ``at``, ``look``, ``path``, ``frames``, ``revisit`` and the gains by name; one masked row follows."""
+    count = len(rows)
+    candidates = np.zeros((count + 1, len(CANDIDATE_FEATURES)), np.float32)
+    gains = np.zeros((count + 1, len(names)), np.float32)
+    for k, row in enumerate(rows):
+        path = row.get("path", 1.0)
+        candidates[k] = [*row["at"], *row.get("look", X), path, row.get("frames", 10 * path), row.get("revisit", 0)]
+        gains[k] = [row.get(name, 0.0) for name in names]
+    return {
+        "candidates": candidates,
+        "candidate_gains": gains,
+        "action_mask": (np.arange(count + 1) < count).astype(np.int8),
+        "pose": np.array([*pose, 1, 0, 0, 0], np.float32),
+        "budget": np.array([budget], np.float32),
+    }
+
+
+def node(number: int, at: np.ndarray, *, unarrived=False, horizon=False, clusters=0, looks=0, facing=-1.0, **more):
+    return {
+        "at": at, "voronoi_node": number, "visited_distance": ARRIVED_M + (0.01 if unarrived else -0.01),
+        "in_horizon": float(horizon), "anm_s_clusters": clusters, "anm_s_looks": looks, "anm_s_facing": facing, **more,
+    }  # fmt: skip
+
+
+def act(policy: AnmS | ActiveINR, rows: list[dict], **options) -> int:
+    return policy.act(observation(rows, tuple(policy.required_gains), **options))
+
+
+def test_the_score_by_hand() -> None:
+    policy = AnmS()
+    rows = [
+        node(0, X, unarrived=True, horizon=True, clusters=4),
+        node(1, 2 * X, unarrived=True, clusters=1),
+        node(2, 3 * X, horizon=True),
+        node(3, 4 * X),
+        node(-1, 5 * X, unarrived=True, horizon=True, clusters=1),
+    ]
+    observed = observation(rows, tuple(policy.required_gains))
+    places = observed["candidates"][:, :3].astype(float)
+    np.testing.assert_array_equal(policy.node_score(observed, places)[:5], [6, 4, 2, 0, 0])
+    policy._failed = np.array([[1.0, AT_NODE - 0.01], [4.0, 0.0]])
+    np.testing.assert_array_equal(policy.node_score(observed, places)[:5], [0, 4, 2, -6, 0])
+
+
+def test_the_highest_score_then_the_shortest_way() -> None:
+    rows = [
+        node(0, X, horizon=True, path=0.5),
+        node(1, 2 * X, unarrived=True, path=9.0),
+        node(2, 3 * X, unarrived=True, path=8.0),
+        node(-1, Y, unarrived=True, horizon=True, path=0.1),
+    ]
+    assert act(AnmS(), rows) == 2
+    # With everybody's travel term (6 + 6) / (1 + 5 / 5) and (6 + 3) / (1 + 80 / 5).
+    assert act(AnmS(travel="shared"), rows) == 0
+    rows[2]["revisit"] = 1
+    assert act(AnmS(), rows) == 1
+    assert act(AnmS(), [{**row, "voronoi_node": -1} for row in rows]) == 3  # no node: the nearest
+
+
+def test_of_a_node_s_candidates_the_one_that_faces_something() -> None:
+    rows = [
+        node(0, X, unarrived=True, looks=2, facing=0.2, path=1.0),
+        node(0, X + 0.4 * Y, unarrived=True, looks=2, facing=0.95, path=1.4),
+        node(1, 3 * X, facing=1.0),
+    ]
+    policy = AnmS()
+    assert act(policy, rows) == 1
+    assert policy.trace() == {"stage": "node", "score": 3.0, "node": 0, "looks_left": 1, "failed": 0}
+
+
+def test_at_a_node_every_direction_is_looked_in_once() -> None:
+    looks = [X, (X + 0.5 * Y) / np.sqrt(1.25), Y, -Y, -X]
+    rows = [node(0, X, unarrived=True, looks=3, facing=0.9, look=d, frames=n + 1) for n, d in enumerate(looks)]
+    rows[4]["anm_s_facing"] = 0.5  # looks at nothing
+    rows.append(node(1, 5 * X, path=4.0))
+    policy = AnmS()
+    assert act(policy, rows) == 0
+    arrived = [{**row, "visited_distance": 0.0} for row in rows[:5]] + rows[5:]
+    # The second is within 45 degrees of the first look; then the ones with the fewest frames; then no look is left.
+    assert act(policy, arrived, pose=X) == 2
+    assert act(policy, arrived, pose=X) == 3
+    assert policy.trace()["looks_left"] == 0
+    arrived[5] = node(1, 5 * X, unarrived=True, path=4.0)
+    assert act(policy, arrived, pose=X) == 5
+    assert policy.trace()["stage"] == "node"
+
+
+def test_a_node_that_was_not_reached_has_failed() -> None:
+    rows = [node(0, 3 * X, unarrived=True, horizon=True, looks=3, facing=1.0), node(1, 6 * X)]
+    policy = AnmS()
+    assert act(policy, rows) == 0
+    assert act(policy, rows, pose=X) == 1  # 0 against 5 - 6
+    assert policy.trace()["failed"] == 1
+    policy.reset(0)
+    assert act(policy, rows) == 0
+
+
+def test_targets_farther_than_13_m_wait_for_nodes_on_the_way() -> None:
+    rows = [
+        node(0, 20 * X, unarrived=True, horizon=True, path=DEFERRED_M + 7.0),
+        node(1, 10 * X, path=10.0),
+        node(2, 2 * X, unarrived=True, path=2.0),
+    ]
+    assert act(AnmS(), rows) == 1
+    rows[0]["path"] = DEFERRED_M - 0.1
+    assert act(AnmS(), rows) == 0
+    assert act(AnmS(), [{**rows[0], "path": 20.0}]) == 0  # there is no other
+
+
+def test_once_all_nodes_are_arrived_at_clusters_and_horizon_go_on_deciding() -> None:
+    """The pathology of small integers: nearly all scores are equal, and the shortest way makes it turn in circles."""
+    rows = [node(n, (1 + 0.1 * n) * X, clusters=1, path=1.0 + n) for n in range(5)]
+    policy = AnmS()
+    assert act(policy, rows) == 0
+    assert act(policy, rows, pose=X) == 0
+
+
+def inr(at: np.ndarray, share: float = 0.0, target: np.ndarray | None = None, **more) -> dict:
+    x, y, z = at if target is None else target
+    return {"at": at, "activeinr": share, "activeinr_x": x, "activeinr_y": y, "activeinr_z": z, **more}
+
+
+def test_the_largest_cluster_however_far() -> None:
+    """The pathology: its size alone decides."""
+    rows = [inr(X, 0.20, path=1.0), inr(9 * X, 0.21, path=30.0), inr(Y, 0.0)]
+    assert act(ActiveINR(), rows) == 1
+    assert act(ActiveINR(travel="shared"), rows) == 0
+    assert act(ActiveINR(), [rows[0], {**rows[1], "revisit": 1}]) == 0
+
+
+def test_a_target_is_kept_until_it_is_near_or_a_tenth_of_the_budget_has_gone() -> None:
+    target = np.array([5.0, 0.0, 0.0])
+    rows = [inr(4 * X, 0.5, target), inr(3 * X + Y, 0.0), inr(-X, 0.4, -2 * X)]
+    policy = ActiveINR()
+    assert act(policy, rows) == 0
+    assert policy.trace() == {"stage": "new target", "activeinr": 0.5, "target": [5.0, 0.0, 0.0]}
+    changed = [inr(4.9 * X, 0.0), inr(3 * X + Y, 0.0), inr(-X, 0.9, -2 * X)]
+    # One metre away: not there yet, so the larger cluster has to wait.
+    assert act(policy, changed, pose=4 * X, budget=0.95) == 0
+    assert policy.trace()["stage"] == "on the way"
+    patient = ActiveINR()
+    act(patient, rows)
+    assert act(patient, changed, pose=4 * X, budget=0.89) == 2
+    assert act(policy, changed, pose=4.3 * X, budget=0.94) == 2
+    assert policy.trace()["target"] == [-2.0, 0.0, 0.0]
+
+
+def test_without_a_cluster_the_nearest_and_no_target_is_kept() -> None:
+    rows = [inr(X, frames=9.0), inr(Y, frames=3.0)]
+    policy = ActiveINR()
+    assert act(policy, rows) == 1
+    assert policy.trace() == {"stage": "no target", "activeinr": 0.0, "target": None}
+    assert act(policy, [inr(X, 0.1), inr(Y, 0.0)]) == 0
+
+
+@pytest.mark.parametrize("name", ["anm_s", "activeinr"])
+def test_the_proxy_is_an_option_that_asks_for_other_gains(name: str) -> None:
+    usual, proxy = make_policy(name), make_policy(f"{name}?uncertainty=proxy")
+    assert any(gain.startswith(f"{name}_proxy") for gain in proxy.required_gains)
+    assert not any("proxy" in gain for gain in usual.required_gains)
+    proxy.bind(tuple(proxy.required_gains))
+    with pytest.raises(InputError, match="option uncertainty must be perturbation or proxy, got 'guess'"):
+        make_policy(f"{name}?uncertainty=guess")

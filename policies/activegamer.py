@@ -64,7 +64,7 @@ class ActiveGAMER(Planner):
     def reset(self, seed: int) -> None:
         """Begin with the coarse stage."""
         super().reset(seed)
-        self._start: np.ndarray | None = None
+        self._start = np.zeros(0)  # [3] metres, once it is known
         self._stage = 0
         self._begin_stage()
 
@@ -77,7 +77,7 @@ class ActiveGAMER(Planner):
     def act(self, observation: Observation) -> int:
         """The best view of the stage's pool; in post-refinement the keyframe that renders worst."""
         valid = observation["action_mask"].astype(bool)
-        if self._start is None:
+        if not len(self._start):
             self._start = observation["pose"][:3].astype(np.float64)
         gain = self.gain(observation, "uncovered").astype(np.float64)
         keys, pool = self._pool(observation, valid)

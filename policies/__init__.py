@@ -3,6 +3,7 @@
 from activestructure_gym.policies.active_gs import ActiveGS
 from activestructure_gym.policies.activegamer import ActiveGAMER
 from activestructure_gym.policies.activeinr import ActiveINR
+from activestructure_gym.policies.activepolicy import ActivePolicy
 from activestructure_gym.policies.activesplat import ActiveSplat
 from activestructure_gym.policies.activestructure import (
     LADDER,
@@ -47,6 +48,7 @@ __all__ = [
     "ActiveGAMER",
     "ActiveGS",
     "ActiveINR",
+    "ActivePolicy",
     "ActiveSplat",
     "ActiveStructure",
     "ActiveStructureA",

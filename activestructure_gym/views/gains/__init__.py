@@ -11,6 +11,7 @@ name without registering, in every worker process.
 """
 
 from activestructure_gym.views.gains import activeinr, anm_s  # noqa: F401  several columns each
+from activestructure_gym.views.gains.activepolicy import activepolicy
 from activestructure_gym.views.gains.activesplat import (
     activesplat_information,
     activesplat_region,
@@ -42,6 +43,7 @@ __all__ = [
     "GAINS",
     "Gain",
     "GainContext",
+    "activepolicy",
     "activesplat_information",
     "activesplat_region",
     "activesplat_view",

@@ -37,7 +37,9 @@ def assigned(context: GainContext, uncertainty: Callable[[GainContext], Surface]
     return table
 
 
-_TABLES = {kind: partial(assigned, uncertainty=kind) for kind in (by_perturbing_all, by_proxy)}
+_TABLES: dict[Callable[[GainContext], Surface], Callable[[GainContext], np.ndarray]] = {
+    kind: partial(assigned, uncertainty=kind) for kind in (by_perturbing_all, by_proxy)
+}
 
 
 def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: int) -> np.ndarray:  # [K]

@@ -47,7 +47,7 @@ def looks(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -
     graph = context.once(floor_graph)
     node, poses = context.once(voronoi_node).astype(np.int64), context.world_from_camera
     anchors = anchored(found, graph.nodes)
-    result = Looks(*(np.zeros(len(poses)) for _ in range(2)), np.full(len(poses), -1.0))
+    result = Looks(np.zeros(len(poses)), np.zeros(len(poses)), np.full(len(poses), -1.0))
     for n in np.unique(node[node >= 0]):
         centres, ends = found.centres[anchors == n], graph.chain_ends[graph.chain_nodes == n]
         for row in np.flatnonzero(node == n):
@@ -60,7 +60,9 @@ def looks(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -
     return result
 
 
-_LOOKS = {kind: partial(looks, uncertainty=kind) for kind in (by_perturbing_means, by_proxy)}
+_LOOKS: dict[Callable[[GainContext], Surface], Callable[[GainContext], Looks]] = {
+    kind: partial(looks, uncertainty=kind) for kind in (by_perturbing_means, by_proxy)
+}
 
 
 def anchored(found: Clusters, nodes: np.ndarray) -> np.ndarray:  # [C] int64 nodes; -1 without any node

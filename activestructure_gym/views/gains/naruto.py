@@ -62,7 +62,8 @@ def find_targets(context: GainContext) -> Targets:
     """T and its visibility; share it by ``context.once(find_targets)``."""
     gaussians, volume = context.mapper.map, context.volume
     voxels, sigma = uncertainty(volume, gaussians.means, gaussians.opacities)
-    kept = chosen(np.ravel_multi_index(tuple(voxels.T), volume.shape), sigma, volume.state.size)
+    names = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
+    kept = chosen(names, sigma, volume.state.size)
     positions = volume.center_of(voxels[kept])
     places, place_of = np.unique(context.world_from_camera[:, :3, 3], axis=0, return_inverse=True)
     return Targets(positions, sigma[kept], visible(volume, places, positions)[place_of.ravel()])

@@ -119,7 +119,7 @@ def covering_views(context: GainContext) -> np.ndarray:  # [<= VIEWS] rows
     view = np.nonzero(good)[0]
     names = np.ravel_multi_index(tuple(volume.voxel_of(points[good]).T), volume.shape)
     _, place = np.unique(names, return_inverse=True)
-    sees = np.zeros((len(alpha), int(place.max(initial=-1)) + 1), dtype=bool)
+    sees: np.ndarray = np.zeros((len(alpha), int(place.max(initial=-1)) + 1), dtype=bool)
     sees[view, place] = True
     chosen: list[int] = []
     while len(chosen) < VIEWS:
@@ -178,5 +178,5 @@ def free_side(volume: VoxelVolume, voxels: np.ndarray) -> np.ndarray:  # [V, 3] 
 
 
 def _in_world(points: np.ndarray, poses: np.ndarray) -> np.ndarray:  # [C, h, w, 3] camera, [C, 4, 4] -> [C, h, w, 3]
-    rows = points.reshape(len(points), points.shape[1] * points.shape[2], 3).astype(np.float64)
+    rows: np.ndarray = points.reshape(len(points), points.shape[1] * points.shape[2], 3).astype(np.float64)
     return (rows @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]).reshape(points.shape)

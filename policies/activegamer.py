@@ -81,8 +81,8 @@ class ActiveGAMER(Planner):
             self._start = observation["pose"][:3].astype(np.float64)
         gain = self.gain(observation, "uncovered").astype(np.float64)
         keys, pool = self._pool(observation, valid)
-        ended = self._ended(gain[pool])
-        if ended and STAGES[self._stage] != STAGES[-1]:
+        ended = self._ended(gain[pool]) if STAGES[self._stage] != STAGES[-1] else None
+        if ended:
             self._stage += 1
             self._begin_stage()
             keys, pool = self._pool(observation, valid)

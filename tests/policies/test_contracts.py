@@ -1,0 +1,216 @@
+"""Contracts of every registered policy and gain on observations of a real episode: one for all, played once."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import pickle
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import trimesh
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.policies import POLICIES, Policy, make_policy
+from activestructure_gym.scenes import Scene, SceneMesh
+from activestructure_gym.scenes.raycaster import RayCaster
+from activestructure_gym.views import GAINS, GainContext, evaluate_gains
+
+Observation = dict[str, np.ndarray]
+
+NAMES = sorted(POLICIES)
+SPECS = NAMES + [f"{n}?travel=shared" for n in NAMES if "travel" in inspect.signature(POLICIES.get(n)).parameters]
+COLUMNS = tuple(sorted({gain for name in NAMES for gain in POLICIES.get(name).required_gains} | set(GAINS)))
+STEPS = 3
+
+
+def make_scene() -> Scene:
+    """A room with a table and a shelf; its arrays belong to the test."""
+    room = trimesh.creation.box((4.0, 3.0, 2.5))
+    room.invert()
+    room.apply_translation((2.0, 1.5, 1.25))
+    parts = [room.subdivide().subdivide()]
+    for extents, place in (((0.8, 0.6, 0.7), (3.0, 1.0, 0.35)), ((0.3, 1.0, 1.6), (0.3, 2.2, 0.8))):
+        part = trimesh.creation.box(extents)
+        part.apply_translation(place)
+        parts.append(part)
+    mesh = trimesh.util.concatenate(parts)
+    colors = np.random.default_rng(0).uniform(0.2, 0.9, (len(mesh.vertices), 3))
+    return Scene(
+        name="contracts",
+        mesh=SceneMesh(
+            vertices=mesh.vertices.astype(np.float32),
+            faces=mesh.faces.astype(np.int32),
+            colors=colors.astype(np.float32),
+            uv=np.zeros((len(mesh.vertices), 2), np.float32),
+            face_texture=np.full(len(mesh.faces), -1, np.int32),
+        ),
+        source="this test",
+    )
+
+
+class Untouchable:
+    """Stands where ground truth was."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise AssertionError(f"a score asked the ground truth for '{name}'")
+
+
+def swap_truth(env: ReconstructionEnv) -> None:
+    """Another mesh in the same bounds, in place and as another scene, and a sensor that says whoever asks it."""
+    scene = env.reconstruction.scene
+    low, high = scene.bounds  # the workspace, which everybody is told
+    crushed = np.where(scene.mesh.vertices > 0.5 * (low + high), high, low).astype(np.float32)
+    other = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, vertices=crushed))
+    assert np.array_equal(other.bounds, scene.bounds) and other.content_hash != scene.content_hash
+    for name in ("raycaster", "free_space", "observable_surface"):
+        other.__dict__[name] = Untouchable()
+    scene.mesh.vertices[:] = crushed  # for whoever kept the old one
+    scene.mesh.colors[:] = 0.5
+    scene.__dict__["raycaster"] = RayCaster(crushed, scene.mesh.faces)
+    env.reconstruction.scene = other
+    env.reconstruction.sensor = Untouchable()  # type: ignore[assignment]
+
+
+@dataclasses.dataclass
+class Episode:
+    """What an episode showed, and its last state scored again after the truth was swapped."""
+
+    env: ReconstructionEnv
+    observations: list[Observation]
+    context: GainContext
+    swapped: Observation
+
+
+@pytest.fixture(scope="module")
+def episode() -> Iterator[Episode]:
+    env = ReconstructionEnv(
+        scene=make_scene(), preset="fast", gains=COLUMNS, frame_budget=60,
+        config={"sensor": {"width": 64, "height": 36}, "views": {"max_candidates": 24, "max_revisits": 2}},
+    )  # fmt: skip
+    observation, _ = env.reset(seed=2)
+    observations, rng = [observation], np.random.default_rng(0)
+    for _ in range(STEPS):
+        observation, *_ = env.step(int(rng.choice(np.flatnonzero(observation["action_mask"]))))
+        observations.append(observation)
+    reconstruction = env.reconstruction
+    scene, sensor = reconstruction.scene, reconstruction.sensor
+    swap_truth(env)
+    reconstruction._refresh()
+    swapped = env._observe()
+    context = GainContext(
+        mapper=reconstruction.mapper, volume=reconstruction.volume, planes=reconstruction.planes,
+        camera=reconstruction.scoring_camera, bounds=scene.bounds, coverage_alpha=0.5, max_range=10.0,
+        world_from_camera=reconstruction.candidates.world_from_camera,
+    )  # fmt: skip
+    yield Episode(env, observations, context, swapped)
+    reconstruction.sensor = sensor
+    env.close()
+
+
+def begun(spec: str) -> Policy:
+    policy = make_policy(spec)
+    policy.bind(COLUMNS)
+    policy.reset(3)
+    return policy
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_valid_rows_only_the_same_ones_again_and_a_pickle_goes_on(spec: str, episode: Episode) -> None:
+    first, second, third = begun(spec), begun(spec), begun(spec)
+    for count, observation in enumerate(episode.observations):
+        before = pickle.dumps(observation)
+        choice = first.act(observation)
+        assert isinstance(choice, int) and observation["action_mask"][choice] == 1
+        assert pickle.dumps(observation) == before
+        assert second.act(observation) == choice
+        third = pickle.loads(pickle.dumps(third))
+        assert third.act(observation) == choice
+        if count == 1:  # what a policy remembers goes with the episode
+            fresh = begun(spec)
+            fresh.act(episode.observations[-1])
+            fresh.reset(3)
+            assert [fresh.act(o) for o in episode.observations[:2]][1] == choice
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_a_masked_row_is_never_chosen_however_good_it_is(spec: str, episode: Episode) -> None:
+    for observation in episode.observations[1:]:
+        policy, closed = begun(spec), {key: value.copy() for key, value in observation.items()}
+        for _ in range(3):  # each time the favourite is taken away
+            choice = policy.act(closed)
+            assert closed["action_mask"][choice] == 1
+            closed["action_mask"][choice] = 0
+
+
+class Replay(gym.Env):
+    """An env that shows recorded observations."""
+
+    def __init__(self, episode: Episode) -> None:
+        self.observation_space, self.action_space = episode.env.observation_space, episode.env.action_space
+        self._shown, self._at = episode.observations, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict]:
+        super().reset(seed=seed)
+        self._at = 0 if seed is None else seed % 2
+        return self._shown[self._at], {}
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict]:
+        assert self._shown[self._at]["action_mask"][action] == 1
+        self._at += 1
+        return self._shown[self._at], 0.0, False, False, {}
+
+
+@pytest.mark.parametrize("kind", ["gymnasium", "stable-baselines3"])
+def test_every_policy_runs_in_a_vector_env(kind: str, episode: Episode) -> None:
+    makers = [lambda: Replay(episode)] * 2
+    for spec in SPECS:
+        envs: Any = DummyVecEnv(makers) if kind == "stable-baselines3" else gym.vector.SyncVectorEnv(makers)
+        if kind == "stable-baselines3":
+            envs.seed(0)  # the second env begins with the second observation
+            batch = envs.reset()
+        else:
+            batch, _ = envs.reset(seed=0)
+        together, alone = [begun(spec) for _ in range(2)], [begun(spec) for _ in range(2)]
+        for step in range(2):
+            rows = [{key: value[i] for key, value in batch.items()} for i in range(2)]
+            actions = np.array([policy.act(row) for policy, row in zip(together, rows)])
+            expected = [policy.act(episode.observations[step + i]) for i, policy in enumerate(alone)]
+            assert actions.tolist() == expected, spec
+            batch = envs.step(actions)[0]
+
+
+@pytest.mark.parametrize("gain", COLUMNS)
+def test_no_gain_knows_the_true_mesh(gain: str, episode: Episode) -> None:
+    column = COLUMNS.index(gain)
+    before, after = (o["candidate_gains"][:, column] for o in (episode.observations[-1], episode.swapped))
+    np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize("spec", SPECS)
+def test_no_policy_knows_the_true_mesh(spec: str, episode: Episode) -> None:
+    one, other = begun(spec), begun(spec)
+    for observation in episode.observations[:-1]:
+        assert one.act(observation) == other.act(observation)
+    assert one.act(episode.observations[-1]) == other.act(episode.swapped)
+    assert one.trace() == other.trace()
+
+
+def test_the_swap_finds_a_gain_that_peeks(episode: Episode) -> None:
+    for key, value in episode.observations[-1].items():
+        np.testing.assert_array_equal(value, episode.swapped[key], err_msg=key)
+
+    @GAINS.register("peeking_for_this_test")
+    def peeking(context: GainContext) -> np.ndarray:
+        scene = episode.env.reconstruction.scene
+        return scene.raycaster.depth(context.camera, context.world_from_camera).mean(axis=(1, 2))
+
+    try:
+        with pytest.raises(AssertionError, match="a score asked the ground truth"):
+            evaluate_gains(("peeking_for_this_test",), episode.context)
+    finally:
+        del GAINS._entries["peeking_for_this_test"]

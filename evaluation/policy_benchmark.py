@@ -22,7 +22,7 @@ def run_policy_benchmark(
     *,
     policies: Sequence[str] = (),  # all that are registered if none is given
     preset: str = "default",
-    gaussians: int = 30_000,  # the state is taken when the map has as many
+    gaussians: int = 30_000,  # the state is taken when the map has as many and the candidate table is full
     frames: int = 400,  # or after so many frames
     repeats: int = 7,
     notify: Callable[[str], None] = lambda _: None,
@@ -70,7 +70,7 @@ def _explored(scene: str, preset: str, gaussians: int, frames: int, notify: Call
     policy.reset(_SEED)
     env.reconstruction.mapper.movement()  # is followed from here on, as in an episode that needs it
     ended = False
-    while not ended and env.reconstruction.mapper.map.count < gaussians:
+    while not ended and (env.reconstruction.mapper.map.count < gaussians or not observation["action_mask"].all()):
         observation, _, terminated, truncated, _ = env.step(policy.act(observation))
         ended = terminated or truncated
         notify(f"exploring: {env.reconstruction.frames} frames, {env.reconstruction.mapper.map.count} Gaussians")

@@ -15,6 +15,7 @@ import trimesh
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.mapping.mapper import PSNR_RENDERS
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 from activestructure_gym.scenes import Scene, SceneMesh
 from activestructure_gym.scenes.raycaster import RayCaster
@@ -25,14 +26,14 @@ Observation = dict[str, np.ndarray]
 NAMES = sorted(POLICIES)
 SPECS = NAMES + [f"{n}?travel=shared" for n in NAMES if "travel" in inspect.signature(POLICIES.get(n)).parameters]
 COLUMNS = tuple(sorted({gain for name in NAMES for gain in POLICIES.get(name).required_gains} | set(GAINS)))
-STEPS = 3
+STEPS = 8  # until there are several places to go to
 
 
 def make_scene() -> Scene:
     """A room with a table and a shelf; its arrays belong to the test."""
-    room = trimesh.creation.box((4.0, 3.0, 2.5))
+    room = trimesh.creation.box((6.0, 5.0, 2.5))
     room.invert()
-    room.apply_translation((2.0, 1.5, 1.25))
+    room.apply_translation((3.0, 2.5, 1.25))
     parts = [room.subdivide().subdivide()]
     for extents, place in (((0.8, 0.6, 0.7), (3.0, 1.0, 0.35)), ((0.3, 1.0, 1.6), (0.3, 2.2, 0.8))):
         part = trimesh.creation.box(extents)
@@ -89,8 +90,12 @@ class Episode:
 @pytest.fixture(scope="module")
 def episode() -> Iterator[Episode]:
     env = ReconstructionEnv(
-        scene=make_scene(), preset="fast", gains=COLUMNS, frame_budget=60,
-        config={"sensor": {"width": 64, "height": 36}, "views": {"max_candidates": 24, "max_revisits": 2}},
+        scene=make_scene(), preset="fast", gains=COLUMNS, frame_budget=120,
+        config={
+            "sensor": {"width": 64, "height": 36},
+            "views": {"max_candidates": 24, "max_revisits": 2},
+            "keyframe_every": 20,  # so few keyframes that each decision measures all of them anew
+        },
     )  # fmt: skip
     observation, _ = env.reset(seed=2)
     observations, rng = [observation], np.random.default_rng(0)
@@ -98,6 +103,7 @@ def episode() -> Iterator[Episode]:
         observation, *_ = env.step(int(rng.choice(np.flatnonzero(observation["action_mask"]))))
         observations.append(observation)
     reconstruction = env.reconstruction
+    assert len(reconstruction.keyframe_indices) <= PSNR_RENDERS
     scene, sensor = reconstruction.scene, reconstruction.sensor
     swap_truth(env)
     reconstruction._refresh()
@@ -107,7 +113,7 @@ def episode() -> Iterator[Episode]:
         camera=reconstruction.scoring_camera, bounds=scene.bounds, coverage_alpha=0.5, max_range=10.0,
         world_from_camera=reconstruction.candidates.world_from_camera,
     )  # fmt: skip
-    yield Episode(env, observations, context, swapped)
+    yield Episode(env, observations[-4:], context, swapped)
     reconstruction.sensor = sensor
     env.close()
 

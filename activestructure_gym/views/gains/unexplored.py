@@ -16,7 +16,8 @@ def unexplored(context: GainContext) -> np.ndarray:  # [K] in 0..1
     """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025; peers_active.md 3.4).
 
     A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
-    in front of what the map shows there. Tested in cells of 2 x 2 x 2 voxels, which count as many as are unknown.
+    in front of what the map shows there. Where 2 x 2 x 2 voxels are all unknown they are tested as one, by their common
+    centre.
     """
     return context.once(_shares)
 
@@ -38,18 +39,21 @@ def _shares(context: GainContext) -> np.ndarray:  # [K]
 
 
 def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  # [M, 3] metres, [M] voxels, all voxels
-    """Centres of the cells that hold unknown voxels, how many each holds, and how many voxels the workspace has.
+    """Centres of wholly unknown cells and of single unknown voxels, how many voxels each stands for, and of how many.
 
-    The volume's outermost layer lies beyond the workspace and is not counted.
+    The volume's outermost layer lies beyond the workspace and is not counted. Only whole cells are taken as one: in a
+    cell at a wall, the known half may hold the centre while the unknown half lies behind the wall.
     """
     inner = volume.state[1:-1, 1:-1, 1:-1] == UNKNOWN
-    padded = np.zeros([-(-size // _SIDE) * _SIDE for size in inner.shape], np.int64)
-    padded[: inner.shape[0], : inner.shape[1], : inner.shape[2]] = inner
-    x, y, z = (size // _SIDE for size in padded.shape)
-    counts = padded.reshape(x, _SIDE, y, _SIDE, z, _SIDE).sum(axis=(1, 3, 5))
-    cells = np.argwhere(counts)
-    centres = volume.origin + ((cells + 0.5) * _SIDE + 1.0) * volume.config.voxel_size
-    return centres, counts[tuple(cells.T)].astype(np.float64), inner.size
+    x, y, z = (size // _SIDE for size in inner.shape)
+    even = inner[: x * _SIDE, : y * _SIDE, : z * _SIDE]
+    whole = even.reshape(x, _SIDE, y, _SIDE, z, _SIDE).all(axis=(1, 3, 5))
+    single = inner.copy()
+    single[: x * _SIDE, : y * _SIDE, : z * _SIDE] &= ~whole.repeat(_SIDE, 0).repeat(_SIDE, 1).repeat(_SIDE, 2)
+    cells, voxels = np.argwhere(whole), np.argwhere(single)
+    middles = np.concatenate([(cells + 0.5) * _SIDE, voxels + 0.5]) + 1.0
+    counts = np.repeat([float(_SIDE**3), 1.0], [len(cells), len(voxels)])
+    return volume.origin + middles * volume.config.voxel_size, counts, inner.size
 
 
 @kernel

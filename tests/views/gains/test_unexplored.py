@@ -31,22 +31,29 @@ def context(state: np.ndarray, alpha: float, depth: float, *, max_range: float =
 
 
 def counted(state: np.ndarray, pose: np.ndarray, reach: float) -> float:
-    """Share of the inner voxels that are unknown and whose cell of 2 x 2 x 2 has its centre in sight."""
-    voxels = np.argwhere(state[1:-1, 1:-1, 1:-1] == UNKNOWN)
-    centres = ((voxels // 2) * 2 + 1 + 1) * 0.1
+    """Share of the inner voxels that are unknown and have their centre, or their unknown cell's, in sight."""
+    unknown = state[1:-1, 1:-1, 1:-1] == UNKNOWN
+    voxels = np.argwhere(unknown)
+    centres = voxels + 0.5
+    for row, voxel in enumerate(voxels):
+        corner = voxel // 2 * 2
+        if unknown[corner[0] : corner[0] + 2, corner[1] : corner[1] + 2, corner[2] : corner[2] + 2].sum() == 8:
+            centres[row] = corner + 1.0
+    centres = (centres + 1) * 0.1
     seen = np.c_[centres, np.ones(len(centres))] @ invert_rigid(pose).T
     with np.errstate(divide="ignore", invalid="ignore"):
         u = CAMERA.fx * seen[:, 0] / seen[:, 2] + CAMERA.cx
         v = CAMERA.fy * seen[:, 1] / seen[:, 2] + CAMERA.cy
     inside = (seen[:, 2] > 0) & (u >= 0) & (u < 40) & (v >= 0) & (v < 24) & (seen[:, 2] < reach)
-    return inside.sum() / 40**3
+    return inside.sum() / unknown.size
 
 
 @pytest.mark.parametrize(
     ("alpha", "depth", "reach"), [(0.0, 1.0, 1.7), (1.0, 0.9, 0.9), (0.7, 1.2, 1.2), (1.0, 3.0, 1.7)]
 )
 def test_the_share_is_counted_up_to_the_surface_or_the_range(alpha: float, depth: float, reach: float) -> None:
-    state = np.random.default_rng(3).choice(np.array([UNKNOWN, FREE], np.uint8), (42, 42, 42))
+    state = np.random.default_rng(3).choice(np.array([UNKNOWN, FREE], np.uint8), (42, 41, 42))
+    state[21:] = UNKNOWN
     step = context(state, alpha, depth, max_range=1.7)
     gain = evaluate_gains(("unexplored",), step)[:, 0]
     expected = [counted(state, pose, reach) for pose in step.world_from_camera]
@@ -58,5 +65,8 @@ def test_known_space_has_nothing_to_explore_and_what_lies_outside_is_no_workspac
     state = np.full((42, 42, 42), UNKNOWN, np.uint8)
     state[1:-1, 1:-1, 1:-1] = FREE
     assert not evaluate_gains(("unexplored",), context(state, 0.0, 1.0)).any()
+    state[-3:-1, -3:-1, 1:4] = UNKNOWN  # a cell and four voxels more
     centres, counts, total = unknown_cells(context(state, 0.0, 1.0).volume)
-    assert (len(centres), len(counts), total) == (0, 0, 40**3)
+    assert (len(centres), sorted(counts.tolist()), total) == (5, [1, 1, 1, 1, 8], 40**3)
+    np.testing.assert_allclose(centres[0], [4.0, 4.0, 0.2])
+    assert (centres[1:, 2].round(6) == 0.35).all()

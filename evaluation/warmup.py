@@ -42,6 +42,8 @@ def warming_up(
 ) -> Iterator[None]:
     """Run the smallest possible job in another process while the block runs, and wait for it at the end.
 
+    Then every gain of the policies is evaluated there.
+
     Compiled kernels are kept on disk, so the first run of a comparison need not compile again, and no run's time
     contains a compilation. Half of the compiling is the rasteriser's: it gets a process of its own. Results are
     thrown away, and so are failures: a real job that fails will say why. ``notify`` hears how far the compiling is, in
@@ -50,14 +52,14 @@ def warming_up(
     """
     from activestructure_gym.compiling import told_to
 
-    smallest = smallest_job(policies, overrides)
-    mark = WarmMark.of(smallest)
+    smallest, gains = smallest_job(policies, overrides), all_gains(policies)
+    mark = WarmMark.of(smallest, gains)
     if mark is not None and mark.holds():
         yield
         return
-    job = json.dumps(smallest.as_dict())
+    work = json.dumps({"job": smallest.as_dict(), "gains": gains})
     tally = _Tally(notify)
-    processes = [_start(part, job, tally) for part in ("map", "world")]
+    processes = [_start(part, work, tally) for part in ("map", "world")]
     try:
         with told_to(tally):
             yield
@@ -82,20 +84,26 @@ class WarmMark:
     digest: str
 
     @classmethod
-    def of(cls, job: Job) -> WarmMark | None:
+    def of(cls, job: Job, gains: Sequence[str] = ()) -> WarmMark | None:
         """None where kernels cannot be kept, or where what is compiled may lie outside of this package."""
         from activestructure_gym.compiling import cache_place
-        from activestructure_gym.policies import POLICIES
+        from activestructure_gym.policies import make_policy
+        from activestructure_gym.views import GAINS
 
         ours = f"{__name__.partition('.')[0]}."
-        if not POLICIES.get(job.policy).__module__.startswith(ours) or ":" in str(job.overrides):
+        origins = [type(make_policy(job.policy)), *map(GAINS.get, gains)]
+        # A gain may be a partial, which has no module of its own: those are ours.
+        if not all(getattr(origin, "__module__", ours).startswith(ours) for origin in origins):
+            return None
+        if ":" in str(job.overrides):
             return None
         place = cache_place()
         if place is None:
             return None
-        content = [job.as_dict(), _compiler(), _sources()]
+        content = [job.as_dict(), list(gains), _compiler(), _sources()]
         content.append(sorted((k, v) for k, v in os.environ.items() if k.startswith("NUMBA_") and k not in _COUNTS))
-        return cls(place / f"activestructure_gym-warm-{job.hash}.json", _hashed(content))
+        name = _hashed([job.hash, list(gains)])[:12]
+        return cls(place / f"activestructure_gym-warm-{name}.json", _hashed(content))
 
     def holds(self) -> bool:
         """Whether nothing needs to be compiled."""
@@ -161,7 +169,7 @@ class _Tally:
             self._notify(describe(len(self._names), time.monotonic() - self._began))
 
 
-def _start(part: str, job: str, tally: Callable[[str], None]) -> subprocess.Popen[str]:
+def _start(part: str, work: str, tally: Callable[[str], None]) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         [sys.executable, "-m", "activestructure_gym.evaluation.warmup", part],
         stdin=subprocess.PIPE,
@@ -175,7 +183,7 @@ def _start(part: str, job: str, tally: Callable[[str], None]) -> subprocess.Pope
     assert process.stdin is not None
     threading.Thread(target=_listen, args=(process, tally), daemon=True).start()
     try:
-        process.stdin.write(job + "\n")
+        process.stdin.write(work + "\n")
         process.stdin.close()
     except BrokenPipeError:
         pass  # it died at once
@@ -206,8 +214,15 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
     )
 
 
+def all_gains(policies: Sequence[str]) -> list[str]:
+    """What any of the policies asks for."""
+    from activestructure_gym.policies import make_policy
+
+    return sorted({gain for name in policies for gain in make_policy(name).required_gains})
+
+
 def main(part: str) -> None:
-    """One half of the compiling; the half without the map ends with the job on standard input.
+    """One half of the compiling; the half without the map ends with the job and the gains on standard input.
 
     Standard output says which kernel is compiled, one per line.
     """
@@ -217,7 +232,8 @@ def main(part: str) -> None:
     from activestructure_gym.evaluation.protocols.activegamer import masked
 
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # so that the directory is removed
-    job = Job.from_dict(json.loads(sys.stdin.readline()))
+    work = json.loads(sys.stdin.readline())
+    job = Job.from_dict(work["job"])
     with told_to(lambda name: print(_MARK, name, flush=True)):
         if part == "map":
             compile_map()
@@ -230,6 +246,17 @@ def main(part: str) -> None:
         compile_views()
         with tempfile.TemporaryDirectory(prefix="asg-warm-up-") as directory:
             run_job(job, Path(directory) / "run")
+        _evaluate(work["gains"], job)
+
+
+def _evaluate(gains: Sequence[str], job: Job) -> None:
+    """All gains of two decisions under the job's configuration."""
+    from activestructure_gym.envs import ReconstructionEnv
+
+    env = ReconstructionEnv(scene=job.scene, preset=job.preset, gains=gains, config=dict(job.overrides))
+    env.reset(seed=job.seed)
+    env.step(0)
+    env.close()
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """What the warm-up says about its compiling."""
 
+import io
+import json
 import os
 import subprocess
 import sys
@@ -9,7 +11,7 @@ import pytest
 from activestructure_gym import compiling
 from activestructure_gym.compiling import EPISODE_KERNELS
 from activestructure_gym.evaluation import warmup
-from activestructure_gym.evaluation.warmup import WarmMark, _listen, _Tally, smallest_job, warming_up
+from activestructure_gym.evaluation.warmup import WarmMark, _listen, _Tally, all_gains, main, smallest_job, warming_up
 from activestructure_gym.policies import POLICIES, Policy
 
 
@@ -106,3 +108,25 @@ def test_only_marked_lines_of_a_process_are_kernels():
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
         _listen(process, heard.append)
     assert heard == ["room.one", "room.two"]
+
+
+def test_every_gain_of_every_policy_is_asked_for():
+    assert all_gains(["random", "pixel_only", "activestructure", "pixel_only"]) == ["deficiency", "hole_area", "pixel"]
+
+
+@pytest.mark.parametrize("part", ["map", "world"])
+def test_both_halves_do_their_part_of_the_work(part, monkeypatch):
+    from activestructure_gym import compile_ahead
+    from activestructure_gym.evaluation import episode
+
+    done = []
+    for name in ("compile_map", "compile_sensing", "compile_motion", "compile_views"):
+        monkeypatch.setattr(compile_ahead, name, lambda name=name: done.append(name))
+    monkeypatch.setattr(episode, "run_job", lambda job, place: done.append(job.policy))
+    monkeypatch.setattr(warmup, "_evaluate", lambda gains, job: done.append(tuple(gains)))
+    monkeypatch.setattr(warmup.signal, "signal", lambda *_: None)
+    work = {"job": smallest_job(["random", "pixel_only"], {}).as_dict(), "gains": ["hole_area", "pixel"]}
+    monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(work) + "\n"))
+    main(part)
+    of_the_world = ["compile_sensing", "compile_motion", "compile_views", "pixel_only", ("hole_area", "pixel")]
+    assert done == (["compile_map"] if part == "map" else of_the_world)

@@ -193,6 +193,21 @@ def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
     assert "the same jobs by hand and through" in said and "box" in said
 
 
+def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
+    from activestructure_gym.evaluation import policy_benchmark
+
+    def measured(scene, **options):
+        assert options.pop("notify")
+        return [{"policy": "random", "decision_s": 0.125, "options": options}]
+
+    monkeypatch.setattr(policy_benchmark, "run_policy_benchmark", measured)
+    assert main(["bench", "policies", "--scene", "box,room", "--quick"]) == 0
+    out = capsys.readouterr().out
+    assert "0.125" in out and "box" in out and "room" in out and "repeats 1" in out
+    assert main(["bench", "policies"]) == 0
+    assert policy_benchmark.SCENE in capsys.readouterr().out
+
+
 def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
     from activestructure_gym.planes import benchmark
 

@@ -1,0 +1,33 @@
+import pytest
+
+from activestructure_gym.evaluation import policy_benchmark
+from activestructure_gym.evaluation.policy_benchmark import run_policy_benchmark
+
+
+def test_a_row_per_policy_on_one_state():
+    said = []
+    rows = run_policy_benchmark(
+        "box", policies=["random", "pixel_only"], preset="fast", gaussians=1, frames=12, repeats=2,
+        notify=said.append,
+    )  # fmt: skip
+    assert [row["policy"] for row in rows] == ["random", "pixel_only"]
+    states = [[row[key] for key in ("candidates", "gaussians", "keyframes", "threads")] for row in rows]
+    assert states[0] == states[1] and min(states[0]) > 0
+    for row in rows:
+        low, high = row["quartiles"]
+        assert 0 < low <= row["decision_s"] <= high
+        assert row["decision_s"] >= max(row["gains_s"], row["policy_s"], row["offer_s"]) > 0
+    assert rows[1]["gains_s"] > rows[0]["gains_s"]  # random asks for none
+    assert any("exploring" in line for line in said) and said[-1] == "round 2 of 2: random"
+
+
+def test_the_row_by_hand():
+    times = [
+        {"planning": 0.1, "gains": gains, "policy": 0.01, "cpu": 1.0} for gains in (0.05, 0.08, 0.09, 0.06, 9.0)
+    ]  # fmt: skip
+    row = policy_benchmark._row("activestructure", times)
+    assert row["decision_s"] == pytest.approx(0.19) and row["limit"] == "under 0.2"
+    assert row["quartiles"] == pytest.approx((0.17, 0.2)) and row["gains_s"] == pytest.approx(0.08)
+    times[0]["gains"] = times[3]["gains"] = 0.3
+    assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.2"
+    assert policy_benchmark._row("naruto", times)["limit"] == "under 2"

@@ -24,6 +24,15 @@ class ActiveGS(Greedy):
     required_gains = ("confidence",)
     way: ClassVar[float] = 0.5  # weight of the path's share
 
+    def act(self, observation: Observation) -> int:
+        """The valid row with the highest score; the trace says how far it is where that is no factor."""
+        choice = super().act(observation)
+        if self.travel == "native":
+            gain = self.required_gains[0]
+            length = float(observation["candidates"][choice, LENGTH])
+            self._trace = {gain: self._trace[gain], "path_length": length}
+        return choice
+
     def native(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
         """The difference of the two shares."""
         valid = observation["action_mask"].astype(bool)

@@ -33,7 +33,10 @@ def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Greedy], gain:
     masked = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0], [1, 1, 0])
     np.testing.assert_allclose(kind().native(masked["candidate_gains"][:, 0], masked)[:2], [0.125, 0.375], rtol=1e-6)
     # With everybody's term the last one is worth 4 / 13, the second 3 / 3.
-    assert kind("shared").act(seen) == 1
+    shared, native = kind("shared"), kind()
+    assert shared.act(seen) == native.act(seen) == 1
+    assert shared.trace() == {gain: 3.0, "travel": pytest.approx(1 / 3)}
+    assert native.trace() == {gain: 3.0, "path_length": 1.0}
 
 
 def test_active_gs_goes_far_for_a_little_more_where_all_ways_are_long() -> None:

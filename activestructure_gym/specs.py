@@ -53,15 +53,16 @@ def typed_options(
     return arguments
 
 
-def _hints(factory: Callable[..., Any]) -> dict[str, Any]:
+def _hints(factory: Any) -> dict[str, Any]:
     """The type of every option: its annotation, or that of its default where there is none to be had."""
     defaults = {
         key: type(p.default)
         for key, p in inspect.signature(factory).parameters.items()
         if isinstance(p.default, bool | int | float)
     }
+    takes = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
     try:
-        return {**defaults, **typing.get_type_hints(factory.__init__ if isinstance(factory, type) else factory)}
+        return {**defaults, **typing.get_type_hints(takes)}
     except (NameError, TypeError):  # names imported for type checkers only, or a callable object
         return defaults
 

@@ -81,7 +81,7 @@ def spread(count: int, most: int) -> list[int]:
     """At most ``most`` of the indices below ``count``: half of them the last ones, the others evenly over the rest."""
     newest = range(max(0, count - most // 2), count)
     rest = count - len(newest)
-    others = np.unique(np.linspace(0, rest - 1, min(rest, most - len(newest))).round().astype(int)) if rest else []
+    others = np.unique(np.linspace(0, rest - 1, min(rest, most - len(newest))).round().astype(int))
     return [int(i) for i in others] + list(newest)
 
 

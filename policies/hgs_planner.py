@@ -15,7 +15,7 @@ from activestructure_gym.policies.greedy import Greedy
 
 LOCAL_M = 3.0  # metres of path: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the global parts
-WORTH = 0.01  # of a view into nothing but unknown space; a part with such a view is not done
+WORTH = 0.05  # of a view into nothing but unknown space; a part with a better view than that is not done
 _MOST = 6  # parts of a tour that is searched through in full
 _PLACE = [CANDIDATE_FEATURES.index(name) for name in ("x", "y")]
 _PATH = CANDIDATE_FEATURES.index("path_length")

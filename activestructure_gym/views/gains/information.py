@@ -2,8 +2,8 @@
 
 H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`):
 H_train of all keyframes, H_c of a candidate, both at the candidates' camera. Metres, logarithms and colours have other
-units, and one prior for all would mean something else in every map: so every entry is counted in units of the median
-positive entry of H_train of its kind, and the prior lambda is the same small share of that unit for all.
+units, and one prior for all would mean something else in every map: so every entry is counted in units of what is known
+in the median about its kind, and the prior lambda is the same small share of that unit for all.
 
 Source: ``../shared/research/peers_info_rl.md``, A0 to A2 (lambda: decision 3 there).
 """
@@ -20,7 +20,8 @@ from activestructure_gym.views.gains.base import GAINS, Gain, GainContext
 from activestructure_gym.views.gains.hole_area import hole_area
 from activestructure_gym.volume import UNKNOWN
 
-LAMBDA = 1e-2  # of the median positive entry
+LAMBDA = 1e-2  # of the unit
+LITTLE = 0.05  # of a view of nothing but unseen space (own choice)
 WINDOW = 6.0  # metres, side of HGS-Planner's local window
 MEAN, LOG_SCALE, LOGIT, COLOR = range(4)  # kinds of parameters
 _COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # of `ViewInformation.numbers`, by kind
@@ -32,9 +33,12 @@ def trained(context: GainContext) -> np.ndarray:  # [N, 24] float64
 
 
 def units(context: GainContext) -> np.ndarray:  # [4]
-    """Median positive entry of H_train by kind of parameter; 1 where there is none."""
+    """By kind of parameter, what is known about a Gaussian: median over those of which anything is; 1 without any.
+
+    Of the mean over a Gaussian's entries of that kind: along the thin axis of a disk an entry is next to nothing.
+    """
     known = trained(context)
-    entries = [known[:, columns] for columns in _COLUMNS]
+    entries = [known[:, columns].mean(axis=1) for columns in _COLUMNS]
     return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
 
 
@@ -82,9 +86,13 @@ def observed_share(context: GainContext) -> float:  # 0..1
 
 
 def adaptive(context: GainContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
-    """G = G_cov + lambda_o G_Q (HGS-Planner), G_Q as a share of the best candidate's and G_cov one of a whole view."""
-    best = quality.max(initial=0.0)
-    return coverage + observed_share(context) * (quality / best if best > 0 else quality)
+    """G = G_cov + lambda_o G_Q (HGS-Planner), each as a share of the best candidate's.
+
+    The two have no common unit, and information spans many orders of magnitude. Where even the best candidate's G_cov
+    is below `LITTLE` of a whole view, it counts as a share of that: what is left to cover must not hide the other term.
+    """
+    most, best = max(coverage.max(initial=0.0), LITTLE), quality.max(initial=0.0)
+    return coverage / most + observed_share(context) * (quality / best if best > 0 else quality)
 
 
 def register_both(name: str) -> Callable[[Gain], Gain]:

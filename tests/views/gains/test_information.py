@@ -11,6 +11,11 @@ from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
 
 def test_units_are_medians_of_what_is_known(hand_made) -> None:
     assert units(hand_made) == pytest.approx([4.0, 9.0, 2.0, 5.0])
+    known = np.concatenate([hand_made.mapper.keyframe_information(None)] * 2 + [np.zeros((3, 24))])
+    known[2, 0], known[2, 22] = 1.0, 7.0
+    hand_made.mapper.keyframe_information = lambda camera: known
+    # Of two Gaussians: means of (4 + 4 + 4) / 3 and (1 + 4 + 4) / 3, colours of 5 and 7.
+    assert units(hand_made) == pytest.approx([3.5, 9.0, 2.0, 6.0])
     hand_made.mapper.keyframe_information = lambda camera: np.zeros((3, 24))
     assert units(hand_made) == pytest.approx([1.0] * 4)
 
@@ -31,8 +36,10 @@ def test_the_observed_share_is_that_of_the_window_around_the_agent(two_walls) ->
 def test_quality_counts_as_much_as_is_observed(two_walls) -> None:
     context = two_walls.context(np.eye(4))
     two_walls.volume.state[:] = UNKNOWN
-    coverage, quality = np.array([0.3, 0.1, 0.0]), np.array([0.0, 5.0, 10.0])
-    assert adaptive(context, coverage, quality) == pytest.approx(coverage)
+    coverage, quality = np.array([0.3, 0.15, 0.0]), np.array([0.0, 5.0, 10.0])
+    assert adaptive(context, coverage, quality) == pytest.approx([1.0, 0.5, 0.0])
     two_walls.volume.state[:] = FREE
-    assert adaptive(context, coverage, quality) == pytest.approx([0.3, 0.6, 1.0])
-    assert adaptive(context, coverage, 0.0 * quality) == pytest.approx(coverage)
+    assert adaptive(context, coverage, quality) == pytest.approx([1.0, 1.0, 1.0])
+    # Where hardly anything is left to cover, the best of it no longer counts as much as the best of the other.
+    assert adaptive(context, coverage / 30, quality) == pytest.approx([0.2, 0.6, 1.0])
+    assert adaptive(context, coverage, 0.0 * quality) == pytest.approx([1.0, 0.5, 0.0])

@@ -101,9 +101,8 @@ class ActiveSplat(Planner):
 
     def _decide(self, observation: Observation, table: np.ndarray, show: np.ndarray) -> int:
         nodes, valid = self._nodes(observation, table), observation["action_mask"].astype(bool)
-        self._trace = {"nodes": len(nodes.rows), "mode": "node"}
-        if not len(nodes.rows):  # nothing of the plan is known yet, or no view on offer stands at a node
-            self._trace["mode"] = "no node"
+        self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
+        if not nodes.rows:  # nothing of the plan is known yet, or no view on offer stands at a node
             return best_valid(self.scores(show, observation), observation)
         scores = node_scores(nodes)
         if self.travel == "shared":

@@ -82,3 +82,12 @@ def test_the_rasteriser_s_example_runs() -> None:
     exec(compile(block, "docs/rasteriser.md", "exec"), scope)
     assert scope["picture"].color.shape == (120, 160, 3)
     assert float(scope["means"].grad.abs().sum()) > 0
+
+
+def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
+    from activestructure_gym.policies import LADDER, POLICIES
+
+    page = (ROOT / "docs" / "planners.md").read_text().partition("## Cost")
+    told = page[0] + page[2].partition("The sections stand")[2]
+    names = {name.removesuffix("_pure") for name in POLICIES if name not in (*LADDER[:-1], "random")}
+    assert [name for name in sorted(names) if f"`{name}`" not in told] == []

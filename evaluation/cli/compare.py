@@ -73,7 +73,7 @@ def compare(options: Compare) -> int:
         if options.baseline not in policies:
             raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
     if comparison:
-        _announce(console, comparison, directory, len(jobs), demo=demo)
+        _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
 
     from activestructure_gym.evaluation.cli.progress import LiveProgress
 
@@ -130,11 +130,13 @@ def _comparison(options: Compare) -> Comparison:
     )
 
 
-def _announce(console: Console, comparison: Comparison, directory: Path, jobs: int, *, demo: bool) -> None:
+def _announce(
+    console: Console, comparison: Comparison, directory: Path, jobs: int, policies: int, *, demo: bool
+) -> None:
     frames = f"{comparison.frame_budget} frames" if comparison.frame_budget else "the preset's frame budget"
     parts = [
         _counted(len(comparison.scenes), "scene"),
-        _counted(len(comparison.policies), "policy", "policies"),
+        _counted(policies, "policy", "policies"),
         _counted(len(comparison.seeds), "seed"),
     ]
     line = f"[bold]{' x '.join(parts)}[/], preset {comparison.preset}, {frames} per run, into {escape(str(directory))}"

@@ -79,7 +79,8 @@ def test_the_mark_holds_for_the_same_sources_settings_and_kernels_only(room, mon
 
 
 def test_no_mark_for_what_lies_outside_or_cannot_be_kept(room, monkeypatch):
-    monkeypatch.setitem(POLICIES._entries, "mine", type("Mine", (Policy,), {"__module__": "my_package"}))
+    mine = type("Mine", (Policy,), {"__module__": "my_package", "act": lambda *_: 0})
+    monkeypatch.setitem(POLICIES._entries, "mine", mine)
     assert WarmMark.of(smallest_job(["mine"], {})) is None
     assert WarmMark.of(smallest_job(["random"], {"gains": "my_package:gain"})) is None
     assert WarmMark.of(smallest_job(["random"], {})) is not None

@@ -13,6 +13,9 @@ from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGH
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 10, 44
+_PANEL = (168, 104)  # of one policy among many
+_LETTERS = 27  # of a name beside or above a curve
+_BETWEEN = (12, 30)  # panels, to the right and downwards
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
 _MARKS = (
     "M-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", "M-3.6 -3.6h7.2v7.2h-7.2z", "M0 -4.8L4.6 3.4H-4.6z", "M0 -5L5 0L0 5L-5 0z",
@@ -87,7 +90,8 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str)
         own.append(
             element("path", class_="mark", d=mark, transform=f"translate({curve[-1][0]:.1f} {curve[-1][1]:.1f})")
         )
-        parts.append(element("g", *own, class_=f"series p{line.index % len(COLOURS)}", data_name=line.name))
+        kind = f"series s{line.index} p{line.index % len(COLOURS)}"
+        parts.append(element("g", *own, class_=kind, data_name=line.name))
     frame = f"{_LEFT} {_TOP} {width - _RIGHT} {height - _BOTTOM}"
     return element(
         "svg", *parts, class_="chart", viewBox=f"0 0 {width} {height}", role="img", aria_label=title,
@@ -96,9 +100,63 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str)
     )  # fmt: skip
 
 
+def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, columns: int = 5) -> Html:
+    """A panel per policy: its own curve with its band before the curves of all others.
+
+    For more policies than can be told apart in one chart. All panels have the axes of the first chart's kind: from 0
+    to the right, and the range of all curves upwards.
+    """
+    panel_width, panel_height = _PANEL
+    columns = max(1, min(columns, len(lines)))
+    rows = max(1, math.ceil(len(lines) / columns))
+    width = _LEFT + columns * (panel_width + _BETWEEN[0]) - _BETWEEN[0] + _RIGHT
+    height = rows * (panel_height + _BETWEEN[1]) + _BOTTOM
+    right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
+    everything = np.concatenate([line.y for line in lines] or [np.zeros(1)])
+    x_ticks = [tick for tick in ticks(0.0, right, 3) if tick <= right * (1 + 1e-9)]
+    y_ticks = ticks(float(everything.min()), float(everything.max()), 3)
+    y_low, y_high = y_ticks[0], y_ticks[-1]
+
+    def places(x: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:  # in a panel
+        upwards = np.clip((y - y_low) / (y_high - y_low), 0.0, 1.0)
+        return list(zip((x / right * panel_width).tolist(), ((1.0 - upwards) * panel_height).tolist()))
+
+    parts: list[Html] = [element("title", title)]
+    others = "".join(_path(places(line.x, line.y)) for line in lines)
+    for number, line in enumerate(lines):
+        column, row = number % columns, number // columns
+        lowest = number + columns >= len(lines)  # nothing stands below it
+        own: list[Html] = []
+        for tick in y_ticks:
+            y = panel_height * (1.0 - (tick - y_low) / (y_high - y_low))
+            own.append(_stroke("grid", 0.0, y, panel_width, y))
+            if column == 0:
+                own.append(_words(tick_text(tick, y_ticks), -7, y + 4, "end"))
+        if lowest:
+            own += [
+                _words(tick_text(tick, x_ticks), tick / right * panel_width, panel_height + 17, "middle")
+                for tick in x_ticks
+            ]
+        own.append(element("path", class_="others", d=others))
+        if line.low is not None and line.high is not None:
+            edge = [*places(line.x, line.high), *reversed(places(line.x, line.low))]
+            own.append(element("path", class_="band", d=_path(edge) + "Z"))
+        own.append(element("path", class_="curve", d=_path(places(line.x, line.y))))
+        own.append(_words(shortened(line.name, _LETTERS), 0, -6, "start", "label"))
+        place = f"translate({_LEFT + column * (panel_width + _BETWEEN[0])} {20 + row * (panel_height + _BETWEEN[1])})"
+        parts.append(element("g", *own, class_=f"panel p{line.index % len(COLOURS)}", transform=place))
+    parts.append(_words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"))
+    middle = height / 2
+    parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
+    return element(
+        "svg", *parts, class_="chart panels", viewBox=f"0 0 {width} {height}", role="img", aria_label=title
+    )
+
+
 def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Html:
     """A row per policy: its difference and interval, around a line at 0."""
-    width, row, name_width = _SIZE[0], 26, 132
+    letters = max((len(shortened(bar.name, _LETTERS)) for bar in bars), default=0)
+    width, row, name_width = _SIZE[0], 26, max(132, 18 + 7 * letters)
     height = _TOP + row * len(bars) + _BOTTOM
     ends = [end for bar in bars for end in (bar.value, bar.low, bar.high) if end is not None]
     low, high = min([0.0, *ends]), max([0.0, *ends])
@@ -118,7 +176,7 @@ def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Html:
     parts.append(_words(label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
     for number, bar in enumerate(bars):
         y = _TOP + row * (number + 0.5)
-        own = [_words(shortened(bar.name, 19), name_width - 8, y + 4, "end")]
+        own = [_words(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
         if bar.low is not None and bar.high is not None:
             own.append(_stroke("interval", x_of(bar.low), y, x_of(bar.high), y))
             own += [_stroke("interval end", x_of(end), y - 5, x_of(end), y + 5) for end in (bar.low, bar.high)]
@@ -143,25 +201,35 @@ def key_mark(index: int) -> Html:
 
 
 def standalone(charts: Sequence[Sequence[Html]], names: Sequence[str], *, title: str) -> str:
-    """Rows of charts as one SVG file with a legend, for pages that are not ours."""
-    width, height = _SIZE
-    columns = max(len(row) for row in charts)
-    top, bottom = 40, 34
+    """Rows of charts as one SVG file with a legend of ``names``, for pages that are not ours."""
     parts = [element("style", Html(chart_style())), _words(title, 12, 24, "start", "heading")]
-    for r, row in enumerate(charts):
-        for c, chart in enumerate(row):
-            place = f'<svg x="{c * width}" y="{top + r * height}" width="{width}" height="{height}"'
+    right, y = 0.0, 40.0
+    for row in charts:
+        sizes = [_size(chart) for chart in row]
+        x = 0.0
+        for chart, (width, height) in zip(row, sizes):
+            place = f'<svg x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"'
             parts.append(Html(chart.replace("<svg", place, 1)))
-    x = 16.0
+            x += width
+        right, y = max(right, x), y + max(height for _, height in sizes)
+    x, y = 16.0, y + 8
     for index, name in enumerate(names):
-        y = top + len(charts) * height + 8
-        place = f'<svg x="{x:g}" y="{y}" width="34" height="14"'
+        needed = 64 + 7.2 * len(name)
+        if x > 16.0 and x + needed > right:
+            x, y = 16.0, y + 22
+        place = f'<svg x="{x:g}" y="{y:g}" width="34" height="14"'
         parts.append(Html(key_mark(index).replace("<svg", place, 1)))
         parts.append(_words(name, x + 40, y + 11, "start"))
-        x += 64 + 7.2 * len(name)
-    size = (max(columns * width, math.ceil(x)), top + len(charts) * height + bottom)
-    whole = element("svg", *parts, xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {size[0]} {size[1]}")
-    return whole.replace("<svg", f'<svg width="{size[0]}" height="{size[1]}"', 1) + "\n"
+        x += needed
+    right, y = max(right, math.ceil(x)), y + 26 if names else y
+    whole = element("svg", *parts, xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {right:g} {y:g}")
+    return whole.replace("<svg", f'<svg width="{right:g}" height="{y:g}"', 1) + "\n"
+
+
+def _size(chart: Html) -> tuple[float, float]:
+    """Width and height of a chart's view box."""
+    _, _, width, height = chart.split('viewBox="', 1)[1].split('"', 1)[0].split()
+    return float(width), float(height)
 
 
 def chart_style() -> str:
@@ -175,6 +243,7 @@ def chart_style() -> str:
         "text{font:13px system-ui,sans-serif;fill:var(--faint)}.label,.heading{fill:var(--ink)}"
         ".heading{font-size:17px;font-weight:700}"
         ".grid{stroke:var(--hair)}.axis,.tick,.zero{stroke:var(--faint)}.curve{fill:none;stroke:var(--c);stroke-width:2.2}"
+        ".others{fill:none;stroke:var(--faint);stroke-width:.7;opacity:.28}"
         ".band{fill:var(--c);opacity:.16}.mark{fill:var(--c)}.interval{stroke:var(--c);stroke-width:2.2}"
     )
 

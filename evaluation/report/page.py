@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, w
 from activestructure_gym.evaluation.report.method_text import definitions
 from activestructure_gym.evaluation.report.paper_tables import ablation_table, quality_table, time_table
 from activestructure_gym.evaluation.report.results import Results
-from activestructure_gym.evaluation.report.scene_section import chart_grid, scene_section
+from activestructure_gym.evaluation.report.scene_section import chart_grid, policy_panels, scene_section
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
 from activestructure_gym.evaluation.statistics import interquartile_mean
 from activestructure_gym.evaluation.store import Run
@@ -27,7 +27,8 @@ _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-
 def html_page(results: Results) -> str:
     """The whole page."""
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
-    title = f"{_listed(results.policies)} on {_counted(len(results.scenes), 'scene')}"
+    everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
+    title = f"{everyone} on {_counted(len(results.scenes), 'scene')}"
     sections = [
         _header(results, title),
         _glance(results),
@@ -208,6 +209,8 @@ def _convergence(results: Results) -> Html:
     says += ", band: 95 % bootstrap interval at every place" if seeds > 1 else "; no band with one seed"
     parts = [element("h2", "Convergence"), _legend(results), element("p", says + ".", class_="facts")]
     parts.append(chart_grid(results))
+    if panels := policy_panels(results):
+        parts.append(folded("A panel per policy, all others behind it", *panels, open_=True))
     if seeds > 1:
         parts.append(folded("The same as interquartile means", chart_grid(results, None, interquartile_mean)))
     parts.append(html_table(verdicts.area_table(results), colours=results.policies))
@@ -298,7 +301,7 @@ def _legend(results: Results) -> Html:
     """A button per policy that hides its curves everywhere."""
     buttons = [
         element(
-            "button", key_mark(index), policy, type="button", class_="legend", data_series=f"p{index % len(COLOURS)}",
+            "button", key_mark(index), policy, type="button", class_="legend", data_series=f"s{index}",
             aria_pressed="true",
         )
         for index, policy in enumerate(results.policies)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
-from activestructure_gym.evaluation.report.charts import line_chart
+from activestructure_gym.evaluation.report.charts import line_chart, panel_chart
 from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
@@ -97,6 +97,22 @@ def chart_grid(results: Results, scene: str | None = None, statistic: Statistic 
         for cost in COSTS
     ]
     return element("div", *charts, class_="charts")
+
+
+def policy_panels(results: Results) -> list[Html]:
+    """C.R. and PSNR over the frames with a panel for each policy; none while colours tell all policies apart."""
+    if len(results.policies) <= len(style.COLOURS):
+        return []
+    frames = COSTS[0]
+    return [
+        panel_chart(
+            convergence(results, frames.key, measure.key),
+            title=f"{measure.label} over {frames.label}, policy by policy",
+            x_label=frames.label,
+            y_label=measure.label,
+        )
+        for measure in MEASURES
+    ]
 
 
 def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> Html:

@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.paper_tables import ablation_table, tables_like_the_papers
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views
 from activestructure_gym.evaluation.report.results import Results, source_of
+from activestructure_gym.evaluation.report.scene_section import policy_panels
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 from activestructure_gym.evaluation.store import Run
 
@@ -53,10 +54,15 @@ def write_results(directory: Path, results: Results) -> list[Path]:
         pictures = _scene_pictures(directory, results, scene, ending)
         written += pictures
         sections.append(_scene_section(results, scene, pictures, directory))
-    if len(results.scenes) > 1:
-        whole = _curves(directory / "convergence.svg", results, None)
-        written.append(whole)
-        sections.insert(0, f"## All scenes\n\n![convergence](./{whole.name})\n")
+    overall = [_curves(directory / "convergence.svg", results, None)] if len(results.scenes) > 1 else []
+    if panels := policy_panels(results):
+        title = f"Each of {len(results.policies)} policies, all others behind it"
+        charts = standalone([[chart] for chart in panels], (), title=title)
+        overall.append(_written(directory / "policies.svg", charts))
+    if overall:
+        written += overall
+        shown = "\n\n".join(f"![{path.stem}](./{path.name})" for path in overall)
+        sections.insert(0, f"## All scenes\n\n{shown}\n")
     written.append(_written(directory / "summary.md", _summary(results, sections)))
     written.append(_written(directory / PAGE, html_page(results)))
     return written

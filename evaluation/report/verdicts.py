@@ -178,22 +178,20 @@ def aggregate_table(results: Results) -> Table:
 
 def area_table(results: Results) -> Table:
     """Area under the convergence curves, normalised by the budget, for every measure and cost."""
-    rows: list[list[Cell]] = []
-    blocks: list[int] = []
+    columns = []
     for measure in MEASURES:
         column = Column(measure.key, measure.header, measure.unit, measure.digits, "highest")
-        if rows:
-            blocks.append(len(rows))
         for cost in AXES:
             strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]
             found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
-            rows.append([Cell(column.title), Cell(cost.key), *ranked(found, column)])
-    headings = [Heading("Measure", numeric=False), Heading("over", numeric=False), *map(Heading, results.policies)]
+            columns.append((Heading(f"{column.title}, {cost.key}"), ranked(found, column)))
+    rows = [[Cell(policy), *(cells[k] for _, cells in columns)] for k, policy in enumerate(results.policies)]
+    headings = [Heading("Policy", numeric=False), *(heading for heading, _ in columns)]
     caption = (
         "Mean height of the curve up to the budget: the frame budget; for metres and seconds the least that any run on "
         "the scene spent, so that nothing is extrapolated"
     )
-    return Table("areas", "Area under the curves", headings, rows, caption, blocks=blocks)
+    return Table("areas", "Area under the curves", headings, rows, caption)
 
 
 def cost_table(results: Results) -> Table:

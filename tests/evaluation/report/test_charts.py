@@ -9,6 +9,7 @@ from activestructure_gym.evaluation.report.charts import (
     Line,
     interval_chart,
     line_chart,
+    panel_chart,
     shortened,
     standalone,
     tick_text,
@@ -51,6 +52,33 @@ def test_a_curve_lies_where_its_values_are():
     np.testing.assert_allclose(y_low + (bottom - points[:, 1]) / (bottom - top) * (y_high - y_low), line().y, atol=0.02)
     assert svg.find("g").find("path[@class='band']") is not None
     assert svg.get("role") == "img" and svg.find("title").text == "t"
+
+
+def test_every_policy_has_a_panel_with_its_own_curve_before_all_others():
+    lines = [line(f"policy {k}", k, band=k != 1) for k in range(12)]
+    svg = ElementTree.fromstring(panel_chart(lines, title="t", x_label="frames", y_label="C.R.", columns=5))
+    panels = svg.findall("g")
+    assert [panel.find("text[@class='label']").text for panel in panels] == [one.name for one in lines]
+    assert all(panel.find("path[@class='others']").get("d").count("M") == 12 for panel in panels)
+    assert [panel.find("path[@class='band']") is not None for panel in panels].count(False) == 1
+    places = [tuple(map(float, re.findall(r"[\d.]+", panel.get("transform")))) for panel in panels]
+    assert len({x for x, _ in places}) == 5 and len({y for _, y in places}) == 3
+    curve = panels[0].find("path[@class='curve']").get("d")
+    points = np.array([[float(n) for n in pair.split()] for pair in curve[1:].split("L")])
+    np.testing.assert_allclose(points[:, 0] / points[-1, 0] * 100.0, lines[0].x, atol=0.1)
+    np.testing.assert_allclose((1 - points[:, 1] / 104.0) * 60.0, lines[0].y, atol=0.1)  # the axis ends at 60
+    ElementTree.fromstring(panel_chart([], title="", x_label="x", y_label="y"))
+
+
+def test_a_file_of_charts_has_room_for_charts_and_names():
+    says = {"title": "t", "x_label": "x", "y_label": "y"}
+    charts = [line_chart([line()], **says), panel_chart([line()] * 9, **says)]
+    few, many = (standalone([[chart] for chart in charts], names, title="") for names in ((), ["a long name"] * 36))
+    heights = [float(chart.split('viewBox="')[1].split('"')[0].split()[3]) for chart in charts]
+    assert float(ElementTree.fromstring(few).get("height")) == 40 + sum(heights) + 8
+    size = ElementTree.fromstring(many)
+    assert float(size.get("width")) == float(ElementTree.fromstring(few).get("width"))  # names go on in the next line
+    assert float(size.get("height")) > 40 + sum(heights) + 60
 
 
 def test_names_are_escaped_and_no_curve_is_no_error():

@@ -95,6 +95,15 @@ def test_tables_sort_curves_hide_and_dark_is_dark(path, browser):
     browser.prefer("light")
 
 
+def test_a_policy_is_hidden_alone_where_another_has_its_colour(make_run, browser, tmp_path):
+    page = tmp_path / "many.html"
+    page.write_text(html_page(Results([make_run(policy=name) for name in "abcdefghij"], [])))
+    browser.open(page)
+    hidden = "new Set([...document.querySelectorAll('.series.off')].map((series) => series.dataset.name))"
+    assert browser.ask(f"document.querySelector('.legend').click();[...{hidden}]") == ["a"]  # "i" has its colour
+    assert browser.ask("document.querySelectorAll('svg.panels .panel').length") == 20
+
+
 def test_it_fits_a_telephone(path, browser):
     browser.size(390, 800)
     try:

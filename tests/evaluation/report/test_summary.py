@@ -33,6 +33,16 @@ def test_everything_is_written_and_linked(make_run, tmp_path):
         assert {f"{name}.md", f"{name}.csv", f"{name}.tex"} <= names
 
 
+def test_more_policies_than_colours_have_a_panel_each(make_run, tmp_path):
+    names = "abcdefghi"
+    few = write_report(tmp_path, made([make_run(policy=name) for name in names[:8]]), COMPARISON)
+    assert "policies.svg" not in {file.name for file in few}
+    many = write_report(tmp_path, made([make_run(policy=name) for name in names]), COMPARISON)
+    picture = next(file for file in many if file.name == "policies.svg")
+    assert picture in linked(many[-2]) and picture.read_text().count('class="panel ') == 2 * 9
+    assert "9 policies on 1 scene" in many[-1].read_text()
+
+
 def test_the_same_runs_give_the_same_report(make_run, tmp_path):
     runs = made([make_run(policy="a", seed=0, planes=True), make_run(policy="a", seed=1)])
     first = {file.name: file.read_bytes() for file in write_report(tmp_path, runs, COMPARISON)}

@@ -98,5 +98,8 @@ def test_aggregates_and_areas_name_every_statistic_and_axis(grid):
     assert [row[1].text for row in psnr] == ["mean", "median", "IQM"]
     assert psnr[0][2].text.startswith("24.50 [") and [cell.rank for cell in psnr[0][2:]] == [2, 1]
     areas = area_table(grid())
-    assert [row[1].text for row in areas.rows] == ["frames", "metres", "seconds"] * 2
-    assert all(cell.value is not None for row in areas.rows for cell in row[2:])
+    axes = [heading.text.split(", ")[1] for heading in areas.headings[1:]]
+    assert axes == ["frames", "metres", "seconds"] * 2 and areas.headings[4].text.startswith("PSNR (dB)")
+    assert [row[0].text for row in areas.rows] == ["a", "b"] and len(areas.headings) == 7
+    assert all(cell.value is not None for row in areas.rows for cell in row[1:])
+    assert [cell.rank for cell in areas.rows[0][1:]] == [1] * 6  # both have the same curves

@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGH
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 10, 44
-_PANEL = (168, 104)  # of one policy among many
+_PANEL = (184, 104)  # of one policy among many
 _LETTERS = 27  # of a name beside or above a curve
 _BETWEEN = (12, 30)  # panels, to the right and downwards
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
@@ -123,6 +123,8 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
 
     parts: list[Html] = [element("title", title)]
     others = "".join(_path(places(line.x, line.y)) for line in lines)
+    mark = "others-" + "".join(letter if letter.isalnum() else "-" for letter in title)
+    parts.append(element("defs", element("path", id_=mark, class_="others", d=others)))
     for number, line in enumerate(lines):
         column, row = number % columns, number // columns
         lowest = number + columns >= len(lines)  # nothing stands below it
@@ -133,11 +135,11 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
             if column == 0:
                 own.append(_words(tick_text(tick, y_ticks), -7, y + 4, "end"))
         if lowest:
-            own += [
-                _words(tick_text(tick, x_ticks), tick / right * panel_width, panel_height + 17, "middle")
-                for tick in x_ticks
-            ]
-        own.append(element("path", class_="others", d=others))
+            for tick in x_ticks:
+                x = tick / right * panel_width
+                anchor = "start" if x < 15 else "end" if x > panel_width - 15 else "middle"  # panels stand close
+                own.append(_words(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
+        own.append(element("use", href=f"#{mark}"))
         if line.low is not None and line.high is not None:
             edge = [*places(line.x, line.high), *reversed(places(line.x, line.low))]
             own.append(element("path", class_="band", d=_path(edge) + "Z"))

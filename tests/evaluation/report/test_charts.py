@@ -59,7 +59,9 @@ def test_every_policy_has_a_panel_with_its_own_curve_before_all_others():
     svg = ElementTree.fromstring(panel_chart(lines, title="t", x_label="frames", y_label="C.R.", columns=5))
     panels = svg.findall("g")
     assert [panel.find("text[@class='label']").text for panel in panels] == [one.name for one in lines]
-    assert all(panel.find("path[@class='others']").get("d").count("M") == 12 for panel in panels)
+    others = svg.find("defs").find("path[@class='others']")
+    assert others.get("d").count("M") == 12
+    assert all(panel.find("use").get("href") == "#" + others.get("id") for panel in panels)
     assert [panel.find("path[@class='band']") is not None for panel in panels].count(False) == 1
     places = [tuple(map(float, re.findall(r"[\d.]+", panel.get("transform")))) for panel in panels]
     assert len({x for x, _ in places}) == 5 and len({y for _, y in places}) == 3

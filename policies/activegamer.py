@@ -92,12 +92,13 @@ class ActiveGAMER(Planner):
             # The worst is offered first. The original's factor of distance is switched off here.
             nearness = travel_discount(observation) if self.travel == "shared" else np.ones(len(valid))
             return best_valid(revisits * nearness, observation)
-        among = pool if pool.any() else valid & ~revisits if (valid & ~revisits).any() else valid
+        # The original's pool is without the poor ones, and ends the stage when it is empty; ours is a draw and waits.
+        rich = pool & (gain >= POOL_SHARE)
+        among = rich if rich.any() else valid & ~revisits if (valid & ~revisits).any() else valid
         scores = np.where(among, self._scores(observation, gain, among), -1.0)
         choice = best_valid(scores, observation)
         self._trace |= {"uncovered": float(gain[choice]), "score": float(scores[choice])}
         self._visits[keys[choice]] += 1
-        # The choice comes before the pruning, so a view below the threshold can be chosen once.
         self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
         return choice
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.anm_s import UNCERTAINTY
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new
 from activestructure_gym.policies.greedy import Planner
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
@@ -20,9 +20,10 @@ PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next o
 class ActiveINR(Planner):
     """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n (ICCV 2023).
 
-    Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; their targets are
-    free and more than 1 m away (gain ``activeinr``). No travel term. The target is kept until the agent is nearer than
-    0.8 m or a tenth of the frame budget has passed; meanwhile the candidate nearest to it is gone to.
+    Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; targets that
+    are free, more than 1 m away and inside the workspace come first (gain ``activeinr``). No travel term. The target is
+    kept until the agent is nearer than 0.8 m or a tenth of the frame budget has passed; meanwhile the candidate nearest
+    to it is gone to.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
     Source: ``../shared/research/peers_active.md`` 3.3; what differs is in docs/planners.md.
@@ -58,8 +59,8 @@ class ActiveINR(Planner):
         elif self._target is not None and usable.any():
             gap_of = np.linalg.norm(observation["candidates"][:, _XYZ] - self._target, axis=1)
             choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
-        else:  # no cluster with a target that can be stood at
-            choice, stage = best_valid(travel_discount(observation), observation), "no target"
+        else:  # no surface is known yet
+            choice, stage = nearest_new(observation), "no target"
         self._trace = {
             "stage": stage,
             self.required_gains[0]: float(share[choice]),

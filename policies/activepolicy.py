@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new
 from activestructure_gym.policies.greedy import Planner
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
@@ -40,7 +40,7 @@ class ActivePolicy(Planner):
         rows = np.argsort(np.where(usable, -gain, np.inf), kind="stable")[: min(BEST, int(usable.sum()))]
         if not len(rows):
             self._trace = {"nodes": 0}
-            return best_valid(travel_discount(observation), observation)
+            return nearest_new(observation)
         centrality = fiedler_centrality(gain[rows], RELATION * relation(observation, rows))
         scores = np.full(len(gain), -np.inf)
         scores[rows] = self.scores_of(centrality, observation, rows)

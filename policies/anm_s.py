@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
 from activestructure_gym.policies.greedy import Planner
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
@@ -17,6 +17,7 @@ UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the s
 ARRIVED_M = 15 * 0.065  # metres from the way: 15 steps of 6.5 cm
 DEFERRED_M = 200 * 0.065  # metres of way: targets farther than 200 steps wait for those on the way
 AT_NODE = 0.5  # metres in the plane: candidates that stand for a node are no farther from it
+FORGET_AFTER = 3  # node decisions without a node that is neither arrived at nor failed; the table is a draw
 FACING = float(np.cos(np.radians(30.0)))  # between a candidate's axis and what it is to look at
 ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this are one look
 UNCERTAINTY = ("perturbation", "proxy")
@@ -27,10 +28,11 @@ class AnmS(Planner):
     """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way (IROS 2024).
 
     Nodes are those of the floor plan's Voronoi graph. Unarrived: farther than 0.975 m from the way so far. In horizon:
-    in line of sight and inside the last frame's box. Has cluster: a connected piece of the most uncertain 20 % of the
-    surface, at least 0.5 % of it, lies nearest to this node. Failed: an earlier attempt did not arrive. A target
-    farther than 13 m waits for the node nearest to it within 13 m. At the node, all its clusters and the ends of the
-    chains that were cut off from it are looked at.
+    in line of sight and inside the box last seen on the way. Has cluster: a connected piece of the most uncertain 20 %
+    of the surface, at least 0.5 % of these, lies nearest to this node. Failed: an earlier attempt did not arrive;
+    forgotten when nothing but arrived and failed nodes is left. The node the agent stands at is none. A target farther
+    than 13 m waits for the node nearest to it within 13 m. At the node, all its clusters and the ends of the chains
+    that were cut off from it are looked at.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
     Source: ``../shared/research/peers_active.md`` 3.2; what differs is in docs/planners.md.
@@ -49,6 +51,8 @@ class AnmS(Planner):
         """Begin without a node, and without failures."""
         super().reset(seed)
         self._goal: np.ndarray | None = None  # [3] metres, of the candidate chosen last
+        self._stop = np.zeros(0)  # [3] metres, once known: where the agent went last, looks aside
+        self._idle = 0  # node decisions in a row without anywhere to go
         self._left = 0  # looks left at this node
         self._looked = np.zeros((0, 3))  # directions looked in at this node
         self._failed = np.zeros((0, 2))  # metres, places that were not reached
@@ -56,15 +60,18 @@ class AnmS(Planner):
     def act(self, observation: Observation) -> int:
         """The next look at this node, or the next node."""
         places = observation["candidates"][:, _XYZ].astype(np.float64)
-        if self._goal is not None and np.linalg.norm(observation["pose"][:3] - self._goal) > AT_NODE:
+        here = observation["pose"][:3].astype(np.float64)
+        if self._goal is not None and np.linalg.norm(here - self._goal) > AT_NODE:
             self._failed = np.vstack([self._failed, self._goal[:2]])
             self._left = 0
+        if not len(self._stop) or np.linalg.norm(here - self._stop) > 2.0 * AT_NODE:  # or on a way not finished
+            self._stop = here
         usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0)
         stage, choice = "look", self._next_look(observation, usable, places)
         if choice is None:
             stage, choice = "node", self._next_node(observation, usable, places)
             self._left = int(self.gain(observation, f"{self._gains}_looks")[choice])
-            self._looked = self._looked[:0]
+            self._looked, self._stop = self._looked[:0], places[choice]
         if self.gain(observation, f"{self._gains}_facing")[choice] >= FACING:
             self._left -= 1
             self._looked = np.vstack([self._looked, observation["candidates"][choice, _LOOK]])
@@ -91,22 +98,36 @@ class AnmS(Planner):
 
     def _next_look(self, observation: Observation, usable: np.ndarray, places: np.ndarray) -> int | None:
         """The candidate here that needs the fewest frames to look at something in a direction not yet looked in."""
-        if self._left <= 0 or self._goal is None:
+        if self._left <= 0:
             return None
-        rows = usable & (np.linalg.norm(places[:, :2] - self._goal[:2], axis=1) <= AT_NODE)
+        rows = usable & self._at_stop(places)
         rows &= self.gain(observation, f"{self._gains}_facing") >= FACING
         rows &= (observation["candidates"][:, _LOOK] @ self._looked.T < ONE_LOOK).all(axis=1)
         if not rows.any():
             return None
         return best_valid(np.where(rows, -observation["candidates"][:, _FRAMES], -np.inf), observation)
 
+    def _at_stop(self, places: np.ndarray) -> np.ndarray:  # [K] bool
+        return np.linalg.norm((places - self._stop)[:, :2], axis=1) <= AT_NODE
+
+    def _forget(self, observation: Observation, rows: np.ndarray, places: np.ndarray) -> None:
+        """Let failures be tried again once there has been nothing else to go to for a while."""
+        left = rows & (self.gain(observation, "visited_distance") > ARRIVED_M)
+        left &= ~(np.linalg.norm(places[:, None, :2] - self._failed, axis=2) <= AT_NODE).any(axis=1)
+        self._idle = 0 if left.any() else self._idle + 1
+        if self._idle >= FORGET_AFTER:
+            self._failed = self._failed[:0]
+
     def _next_node(self, observation: Observation, usable: np.ndarray, places: np.ndarray) -> int:
         """The best node's candidate that faces something there best; the nearest view where there is no node."""
         node = self.gain(observation, "voronoi_node")
         rows = usable & (node >= 0)
         if not rows.any():
-            return best_valid(travel_discount(observation), observation)
+            return nearest_new(observation)
         way = observation["candidates"][:, _LENGTH].astype(np.float64)
+        away = rows & ~np.isin(node, node[rows & (self._at_stop(places) | (way <= AT_NODE))])
+        rows = away if away.any() else rows
+        self._forget(observation, rows, places)
         score = self.node_score(observation, places)
         if self.travel == "shared":
             value = (score - FAILED) * travel_discount(observation)  # from 0 on

@@ -15,7 +15,7 @@ from activestructure_gym.specs import parse_options, typed_options
 
 Observation = dict[str, np.ndarray]
 
-FRAMES = CANDIDATE_FEATURES.index("frames")
+FRAMES, REVISIT = CANDIDATE_FEATURES.index("frames"), CANDIDATE_FEATURES.index("revisit")
 
 
 class Policy(ABC):
@@ -110,3 +110,12 @@ def best_valid(scores: np.ndarray, observation: Observation) -> int:
     if not valid.any():
         raise ValueError("no candidate is valid: the episode has ended, call reset()")
     return int(np.argmax(np.where(valid, scores, -np.inf)))
+
+
+def nearest_new(observation: Observation) -> int:
+    """What a planner without anything to decide by takes: the valid view with the fewest frames, revisits last.
+
+    A revisit of the present pose costs a single frame, so among the others it would always be the nearest.
+    """
+    revisit = observation["candidates"][:, REVISIT] > 0
+    return best_valid(travel_discount(observation) - revisit, observation)

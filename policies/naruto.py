@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
 from activestructure_gym.policies.greedy import Planner
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
@@ -79,7 +79,7 @@ class Naruto(Planner):
         gain = np.where(observation["candidates"][:, _REVISIT] > 0, 0.0, self.gain(observation, "naruto"))
         if not gain[valid].any():  # no target in reach of anything
             self._left = self._left[:0]
-            return best_valid(travel_discount(observation), observation)
+            return nearest_new(observation)
         best = best_valid(self.scores(gain, observation), observation)
         self._goal = observation["candidates"][best, _XYZ].astype(np.float64)
         listed = np.stack([self.gain(observation, name)[best] for name in LIST_COLUMNS]).reshape(-1, 3)

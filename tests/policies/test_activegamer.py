@@ -108,16 +108,27 @@ def test_the_coarse_stage_takes_the_nearest_to_each_lattice_view_and_the_fine_st
     assert coarse.act(seen) == 1
 
 
-def test_the_choice_comes_before_the_pruning_and_a_pruned_view_never_returns() -> None:
+def test_poor_views_leave_the_pool_and_never_return() -> None:
     poor, rich = 0.9 * POOL_SHARE, 2.0 * POOL_SHARE
     made = policy()
-    assert made.act(observation([poor, poor / 2], cells(2))) == 0  # below the threshold, and chosen all the same
+    assert made.act(observation([poor, poor / 2], cells(2))) == 0  # below the threshold, and chosen for want of better
     grown = observation([0.9, 0.8, rich], cells(3))  # both were pruned, whatever they show by this time
     assert made.act(grown) == 2
     # In the next stage the whole lattice is offered again.
     made._stage = 0
     made._begin_stage()
     assert made.act(grown) == 0
+
+
+def test_a_poor_pool_gives_way_to_what_else_is_on_offer() -> None:
+    poor = 0.9 * POOL_SHARE
+    # Both stand for one view of the coarse lattice, row 0 nearer to it: the pool is row 0 alone.
+    made = policy(stage=0)
+    assert made.act(observation([poor, 0.9], [(1.0, 0, 0), (1.3, 0, 0)])) == 1
+    assert made.trace()["pool"] == 1
+    # A poor view of the pool is not gone to for being near where a rich one is there.
+    made = policy()
+    assert made.act(observation([poor, 2 * POOL_SHARE], [(0, 0, 0), (50.0, 0, 0)])) == 1
 
 
 def test_stages_change_when_the_pool_is_empty_and_refinement_takes_the_worst_keyframe() -> None:

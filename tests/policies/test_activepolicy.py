@@ -82,6 +82,9 @@ def test_views_without_gain_are_no_nodes_and_without_any_it_is_the_nearest() -> 
     assert policy.act(observation([(X, X, 0.0), (Y, X, 0.2), (Z, X, 0.0)])) == 1
     assert policy.act(observation([(X, X, 0.0), (Y, X, 0.0)], frames=[9.0, 3.0])) == 1
     assert policy.trace() == {"nodes": 0}
+    observed = observation([(X, X, 0.0), (Y, X, 0.0)], frames=[9.0, 1.0])
+    observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 1.0
+    assert policy.act(observed) == 0
 
 
 def test_the_shared_travel_term_multiplies_the_centrality() -> None:

@@ -9,16 +9,13 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.activesplat import (
-    DEFERRED_M,
+    LATE_AFTER,
     LOCAL_DEG2,
     LOCAL_VIEWS,
-    RICH,
     UNARRIVED_M,
     ActiveSplat,
-    Nodes,
-    choose_node,
-    node_scores,
 )
+from activestructure_gym.policies.activesplat_nodes import DEFERRED_M, RICH, Nodes, choose_node, node_scores
 
 AHEAD, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
@@ -33,6 +30,7 @@ def nodes(count: int = 3, **changes: Any) -> Nodes:
         "failed": np.zeros(count, bool),
         "region": np.ones(count),
         "length": np.arange(1.0, count + 1.0),
+        "here": np.zeros(count, bool),
     }
     return Nodes(**{**values, **{name: np.array(value) for name, value in changes.items()}})
 
@@ -46,13 +44,13 @@ def test_the_score_by_hand() -> None:
     assert node_scores(known).tolist() == [45, 26, -40]
 
 
-def test_when_every_node_is_arrived_at_or_failed_information_alone_counts() -> None:
+def test_the_late_score_by_hand() -> None:
     known = nodes(
         information=[400.0, 100.0, 400.0], volume=[2.0, 4.0, 0.0], unarrived=[False, False, True],
         horizon=[False, True, True], failed=[False, False, True],
     )  # fmt: skip
-    # 10 x 10 + 10 x 5; 10 x 3 + 10 x 10 - 1; 10 x 10 - 1 - 60
-    assert node_scores(known).tolist() == [150, 129, 39]
+    # 10 x 10 + 10 x 5; 10 x 3 + 10 x 10 - 1; 20 + 10 x 10 - 1 - 60
+    assert node_scores(known, late=True).tolist() == [150, 129, 59]
 
 
 def test_nothing_missing_anywhere_is_no_division_by_zero() -> None:
@@ -69,6 +67,30 @@ def test_a_subregion_is_finished_before_the_next() -> None:
                    {"failed": [True, False, False]}):  # fmt: skip
         changed = nodes(**{"information": [1.1 * RICH, 9.0 * RICH, 0.0], "region": [1, 2, 1], **change})
         assert choose_node(changed, node_scores(changed)) == 1
+
+
+def test_without_a_rich_node_here_it_goes_to_another_subregion_if_one_is_worth_it() -> None:
+    known = nodes(information=[0.9 * RICH, 0.0, 0.0], region=[1, 2, 1])
+    assert node_scores(known).tolist() == [40, 20, 20]
+    assert choose_node(known, node_scores(known)) == 1
+    failed = nodes(information=[0.9 * RICH, 0.0, 0.0], region=[1, 2, 1], failed=[False, True, False])
+    assert choose_node(failed, node_scores(failed)) == 0  # 20 - 60 there
+
+
+def test_the_node_the_agent_stands_at_is_no_goal_unless_it_is_the_only_one() -> None:
+    known = nodes(information=[9.0 * RICH, 2.0 * RICH, 0.0], here=[True, False, False])
+    assert choose_node(known, node_scores(known)) == 1
+    # Nor does its riches keep the agent in the subregion.
+    known = nodes(information=[9.0 * RICH, 0.0, 0.0], here=[True, False, False], region=[1, 1, 2])
+    assert choose_node(known, node_scores(known)) == 2
+    alone = nodes(1, here=[True])
+    assert choose_node(alone, node_scores(alone)) == 0
+
+
+def test_late_it_draws_among_equals_and_defers_nothing(rng: np.random.Generator) -> None:
+    known = nodes(4, length=[1.0, 2.0, DEFERRED_M + 1.0, 3.0])
+    drawn = {choose_node(known, np.array([7, 7, 7, 6]), rng) for _ in range(50)}
+    assert drawn == {0, 1, 2}
 
 
 def test_ties_go_to_the_shortest_way_and_the_far_is_deferred() -> None:
@@ -133,24 +155,86 @@ def test_it_looks_around_before_it_goes_on_but_not_for_ever() -> None:
         modes.append(made.trace()["mode"])
         seen["pose"][:3] = seen["candidates"][chosen[-1], :3]
     # Row 1 would show more, but the agent looks that way already. At the node the view that shows most.
-    assert chosen == [0] * LOCAL_VIEWS + [3, 0]
-    assert modes == ["local"] * LOCAL_VIEWS + ["node", "local"]
+    # From there the gaps of the first stop are out of reach, and there is no other node.
+    assert chosen == [0] * LOCAL_VIEWS + [3, 3]
+    assert modes == ["local"] * LOCAL_VIEWS + ["node", "node"]
     poor = observation([(0.5, 0.0), (3.0, 0.0)], node=[-1, 0], show=[0.9 * LOCAL_DEG2, 0.0], looks=[BACK, AHEAD])
     assert policy().act(poor) == 1
 
 
+def test_local_views_stay_around_the_stop() -> None:
+    """Each view is within reach of the one before, but the second is not within reach of the stop."""
+    seen = observation(
+        [(0.7, 0.0), (1.4, 0.0), (5.0, 0.0)], node=[-1, -1, 0], show=[2 * LOCAL_DEG2, 9 * LOCAL_DEG2, 0.0],
+        looks=[BACK, BACK, AHEAD],
+    )  # fmt: skip
+    made = policy()
+    assert made.act(seen) == 0
+    seen["pose"][:3] = seen["candidates"][0, :3]
+    seen["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = [0.0, 0.7, 4.3]
+    assert made.act(seen) == 0
+    # Nor do views count that are near, but behind a wall.
+    seen["candidates"][0, CANDIDATE_FEATURES.index("path_length")] = 5.0
+    assert made.act(seen) == 2
+
+
+@pytest.mark.parametrize(("away", "mode"), [(0.55, "node"), (0.7, "local")])
+def test_a_stop_near_an_earlier_one_has_no_local_views(away: float, mode: str) -> None:
+    seen = observation(
+        [(0.3, 0.0), (away, 0.0), (5.0, 0.0)], node=[-1, 0, 1], show=[2 * LOCAL_DEG2, 0.0, 0.0],
+        looks=[BACK, AHEAD, AHEAD], information=[0.0, 9.0, 1.0],
+    )  # fmt: skip
+    made = policy()
+    for expected in [0] * LOCAL_VIEWS + [1]:
+        assert made.act(seen) == expected
+        seen["pose"][:3] = seen["candidates"][expected, :3]
+    made.act(seen)
+    assert made.trace()["mode"] == mode
+
+
+def test_revisits_are_neither_local_views_nor_stand_for_a_node() -> None:
+    seen = observation([(0.5, 0.0), (3.0, 0.0), (3.0, 0.5)], node=[-1, 0, 0], show=[500.0, 90.0, 1.0],
+                       looks=[BACK, AHEAD, AHEAD])  # fmt: skip
+    seen["candidates"][:2, CANDIDATE_FEATURES.index("revisit")] = 1.0
+    assert policy().act(seen) == 2
+
+
+def test_the_late_stage_begins_after_some_decisions_lasts_and_forgives() -> None:
+    positions = [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (4.0, 0.0)]
+    seen = observation(positions, node=[0, 1, 2, 3], show=[0.0] * 4, visited=[0.0] * 4)
+    made = policy()
+    made._failed = np.array([[4.0, 0.0, 0.0]])
+    chosen, late = [], []
+    for _ in range(30):
+        chosen.append(made.act(seen))
+        late.append(made.trace()["late"])
+        seen["pose"][:3] = seen["candidates"][chosen[-1], :3]
+    assert late == [False] * (LATE_AFTER - 1) + [True] * (31 - LATE_AFTER)
+    assert set(chosen[LATE_AFTER:]) == {0, 1, 2, 3}
+    assert all(a != b for a, b in zip(chosen, chosen[1:]))  # never where it stands
+    assert len(made._failed) == 0
+    again = observation(positions, node=[0, 1, 2, 3], show=[0.0] * 4)  # all unarrived
+    again["pose"][:3] = seen["pose"][:3]
+    made.act(again)
+    assert made.trace()["late"]
+    made.reset(0)
+    made.act(again)
+    assert not made.trace()["late"]
+
+
 def test_a_node_that_was_not_reached_has_failed_also_under_another_number() -> None:
-    positions = [(2.0, 0.0), (4.0, 0.0)]
-    seen = observation(positions, node=[0, 1], show=[0.0, 0.0], information=[9.0, 1.0])
+    positions = [(2.0, 0.0), (4.0, 0.0), (7.0, 0.0)]
+    options = {"show": [0.0] * 3, "information": [9.0, 2.0, 1.0]}
+    seen = observation(positions, node=[0, 1, 2], **options)
     made = policy()
     assert made.act(seen) == 0
     assert made.act(seen) == 1  # it stands where it stood
-    arrived = observation(positions, node=[1, 0], show=[0.0, 0.0], information=[9.0, 1.0], here=(4.0, 0.0))
-    assert made.act(arrived) == 1
+    assert made.act(observation(positions, node=[2, 1, 0], **options, here=(4.0, 0.0))) == 2
     # The other way round: it arrives, and nothing has failed.
     made = policy()
     assert made.act(seen) == 0
-    assert made.act(observation(positions, node=[0, 1], show=[0, 0], information=[9.0, 1.0], here=(2.0, 0.0))) == 0
+    assert made.act(observation(positions, node=[0, 1, 2], **options, here=(2.0, 0.0))) == 1
+    assert len(made._failed) == 0
 
 
 def test_shared_travel_weighs_the_score_by_the_frames() -> None:

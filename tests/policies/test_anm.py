@@ -8,7 +8,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import ActiveINR, AnmS, make_policy
-from activestructure_gym.policies.anm_s import ARRIVED_M, AT_NODE, DEFERRED_M
+from activestructure_gym.policies.anm_s import ARRIVED_M, AT_NODE, DEFERRED_M, FORGET_AFTER
 
 X, Y, Z = np.eye(3)
 
@@ -60,13 +60,13 @@ def test_the_score_by_hand() -> None:
 
 def test_the_highest_score_then_the_shortest_way() -> None:
     rows = [
-        node(0, X, horizon=True, path=0.5),
+        node(0, X, horizon=True, path=0.6),
         node(1, 2 * X, unarrived=True, path=9.0),
         node(2, 3 * X, unarrived=True, path=8.0),
         node(-1, Y, unarrived=True, horizon=True, path=0.1),
     ]
     assert act(AnmS(), rows) == 2
-    # With everybody's travel term (6 + 6) / (1 + 5 / 5) and (6 + 3) / (1 + 80 / 5).
+    # With everybody's travel term (6 + 2) / (1 + 6 / 5) and (6 + 3) / (1 + 80 / 5).
     assert act(AnmS(travel="shared"), rows) == 0
     rows[2]["revisit"] = 1
     assert act(AnmS(), rows) == 1
@@ -123,12 +123,52 @@ def test_targets_farther_than_13_m_wait_for_nodes_on_the_way() -> None:
     assert act(AnmS(), [{**rows[0], "path": 20.0}]) == 0  # there is no other
 
 
-def test_once_all_nodes_are_arrived_at_clusters_and_horizon_go_on_deciding() -> None:
-    """The pathology of small integers: nearly all scores are equal, and the shortest way makes it turn in circles."""
-    rows = [node(n, (1 + 0.1 * n) * X, clusters=1, path=1.0 + n) for n in range(5)]
+def test_the_node_it_stands_at_is_no_goal_unless_there_is_no_other() -> None:
+    rows = [
+        node(0, 0.4 * X, unarrived=True, horizon=True, clusters=1, path=0.4),
+        node(0, 0.9 * X, unarrived=True, horizon=True, clusters=1, path=0.9),  # stands for the same node
+        node(1, 3 * X, path=3.0),
+    ]
+    assert act(AnmS(), rows) == 2
+    assert act(AnmS(), rows[:2]) == 0
+    # A look has carried it away from the stop, but it is still that node's.
     policy = AnmS()
-    assert act(policy, rows) == 0
-    assert act(policy, rows, pose=X) == 0
+    assert act(policy, rows) == 2
+    near = [node(1, 3 * X + 0.3 * Y, unarrived=True, path=0.7), node(2, 9 * X, path=6.0)]
+    assert act(policy, near, pose=3 * X - 0.4 * Y) == 1
+
+
+def test_pathology_of_small_integers_it_goes_to_and_fro() -> None:
+    """Once all nodes are arrived at, nearly all scores are equal, and of equals the shortest way decides."""
+    policy, pose, chosen = AnmS(), np.zeros(3), []
+    for _ in range(6):
+        places = [(1.0 + n) * X for n in range(5)]
+        rows = [node(n, p, clusters=1, path=float(np.linalg.norm(p - pose))) for n, p in enumerate(places)]
+        chosen.append(act(policy, rows, pose=pose))
+        pose = places[chosen[-1]]
+    assert chosen == [0, 1, 0, 1, 0, 1]
+
+
+def test_looks_stay_around_the_stop() -> None:
+    """Each is within reach of the one before, but the third is not within reach of the stop."""
+    rows = [node(0, X + 0.4 * n * Y, unarrived=n == 0, looks=3, facing=0.99 - 0.01 * n, look=d, path=1.0)
+            for n, d in enumerate((X, Y, -X))]  # fmt: skip
+    rows.append(node(1, 5 * X, path=4.0))
+    policy = AnmS()
+    assert [act(policy, rows), act(policy, rows, pose=X), act(policy, rows, pose=X + 0.4 * Y)] == [0, 1, 3]
+    assert policy.trace()["failed"] == 0
+
+
+def test_failures_are_forgotten_when_there_has_been_nowhere_else_to_go() -> None:
+    rows = [node(0, 3 * X, unarrived=True, path=3.0), node(1, 6 * X, path=6.0), node(2, 9 * X, path=9.0)]
+    policy = AnmS()
+    policy._failed = np.array([[3.0, 0.0]])
+    pose, chosen = np.zeros(3), []
+    for _ in range(FORGET_AFTER):
+        chosen.append(act(policy, rows, pose=pose))
+        pose = rows[chosen[-1]]["at"]
+    assert chosen == [1, 2] + [0] * (FORGET_AFTER - 2)
+    assert len(policy._failed) == 0
 
 
 def inr(at: np.ndarray, share: float = 0.0, target: np.ndarray | None = None, **more) -> dict:
@@ -167,6 +207,12 @@ def test_without_a_cluster_the_nearest_and_no_target_is_kept() -> None:
     assert act(policy, rows) == 1
     assert policy.trace() == {"stage": "no target", "activeinr": 0.0, "target": None}
     assert act(policy, [inr(X, 0.1), inr(Y, 0.0)]) == 0
+    # A revisit of the present pose is the nearest of all, and taken only if there is nothing else.
+    rows.append(inr(0 * X, frames=1.0, revisit=1))
+    assert act(ActiveINR(), rows) == 1
+    assert act(ActiveINR(), rows[2:]) == 0
+    with_node = [node(-1, X, frames=9.0), node(-1, 0 * X, frames=1.0, revisit=1)]
+    assert act(AnmS(), with_node) == 0
 
 
 @pytest.mark.parametrize("name", ["anm_s", "activeinr"])

@@ -142,3 +142,5 @@ def test_reset_forgets_the_list() -> None:
 def test_without_a_target_in_reach_of_anything_it_is_the_nearest(travel: str) -> None:
     observed = observation([(X, X, 0.0), (Y, X, 0.0), (Z, X, 0.0)], frames=[9.0, 2.0, 5.0])
     assert Naruto(travel).act(observed) == 1
+    observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 1.0
+    assert Naruto(travel).act(observed) == 2

@@ -51,6 +51,12 @@ class GainContext:
         """Which planes of the graph every candidate would see (V_c^vis), occlusion included."""
         return visible_planes(self.planes.nodes, self.camera, self.world_from_camera, self.volume)
 
+    @cached_property
+    def revisits(self) -> np.ndarray:  # [K] bool
+        """Which candidates are a stored keyframe's pose."""
+        known = np.array([frame.world_from_camera for frame in self.mapper.keyframes]).reshape(-1, 1, 4, 4)
+        return (np.abs(known - self.world_from_camera) < 1e-6).all(axis=(2, 3)).any(axis=0)
+
     def once(self, compute: Callable[[GainContext], T]) -> T:
         """``compute(self)``, called at most once per step: what several gains have in common."""
         if compute not in self._results:

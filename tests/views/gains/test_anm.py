@@ -5,11 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
 from activestructure_gym.views import GainContext, evaluate_gains
 from activestructure_gym.views.gains import floor_graph
+from activestructure_gym.views.gains.activeinr import CEILING, preferred
 from activestructure_gym.views.gains.anm_s import count_looks
 from activestructure_gym.views.gains.uncertain_surface import Surface, by_proxy
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
@@ -105,15 +107,42 @@ def test_a_cluster_stands_with_the_candidate_at_its_target_that_looks_at_it() ->
     np.testing.assert_allclose(table[0, 1:], [8.5, 2.0, 1.5])  # none: its own place
 
 
-def test_targets_that_are_not_free_or_too_near_or_outside_do_not_count() -> None:
+def test_targets_that_are_not_free_or_too_near_or_outside_come_last() -> None:
     wall, agent = ((9.0, 1.8, 1.5), -X, 5, 1.0), ((1.0, 1.8, 2.0), -Z, 5, 1.0)
     outside = ((0.2, 1.8, 1.5), -X, 5, 1.0)
     poses = [((8.5, 2, 1.5), X), ((1.0, 2, 1.5), Z), ((0.3, 2, 1.5), X)]
     ctx = context(poses, patches(wall, agent, outside, ((5.0, 0.1, 0.0), Z, 3, 0.0)))
     assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [True, False, False]
+    # Each wish counts as far as anything is left: what is free is too near then, and taken all the same.
     ctx = context(poses, patches(wall, agent, outside, ((5.0, 0.1, 0.0), Z, 3, 0.0)))
     ctx.volume.state[80:90] = OCCUPIED
-    np.testing.assert_array_equal(columns(ctx, "activeinr_proxy"), 0.0)
+    assert (columns(ctx, "activeinr_proxy")[:, 0] > 0).tolist() == [False, True, False]
+
+
+def test_wishes_that_nothing_fulfils_are_dropped_one_by_one() -> None:
+    first, second, third = np.array([[1, 1, 0], [0, 0, 1], [1, 0, 1]], dtype=bool)
+    assert preferred(first, second, third).tolist() == [True, False, False]
+    assert preferred(second, first, third).tolist() == [False, False, True]
+    assert preferred(~first & first, second).tolist() == [False, False, True]
+    assert preferred(np.zeros(2, bool), np.zeros(2, bool)).tolist() == [True, True]
+
+
+def test_no_cluster_stands_with_a_revisit_or_is_lost_to_a_larger_one() -> None:
+    surface = patches(((9.0, 1.8, 1.5), -X, 5, 1.0), ((9.0, 1.8, 1.0), -X, 3, 1.0), ((5.0, 0.0, 0.0), Z, 2, 0.0))
+    poses = [((8.5, 2, 1.25), X), ((8.0, 2, 1.25), X), ((7.0, 2, 1.25), X), ((2.0, 2, 1.25), X)]
+    assert columns(context(poses, surface), "activeinr_proxy")[:, 0].tolist() == pytest.approx([0.5, 0.3, 0, 0])
+    ctx = context(poses, surface)
+    ctx.mapper.keyframes.insert(0, SimpleNamespace(world_from_camera=ctx.world_from_camera[0]))
+    assert ctx.revisits.tolist() == [True, False, False, False]
+    assert columns(ctx, "activeinr_proxy")[:, 0].tolist() == pytest.approx([0, 0.5, 0.3, 0])
+    assert (columns(context(poses[:1], surface), "activeinr_proxy")[:, 0] > 0).all()  # fewer views than clusters
+
+
+def test_the_ceiling_is_no_cluster_of_activeinr_and_joins_none() -> None:
+    top = BOUNDS[1, 2] - CEILING
+    poses = [((5, 2, 1.0), X), ((5, 2, 1.0), -X)]
+    high = patches(((5.0, 1.8, top), -Z, 5, 1.0), ((9.0, 1.8, 1.5), -X, 3, 1.0))
+    assert columns(context(poses, high), "activeinr_proxy")[:, 0].tolist() == [1.0, 0.0]
 
 
 def test_without_a_surface_there_is_nothing_to_look_at() -> None:

@@ -169,14 +169,18 @@ def test_clusters_by_hand() -> None:
 
 
 def test_small_pieces_are_no_clusters_and_the_largest_comes_first() -> None:
-    rows = ["1" * 100 for _ in range(5)]
-    rows[0] = "99" + rows[0][2:]
-    rows[2] = rows[2][:50] + "9999" + rows[2][54:]
-    rows[4] = rows[4][:-2] + "99"
-    found = clusters(drawn(rows), 8 / 500)
-    np.testing.assert_allclose(found.shares, [4 / 500])  # 2 of 500 are 0.4 %: below the half percent
-    rows[4] = rows[4][:-5] + "99999"
-    np.testing.assert_allclose(clusters(drawn(rows), 11 / 500).shares, [5 / 500, 4 / 500])
+    rows = ["9" * 160, "9" * 160, "1" * 160, "1" * 160, ("9" + "111" + "99" + "111" + "9" * 77).ljust(160, "1")]
+    # 400 of 800 are kept, of which 2 are half a percent: the single one is too small.
+    np.testing.assert_allclose(clusters(drawn(rows), 400 / 800).shares, [320 / 800, 77 / 800, 2 / 800])
+
+
+def test_below_leaves_out_what_is_higher() -> None:
+    surface = drawn(["12", "34"])
+    surface.points[:, 2] = [0.5, 2.0, 1.0, 3.0]
+    low = surface.below(2.0)
+    assert low.uncertainty.tolist() == [1.0, 3.0]
+    assert low.voxels.tolist() == [[0, 0, 0], [1, 0, 0]]
+    assert (len(low.points), len(low.normals)) == (2, 2)
 
 
 def test_no_surface_no_clusters() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.views import GainContext, evaluate_gains
 from activestructure_gym.views.gains import floor_graph
+from activestructure_gym.views.gains.in_horizon import last_on_the_way
 from activestructure_gym.views.gains.voronoi_node import NODE_REACH
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
@@ -70,14 +71,29 @@ def test_visited_distance_is_from_the_node_to_the_nearest_keyframe() -> None:
     np.testing.assert_allclose(column("visited_distance", ctx), expected, rtol=1e-5)
 
 
-def test_in_horizon_needs_a_free_way_and_the_box_of_the_last_frame() -> None:
-    places = [[3.5, 3.0, 1.25], [3.9, 3.0, 1.25], [1.5, 2.0, 1.25], [7.5, 2.0, 1.25], [7.5, 3.6, 1.25]]
-    # A wall 1.5 m ahead: the frustum is 3 m wide there, from y = 0.5 to 3.5.
-    near = column("in_horizon", context(places, [frame(START, depth=1.5)]))
-    np.testing.assert_array_equal(near, [1, 0, 0, 0, 0])
+PLACES = [[3.0, 3.0, 1.25], [3.6, 3.0, 1.25], [1.0, 2.0, 1.25], [7.5, 2.0, 1.25], [7.5, 3.6, 1.25], [2.1, 2.0, 1.25]]
+WEST = START - [0.4, 0.0, 0.0]
+
+
+def test_in_horizon_needs_a_free_way_and_the_box_of_a_frame() -> None:
+    # A wall 1.5 m ahead: the frustum is 3 m wide there, from y = 0.5 to 3.5. The last place stands for a node.
+    near = column("in_horizon", context(PLACES, [frame(WEST, depth=1.5)]))
+    np.testing.assert_array_equal(near, [1, 0, 0, 0, 0, 1])
     # Through the door one sees the second room; what stands beside the door is behind a wall.
-    far = column("in_horizon", context(places, [frame(START, depth=6.0)]))
-    np.testing.assert_array_equal(far, [1, 1, 0, 1, 0])
-    # Only the last frame counts.
-    turned = column("in_horizon", context(places, [frame(START, depth=6.0), frame(START, -X)]))
-    np.testing.assert_array_equal(turned, [0, 0, 1, 0, 0])
+    far = column("in_horizon", context(PLACES, [frame(WEST, depth=6.0)]))
+    np.testing.assert_array_equal(far, [1, 1, 0, 1, 0, 1])
+
+
+def test_the_box_is_that_of_the_last_frame_on_the_way_wherever_it_looked_since() -> None:
+    start = frame(WEST - [0.5, 0.0, 0.0], depth=6.0)
+    looks = [start, frame(WEST, depth=1.5), frame(WEST, -X), frame(WEST + [0.04, 0.0, 0.0], -X)]
+    assert last_on_the_way(looks) is looks[1]
+    np.testing.assert_array_equal(column("in_horizon", context(PLACES, looks)), [1, 0, 0, 0, 0, 1])
+    assert last_on_the_way(looks[:1]) is start
+    assert last_on_the_way(looks[1:3]) is looks[2]  # it never moved
+
+
+def test_without_a_node_in_the_box_all_free_ways_count() -> None:
+    # Looking west from beside the node: what is behind is in no box, but in sight.
+    turned = column("in_horizon", context(PLACES, [frame(WEST, -X)]))
+    np.testing.assert_array_equal(turned, [1, 1, 1, 1, 0, 1])

@@ -197,6 +197,8 @@ def test_revisits_are_neither_local_views_nor_stand_for_a_node() -> None:
                        looks=[BACK, AHEAD, AHEAD])  # fmt: skip
     seen["candidates"][:2, CANDIDATE_FEATURES.index("revisit")] = 1.0
     assert policy().act(seen) == 2
+    seen["candidate_gains"][:, ActiveSplat.required_gains.index("voronoi_node")] = -1.0
+    assert policy().act(seen) == 2  # nor are they taken where there is no node
 
 
 def test_the_late_stage_begins_after_some_decisions_lasts_and_forgives() -> None:

@@ -10,7 +10,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, Random, travel_discount
-from activestructure_gym.policies.base import best_valid
+from activestructure_gym.policies.base import best_valid, nearest_new
 
 ALL = sorted(POLICIES)
 
@@ -93,11 +93,15 @@ def test_gains_are_found_by_name_whatever_their_order(rng: np.random.Generator) 
         policy.bind(("hole_area",))
 
 
-def test_travel_discount_and_best_valid(rng: np.random.Generator) -> None:
+def test_travel_discount_best_valid_and_nearest_new(rng: np.random.Generator) -> None:
     observed = observation(rng, rows=3, valid=2)
     observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [0.0, 5.0, 45.0]
     np.testing.assert_allclose(travel_discount(observed), [1.0, 0.5, 0.1], rtol=1e-6)
     assert best_valid(np.array([1.0, 1.0, 5.0]), observed) == 0
+    observed["candidates"][:, CANDIDATE_FEATURES.index("revisit")] = [1.0, 1.0, 0.0]
+    assert nearest_new(observed) == 0  # both revisits: row 2 is masked
+    observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 0.0
+    assert nearest_new(observed) == 1
 
 
 def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
@@ -30,18 +31,21 @@ def run_policy_benchmark(
     """A row per policy: seconds per decision as medians with quartiles, `gains` and `policy` apart.
 
     The state is that of an episode of `pixel_only`. ``offer`` (ways, candidates, revisits) is the same work for all;
-    a decision is offer, gains and policy together. Policies take turns, and the first round, in which kernels are
-    compiled and what planners keep between decisions is filled, is not counted. ``limit`` says whether the median
+    a decision is offer, gains and policy together. Each is decided on a mapper as the last keyframes left it, of which
+    nobody has asked anything since: what planners measure of new keyframes is part of their cost. Policies take turns,
+    and the first round, in which kernels are compiled, is not counted. ``limit`` says whether the median
     keeps to `LIMIT_S`.
     """
     from activestructure_gym.policies import POLICIES
 
     names = list(policies or POLICIES)
     env = _explored(scene, preset, gaussians, frames, notify)
+    mapper = env.reconstruction.mapper
     times: dict[str, list[dict[str, float]]] = {name: [] for name in names}
     for repeat in range(repeats + 1):
         for name in names if repeat % 2 else names[::-1]:
             notify(f"round {repeat} of {repeats}: {name}")
+            env.reconstruction.mapper = copy.deepcopy(mapper)
             seconds = _decision(env, name)
             if repeat:
                 times[name].append(seconds)
@@ -68,13 +72,21 @@ def _explored(scene: str, preset: str, gaussians: int, frames: int, notify: Call
     policy.bind(env.config.gains)
     observation, _ = env.reset(seed=_SEED)
     policy.reset(_SEED)
-    env.reconstruction.mapper.movement()  # is followed from here on, as in an episode that needs it
     ended = False
     while not ended and (env.reconstruction.mapper.map.count < gaussians or not observation["action_mask"].all()):
+        _ask(env)
         observation, _, terminated, truncated, _ = env.step(policy.act(observation))
         ended = terminated or truncated
         notify(f"exploring: {env.reconstruction.frames} frames, {env.reconstruction.mapper.map.count} Gaussians")
     return env
+
+
+def _ask(env: Any) -> None:
+    """What planners measure of the keyframes so far and keep, as at every decision of an episode that needs it."""
+    mapper = env.reconstruction.mapper
+    mapper.movement()
+    mapper.reliability()
+    mapper.keyframe_information(env.reconstruction.scoring_camera)
 
 
 def _decision(env: Any, name: str) -> dict[str, float]:

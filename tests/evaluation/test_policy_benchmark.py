@@ -2,6 +2,8 @@ import pytest
 
 from activestructure_gym.evaluation import policy_benchmark
 from activestructure_gym.evaluation.policy_benchmark import run_policy_benchmark
+from activestructure_gym.mapping.information import KeyframeInformation
+from activestructure_gym.mapping.reliability import DirectionalReliability
 
 
 def test_a_row_per_policy_on_one_state():
@@ -31,3 +33,26 @@ def test_the_row_by_hand():
     times[0]["gains"] = times[3]["gains"] = 0.3
     assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.2"
     assert policy_benchmark._row("naruto", times)["limit"] == "under 2"
+
+
+def test_new_keyframes_are_measured_in_every_round(monkeypatch):
+    measured, voted = [], []
+    measure, vote = KeyframeInformation._measure, DirectionalReliability._vote
+    monkeypatch.setattr(KeyframeInformation, "_measure", lambda *a: (measured.append(a[1]), measure(*a))[1])
+    monkeypatch.setattr(DirectionalReliability, "_vote", lambda *a: (voted.append(a[1]), vote(*a))[1])
+    decide, spent = policy_benchmark._decision, {}
+
+    def counting(env, name):
+        before = len(measured), len(voted)
+        seconds = decide(env, name)
+        spent.setdefault(name, []).append((len(measured) - before[0], len(voted) - before[1]))
+        return seconds
+
+    monkeypatch.setattr(policy_benchmark, "_decision", counting)
+    rows = run_policy_benchmark(
+        "box", policies=["gauss_mi_pure", "fisherrf_pure"], preset="fast", gaussians=1, frames=12, repeats=2
+    )
+    votes, shares = spent["gauss_mi_pure"], spent["fisherrf_pure"]
+    assert votes[0][1] > 0 and len({*votes}) == 1
+    assert shares[0][0] > 0 and len({*shares}) == 1
+    assert votes[0][1] < rows[0]["keyframes"]  # the others voted before

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation
+from activestructure_gym.policies.base import POLICIES, Observation, only_new
 from activestructure_gym.policies.greedy import Greedy
 
 LENGTH = CANDIDATE_FEATURES.index("path_length")
@@ -18,7 +18,7 @@ class ActiveGS(Greedy):
     """score = U / sum U - 0.5 L / sum L over the valid candidates (peers_active.md 3.4).
 
     U is the gain, L the path length in metres. Where nothing has a gain all U count the same, and the nearest view is
-    taken; the original then draws scores by lot.
+    taken; the original then draws scores by lot. Revisits are no candidates of it.
     """
 
     required_gains = ("confidence",)
@@ -26,7 +26,7 @@ class ActiveGS(Greedy):
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; the trace says how far it is where that is no factor."""
-        choice = super().act(observation)
+        choice = super().act(only_new(observation))
         if self.travel == "native":
             gain = self.required_gains[0]
             length = float(observation["candidates"][choice, LENGTH])

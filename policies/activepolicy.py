@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new
+from activestructure_gym.policies.base import FRAMES, POLICIES, Observation, nearest_new, nearest_of_best
 from activestructure_gym.policies.greedy import Planner
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
@@ -16,6 +16,7 @@ BEST = 16  # m: views with the largest gain that become nodes
 RELATION = 1.0  # lambda_r, of the edges between views; lambda_g is 1 for gains in units of their mean
 DECAY = 1.0  # gamma_d: of the relation per mean distance
 EPSILON = 1e-3
+SAME = 1e-9  # relative difference of two centralities that are equal but for rounding
 
 
 @POLICIES.register("activepolicy")
@@ -28,7 +29,8 @@ class ActivePolicy(Planner):
     overlap is what two views share of the planes they see; of two that see none, the cosine between their axes.
 
     Only a digest of the paper is known, and on its face the rule hardly looks at the gain; hence the pre-filter. No
-    travel term. Source: ``../shared/research/peers_info_rl.md`` A5; what differs is in docs/planners.md.
+    travel term; of equals, before the filter and after it, the one with the fewest frames.
+    Source: ``../shared/research/peers_info_rl.md`` A5; what differs is in docs/planners.md.
     """
 
     required_gains = ("activepolicy",)
@@ -37,14 +39,16 @@ class ActivePolicy(Planner):
         """The most central of the best views."""
         gain = self.gain(observation, "activepolicy").astype(np.float64)
         usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0) & (gain > 0)
-        rows = np.argsort(np.where(usable, -gain, np.inf), kind="stable")[: min(BEST, int(usable.sum()))]
+        # Where nothing is mapped yet many gains are exactly 1.
+        order = np.lexsort((observation["candidates"][:, FRAMES], np.where(usable, -gain, np.inf)))
+        rows = order[: min(BEST, int(usable.sum()))]
         if not len(rows):
             self._trace = {"nodes": 0}
             return nearest_new(observation)
         centrality = fiedler_centrality(gain[rows], RELATION * relation(observation, rows))
         scores = np.full(len(gain), -np.inf)
         scores[rows] = self.scores_of(centrality, observation, rows)
-        choice = best_valid(scores, observation)
+        choice = nearest_of_best(scores, observation, tolerance=SAME)
         rank = int(np.flatnonzero(rows == choice)[0])
         self._trace = {
             "nodes": len(rows),

@@ -112,6 +112,22 @@ def best_valid(scores: np.ndarray, observation: Observation) -> int:
     return int(np.argmax(np.where(valid, scores, -np.inf)))
 
 
+def nearest_of_best(scores: np.ndarray, observation: Observation, tolerance: float = 0.0) -> int:
+    """`best_valid`, but of equals, to a relative ``tolerance``, the one with the fewest frames."""
+    best = scores[best_valid(scores, observation)]
+    return best_valid(np.where(scores >= best - tolerance * abs(best), travel_discount(observation), -1.0), observation)
+
+
+def only_new(observation: Observation) -> Observation:
+    """The observation with the revisits masked, as long as anything else is valid.
+
+    For planners that know no way back to a keyframe. Up to four rows of every table are the worst rendered ones, often
+    where the agent stands, so that a way of length 0 would count for them.
+    """
+    new = observation["action_mask"].astype(bool) & (observation["candidates"][:, REVISIT] == 0)
+    return {**observation, "action_mask": new.astype(np.int8)} if new.any() else observation
+
+
 def nearest_new(observation: Observation) -> int:
     """What a planner without anything to decide by takes: the valid view with the fewest frames, revisits last.
 

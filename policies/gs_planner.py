@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner
 
 _LENGTH = CANDIDATE_FEATURES.index("path_length")
@@ -18,8 +18,8 @@ LEAST_OVERLAP = 0.5  # epsilon: from this overlap on two views are one to the li
 OVERLAP_M = 2.0  # metres apart at which two views have nothing in common
 OVERLAP_RAD = np.pi / 2.0  # angle between them at which they have nothing in common: the width of the image
 
-VIEWPOINTS = 10  # that an iteration of the tree adds
-SPACING_M = 1.5  # metres between them: of HGS-Planner's samples, so that ten of them do not crowd around the agent
+VIEWPOINTS = 4  # that an iteration of the tree adds: more of them are all there is in a room, and nothing is far
+SPACING_M = 1.5  # metres between them: of HGS-Planner's samples, so that they do not crowd around the agent
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m, 6] position and look -> [n, m] in 0..1
@@ -55,6 +55,7 @@ class GSPlanner(Planner):
     Native: the best of the VIEWPOINTS nearest places, each with its best view, as one growth of the original's tree
     from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
     LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
+    Revisits are no candidates of it.
     Source: peers_info_rl.md, A4.
     """
 
@@ -73,6 +74,7 @@ class GSPlanner(Planner):
         """The best near view, or one from the library."""
         volume, loss = (self.gain(observation, name).astype(np.float64) for name in self.required_gains)
         gain = volume + QUALITY_WEIGHT * loss
+        observation = only_new(observation)
         if self.travel == "shared":
             choice, source = best_valid(self.scores(gain, observation), observation), "all"
         else:

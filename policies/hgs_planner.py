@@ -10,7 +10,7 @@ from itertools import permutations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Greedy
 
 LOCAL_M = 3.0  # metres of path: half the local window of 6 x 6 m
@@ -26,14 +26,15 @@ class HGSPlanner(Greedy):
     """argmax G = G_cov + lambda_o G_Q in the local window; if nothing there is worth it, on to the next part.
 
     A view is worth going to while its G_cov is above `WORTH`. Parts that hold such views are visited in the order of
-    the shortest tour, as long as there are any; at last the whole pool is scored by G. With ``travel=shared`` there
-    are no stages: G times the shared factor over the whole pool.
+    the shortest tour, as long as there are any; at last the whole pool is scored by G. Revisits are not in the pool.
+    With ``travel=shared`` there are no stages: G times the shared factor over the whole pool.
     """
 
     required_gains = ("hgs_planner", "hgs_coverage")
 
     def act(self, observation: Observation) -> int:
         """The valid row of the present stage with the highest G."""
+        observation = only_new(observation)
         if self.travel == "shared":
             return super().act(observation)
         gain, coverage = (self.gain(observation, name) for name in self.required_gains)

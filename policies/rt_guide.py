@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner
 
 LENGTH = CANDIDATE_FEATURES.index("path_length")
@@ -17,12 +17,14 @@ class RTGuide(Planner):
     """Region: argmax Omega / e^d, d the way in metres to its nearest view; view in it: argmax xi (peers_info_rl.md A6).
 
     With the shared travel term there are no regions: xi, counted from the lowest one on offer, times the factor of all.
+    Revisits are no candidates of it.
     """
 
     required_gains = ("rt_guide", "rt_guide_region", "rt_guide_cuboid")
 
     def act(self, observation: Observation) -> int:
         """The best view of the best region; the nearest region where no Gaussian has moved."""
+        observation = only_new(observation)
         valid = observation["action_mask"].astype(bool)
         xi, region, cuboid = (self.gain(observation, name).astype(np.float64) for name in self.required_gains)
         if self.travel == "shared" or not valid.any():

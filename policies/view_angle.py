@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from activestructure_gym.policies.base import POLICIES
-from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.base import POLICIES, Observation, nearest_of_best
+from activestructure_gym.policies.greedy import Planner
 
 
 @POLICIES.register("view_angle")
-class ViewAngle(Greedy):
-    """argmin of the mean coverage of the viewing directions; no travel term (peers_info_rl.md A6)."""
+class ViewAngle(Planner):
+    """argmin of the mean coverage of the viewing directions; no travel term but for equals (peers_info_rl.md A6).
+
+    At first many views show nothing that is mapped and are worth exactly 1: the nearest of these is taken.
+    """
 
     required_gains = ("view_angle",)
+
+    def act(self, observation: Observation) -> int:
+        """The valid row with the highest score; of equals the one with the fewest frames."""
+        gain = self.gain(observation, "view_angle")
+        choice = nearest_of_best(self.scores(gain, observation), observation)
+        self._trace = {"view_angle": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
+        return choice

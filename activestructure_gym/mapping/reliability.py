@@ -70,9 +70,10 @@ class DirectionalReliability:
 
 
 def pixel_votes(frame: Frame, shown: cpu.Rendering) -> np.ndarray:  # [H, W] float32
-    """-log of the loss, above 0 where the map shows what the keyframe saw. The depth shown is the accumulated one."""
+    """-log of the loss, above 0 where the map shows what the keyframe saw; its depth is that over alpha."""
     loss = COLOR_SHARE * np.abs(shown.color - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
-    loss += DEPTH_SHARE * np.where(frame.depth > 0, np.abs(shown.depth - frame.depth), 0.0)
+    depth = shown.depth / np.maximum(shown.alpha, 1e-6)
+    loss += DEPTH_SHARE * np.where(frame.depth > 0, np.abs(depth - frame.depth), 0.0)
     return -np.log(np.maximum(LOSS_FACTOR * loss, LEAST_LOSS)).astype(np.float32)
 
 

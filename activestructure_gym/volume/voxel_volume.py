@@ -213,6 +213,16 @@ class VoxelVolume:
         return np.ascontiguousarray((points - self.origin) / self.voxel_size - 0.5)
 
     @property
+    def unobserved(self) -> np.ndarray:  # [X, Y, Z] bool
+        """Which voxels nobody has looked into: neither free nor occupied, and no ray went through the centre.
+
+        For what is worth a look. In front of every surface lies a shell that rays went through without proving it free
+        (the margin, the whole footprint, several looks beyond 2.4 m), which further looks at it do not clear. What one
+        may move through is asked of `state`.
+        """
+        return (self.state == UNKNOWN) & ~((self.weight > 0) & (self.tsdf > 0))
+
+    @property
     def observed_share(self) -> float:
         """Share of the grid's voxels that are free or occupied."""
         return float(np.count_nonzero(self.state)) / self.state.size

@@ -41,6 +41,9 @@ def test_votes_of_pixels_by_hand():
     assert votes[0, 1] == pytest.approx(-np.log(1.7 * 0.95 * 0.3), rel=1e-5)
     assert votes[0, 2] == pytest.approx(-np.log(1.7 * 0.05 * 0.4), rel=1e-4)
     assert votes[0, 3] == pytest.approx(-np.log(1.7 * 0.95 * 1.0), rel=1e-5) and votes[0, 3] < 0
+    # Of a map that lets a tenth through, nine tenths of the depth are accumulated: the surface stands where it was.
+    veiled = pixel_votes(seen, Rendering(color, np.float32(0.9) * depth, np.full((24, 32), 0.9, np.float32)))
+    assert veiled == pytest.approx(votes, rel=1e-3)
 
 
 def test_a_look_speaks_for_its_own_direction_and_errors_speak_against_it():

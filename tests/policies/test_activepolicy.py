@@ -90,9 +90,20 @@ def test_views_without_gain_are_no_nodes_and_without_any_it_is_the_nearest() -> 
 def test_the_shared_travel_term_multiplies_the_centrality() -> None:
     views = [(0 * X, X, 0.5), (9 * X, X, 0.5)]
     seen = [[1, 0, 0, 0], [0, 1, 0, 0]]
-    frames = [50.0, 1.0]  # equally central: the first of equals, or the nearer one
+    frames = [50.0, 1.0]
+    assert ActivePolicy().act(observation(views, planes=seen, frames=frames)) == 1  # equally central: the nearer one
+    views[0] = (0 * X, X, 0.6)  # a little more central
     assert ActivePolicy().act(observation(views, planes=seen, frames=frames)) == 0
     assert ActivePolicy(travel="shared").act(observation(views, planes=seen, frames=frames)) == 1
+
+
+def test_of_many_that_gain_the_same_the_nearest_are_nodes_and_of_equally_central_ones_the_nearest_is_taken() -> None:
+    frames = np.random.default_rng(4).permutation(np.arange(1.0, 41.0))
+    views = [(0 * X, X, 1.0)] * 40
+    policy = ActivePolicy()
+    assert frames[policy.act(observation(views, frames=frames.tolist()))] == 1.0
+    views = [(9.0 * k * X, X, 1.0) for k in range(40)]
+    assert frames[policy.act(observation(views, frames=frames.tolist()))] <= BEST
 
 
 def test_the_rule_is_nearly_blind_to_the_gain() -> None:

@@ -72,12 +72,12 @@ def test_every_viewpoint_gives_its_best_view_nearest_first_and_keeps_its_distanc
 
 
 def test_native_looks_no_farther_than_the_nearest_viewpoints_and_shared_weighs_the_way() -> None:
-    x = [3.0 * (i + 1) for i in range(VIEWPOINTS + 1)]
-    seen = observation([0.1] * (VIEWPOINTS - 1) + [0.2, 0.9], x)
-    assert policy().act(seen) == VIEWPOINTS - 1  # 0.9 lies one place too far
-    # 0.1 / 7 at 30 frames, 0.2 / 61 at 300, 0.9 / 67 at 330
+    x = [3.0 * (i + 1) for i in range(VIEWPOINTS)] + [30.0]
+    seen = observation([0.1] * (VIEWPOINTS - 1) + [0.2, 0.8], x)
+    assert policy().act(seen) == VIEWPOINTS - 1  # 0.8 lies one place too far
+    # 0.1 / 7 at 30 frames, 0.2 / 25 at 120, 0.8 / 61 at 300
     assert policy("shared").act(seen) == 0
-    seen["candidate_gains"][VIEWPOINTS, 0] = 0.99
+    seen["candidate_gains"][VIEWPOINTS, 0] = 0.9
     assert policy("shared").act(seen) == VIEWPOINTS
 
 
@@ -115,3 +115,14 @@ def test_pathology_it_stays_with_small_near_gains_while_most_is_far() -> None:
     gain = [1.5 * LEAST_GAIN] * VIEWPOINTS + [0.9] * 20
     seen = observation(gain, [2.0 * i for i in range(len(gain))])
     assert policy().act(seen) < VIEWPOINTS
+
+
+def test_in_a_room_something_is_left_for_the_library() -> None:
+    """Were all places of a room near ones, the library would only be asked when there is nothing in it either."""
+    axes = np.arange(0.5, 5.6, 0.5), np.arange(0.5, 4.6, 0.5), np.array([1.0, 1.5, 2.0])
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    ways = np.linalg.norm(places - [1.0, 1.0, 1.5], axis=1)
+    # The gain grows with the distance, so that of every place the farthest view stands for it.
+    rows = best_per_viewpoint(places, ways, ways)
+    assert ways[rows].max() < 0.7 * ways.max()
+    assert (np.linalg.norm(places[:, None] - places[rows], axis=2).min(axis=1) > SPACING_M).mean() > 0.25

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies import ActiveGS, Frontier, Greedy, RTGuide, ViewAngle
+from activestructure_gym.policies import POLICIES, ActiveGS, Frontier, Planner, RTGuide, ViewAngle
 
 LENGTH, FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")
 
@@ -21,7 +21,7 @@ def observation(gains: list, length: list, valid: list | None = None) -> dict[st
 
 
 @pytest.mark.parametrize(("kind", "gain"), [(ActiveGS, "confidence"), (Frontier, "unexplored")])
-def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Greedy], gain: str) -> None:
+def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Planner], gain: str) -> None:
     assert kind.required_gains == (gain,)
     # Shares of the gain 0.3, 0.3, 0.4; of the way 0.3, 0.1, 0.6: 0.15, 0.25, 0.1.
     seen = observation([3.0, 3.0, 4.0], [3.0, 1.0, 6.0])
@@ -40,7 +40,7 @@ def test_shares_of_gain_less_half_the_share_of_the_way(kind: type[Greedy], gain:
 
 
 def test_active_gs_goes_far_for_a_little_more_where_all_ways_are_long() -> None:
-    """Its pathology: only shares of the way count, so that with many views on offer the way hardly does."""
+    """Its pathology: a way costs by what it is of the mean way, and where most are long that is little."""
     gains, length = np.full(100, 1.0), np.full(100, 8.0)
     gains[0], length[0] = 0.9, 0.5  # beside the agent
     gains[1], length[1] = 1.1, 12.0
@@ -94,3 +94,36 @@ def test_rt_guide_shared_counts_xi_from_the_lowest() -> None:
     # 0, 0.3 / 3, 0.6 / 11 of -0.1, 0.2, 0.5; a masked row is not the lowest.
     seen = observation([[-0.1, 0, 4], [0.2, 0, 4], [0.5, 0, 7], [-5.0, 0, 7]], [0.5, 1.0, 5.0, 0.5], [1, 1, 1, 0])
     assert RTGuide("shared").act(seen) == 1
+
+
+REVISIT = CANDIDATE_FEATURES.index("revisit")
+
+
+@pytest.mark.parametrize("name", ["active_gs", "frontier", "gs_planner", "hgs_planner", "rt_guide"])
+@pytest.mark.parametrize("travel", ["native", "shared"])
+def test_a_revisit_is_gone_to_only_where_nothing_else_is_on_offer(name: str, travel: str) -> None:
+    policy = POLICIES.get(name)(travel)
+    row = {"rt_guide": [0.9, 0.5, 4.0]}.get(name, [0.9] * len(policy.required_gains))
+    better = observation([row, [0.1 * row[0], *row[1:]], row], [0.0, 2.0, 0.0], [1, 1, 0])
+    assert policy.act(better) == 0
+    better["candidates"][0, REVISIT] = 1.0
+    policy.reset(0)
+    assert policy.act(better) == 1
+    assert better["action_mask"].tolist() == [1, 1, 0]
+    better["action_mask"][1] = 0
+    assert policy.act(better) == 0
+
+
+def test_shares_are_those_among_the_views_that_are_no_revisits() -> None:
+    # 0.30 - 0.5 * 0.1, 0.70 - 0.5 * 0.9; a long revisit would make the difference of the ways small: 0.29, 0.61.
+    seen = observation([3.0, 7.0, 0.0], [1.0, 9.0, 90.0])
+    assert Frontier().act(seen) == 1
+    seen["candidates"][2, REVISIT] = 1.0
+    seen["candidate_gains"][1] = 5.0  # 0.375 - 0.05, 0.625 - 0.45
+    assert Frontier().act(seen) == 0
+
+
+def test_of_views_from_new_sides_only_the_nearest_is_taken() -> None:
+    seen = observation([0.9, 1.0, 1.0, 1.0], [0.1, 5.0, 2.0, 1.0], [1, 1, 1, 0])
+    assert ViewAngle().act(seen) == 2
+    assert ViewAngle().act(observation([0.0, 0.0], [5.0, 2.0])) == 1

@@ -298,3 +298,18 @@ def test_wrong_input_is_refused(cast_boxes):
     frame = capture(cast_boxes(ROOM), look_along(np.array([1.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0])))
     with pytest.raises(ValueError, match="camera"):
         VoxelVolume(ROOM).integrate(Frame(frame.rgb, frame.depth[:10], frame.world_from_camera, CAMERA))
+
+
+def test_unobserved_is_what_no_ray_went_through() -> None:
+    volume = VoxelVolume(np.array([[0.0] * 3, [1.0] * 3]))
+    assert volume.unobserved.all()
+    cases = [  # state, observations, signed distance -> unobserved
+        (UNKNOWN, 1.0, 0.3, False),  # in front of a surface, not proven free
+        (UNKNOWN, 1.0, -0.3, True),  # behind it
+        (UNKNOWN, 0.0, 0.3, True),  # the distance says nothing
+        (FREE, 0.0, 0.0, False),
+        (OCCUPIED, 1.0, -0.3, False),
+    ]
+    for row, (state, weight, tsdf, _) in enumerate(cases):
+        volume.state[row, 0, 0], volume.weight[row, 0, 0], volume.tsdf[row, 0, 0] = state, weight, tsdf
+    assert volume.unobserved[: len(cases), 0, 0].tolist() == [expected for *_, expected in cases]

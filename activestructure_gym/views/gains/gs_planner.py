@@ -7,7 +7,6 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.sensors import Frame
 from activestructure_gym.views.gains.base import GAINS, GainContext
-from activestructure_gym.volume import OCCUPIED, UNKNOWN
 
 STRIDE = 2  # pixels between rays
 COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error that a full error of colour is worth
@@ -44,7 +43,8 @@ def _walked(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
     shown = context.depth[:, ::STRIDE, ::STRIDE] / np.maximum(alpha, 1e-6)
     farthest = min(context.max_range, volume.config.max_range)
     volumes, losses = _walk(
-        volume.state,
+        volume.unobserved,
+        volume.occupied,
         voxel_losses(context),
         volume.origin.astype(np.float64),
         float(volume.voxel_size),
@@ -65,7 +65,8 @@ def voxel_losses(context: GainContext) -> np.ndarray:  # [X, Y, Z] float32 metre
     for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
         frame = mapper.keyframes[index]
         rendered = mapper.render(frame.camera, frame.world_from_camera)
-        found, loss = pixel_losses(frame, rendered.color, rendered.depth)
+        depth = rendered.depth / np.maximum(rendered.alpha, 1e-6)
+        found, loss = pixel_losses(frame, rendered.color, depth)
         points.append(found)
         losses.append(loss)
     at, loss = np.concatenate(points), np.concatenate(losses)
@@ -88,7 +89,7 @@ def spread(count: int, most: int) -> list[int]:
 def pixel_losses(
     frame: Frame,
     color: np.ndarray,  # [H, W, 3] rendered, 0..1
-    depth: np.ndarray,  # [H, W] metres, rendered
+    depth: np.ndarray,  # [H, W] metres, rendered, of the surface: the accumulated depth over alpha
 ) -> tuple[np.ndarray, np.ndarray]:  # [N, 3] metres, world; [N] metres
     """L of every pixel with a return, and where its surface is."""
     measured = frame.depth > 0
@@ -100,7 +101,8 @@ def pixel_losses(
 
 @kernel
 def _walk(
-    state: np.ndarray,  # [X, Y, Z] uint8
+    unobserved: np.ndarray,  # [X, Y, Z] bool
+    occupied: np.ndarray,  # [X, Y, Z] bool
     losses: np.ndarray,  # [X, Y, Z] float32
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
     voxel_size: float,
@@ -112,6 +114,7 @@ def _walk(
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] sum of T (d_out^3 - d_in^3), [K] sum of the losses met
     """Steps of half a voxel through the grid. Three times the volume of a pixel's frustum between two depths is the
     difference of their cubes, in units of 1 / f^2."""
+    size = unobserved.shape
     volumes = np.zeros(len(poses))
     met = np.zeros(len(poses))
     for k in range(len(poses)):
@@ -134,14 +137,14 @@ def _walk(
                     i = int(np.floor(start[0] + middle * dx))
                     j = int(np.floor(start[1] + middle * dy))
                     m = int(np.floor(start[2] + middle * dz))
-                    if i < 0 or j < 0 or m < 0 or i >= state.shape[0] or j >= state.shape[1] or m >= state.shape[2]:
+                    if i < 0 or j < 0 or m < 0 or i >= size[0] or j >= size[1] or m >= size[2]:
                         break
                     passing = 1.0 if middle < surface else behind
                     if passing < 0.01 and hit:
                         break
-                    if state[i, j, m] == UNKNOWN:
+                    if unobserved[i, j, m]:
                         volumes[k] += passing * (far**3 - near**3)
-                    elif state[i, j, m] == OCCUPIED and not hit:
+                    elif occupied[i, j, m] and not hit:
                         met[k] += losses[i, j, m]
                         hit = True
                     near = far

@@ -11,7 +11,6 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.views.gains.base import GAINS, GainContext
 from activestructure_gym.views.gains.fisherrf import fisherrf
 from activestructure_gym.views.gains.information import adaptive
-from activestructure_gym.volume import UNKNOWN
 
 RANGE = 5.0  # metres of depth that a view looks into (HGS-Planner's sensor)
 _STRIDE = 2  # pixels: neighbours look through the same voxels
@@ -25,16 +24,16 @@ def hgs_planner(context: GainContext) -> np.ndarray:  # [K]
 
 @GAINS.register("hgs_coverage")
 def hgs_coverage(context: GainContext) -> np.ndarray:  # [K] in 0..1
-    """G_cov: sum over pixels and the unknown voxels on their rays of the transmittance in front of each, as a share.
+    """G_cov: sum over pixels and the unobserved voxels on their rays of the transmittance in front of each, as a share.
 
-    Every voxel has the same volume, so the sum is a mean over pixels of the transmitted length of ray in the unknown;
-    divided by the range, it is the share of a view into nothing but unknown space. The transmittance falls at the depth
-    that the map shows, from 1 to what the map lets through there.
+    Every voxel has the same volume, so the sum is a mean over pixels of the transmitted length of ray in unobserved
+    voxels; divided by the range, it is the share of a view into nothing but unseen space. The transmittance falls at
+    the depth that the map shows, from 1 to what the map lets through there.
     """
     depth, alpha = context.depth[:, ::_STRIDE, ::_STRIDE], context.alpha[:, ::_STRIDE, ::_STRIDE]
     volume, reach = context.volume, min(RANGE, context.max_range)
     return _transmitted_unknown(
-        volume.state,
+        volume.unobserved,
         volume.origin.astype(np.float64),
         float(volume.config.voxel_size),
         np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
@@ -47,7 +46,7 @@ def hgs_coverage(context: GainContext) -> np.ndarray:  # [K] in 0..1
 
 @kernel
 def _transmitted_unknown(
-    state: np.ndarray,  # [X, Y, Z] uint8
+    unobserved: np.ndarray,  # [X, Y, Z] bool
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
     voxel_size: float,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
@@ -58,6 +57,7 @@ def _transmitted_unknown(
 ) -> np.ndarray:  # [K]
     """In steps of half a voxel along each ray."""
     count, height, width = depth.shape
+    size = unobserved.shape
     shares = np.zeros(count)
     for k in range(count):
         pose, total = poses[k], 0.0
@@ -77,9 +77,9 @@ def _transmitted_unknown(
                 for step in range(steps if behind > 0.01 else min(steps, wall)):
                     x, y, z = x + dx, y + dy, z + dz
                     i, j, m = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-                    if i < 0 or j < 0 or m < 0 or i >= state.shape[0] or j >= state.shape[1] or m >= state.shape[2]:
+                    if i < 0 or j < 0 or m < 0 or i >= size[0] or j >= size[1] or m >= size[2]:
                         break
-                    if state[i, j, m] == UNKNOWN:
+                    if unobserved[i, j, m]:
                         seen += 1.0 if step < wall else behind
                 total += seen / max(1, steps)
         shares[k] = total / (height * width)

@@ -18,7 +18,6 @@ from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, view_information
 from activestructure_gym.views.gains.base import GAINS, Gain, GainContext
 from activestructure_gym.views.gains.hole_area import hole_area
-from activestructure_gym.volume import UNKNOWN
 
 LAMBDA = 1e-2  # of the unit
 LITTLE = 0.05  # of a view of nothing but unseen space (own choice)
@@ -75,14 +74,14 @@ def diagonal_gain(
 
 
 def observed_share(context: GainContext) -> float:  # 0..1
-    """lambda_o: how much of the local window around the agent is known to be free or occupied."""
+    """lambda_o: how much of the local window around the agent has been looked into (`VoxelVolume.unobserved`)."""
     volume, eye = context.volume, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     size = volume.config.voxel_size
     low = np.floor((eye[:2] - 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
     high = np.ceil((eye[:2] + 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
     x, y = (slice(max(0, a), max(0, b)) for a, b in zip(low, high))
-    window = volume.state[x, y]
-    return float((window != UNKNOWN).mean()) if window.size else 0.0
+    window = volume.unobserved[x, y]
+    return 1.0 - float(window.mean()) if window.size else 0.0
 
 
 def adaptive(context: GainContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]

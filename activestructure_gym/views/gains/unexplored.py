@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.views.gains.base import GAINS, GainContext
-from activestructure_gym.volume import UNKNOWN, VoxelVolume
+from activestructure_gym.volume import VoxelVolume
 
 _SIDE = 2  # voxels per side of the cells that are tested: 0.2 m at the default size, ActiveGS's voxels
 
@@ -16,8 +16,8 @@ def unexplored(context: GainContext) -> np.ndarray:  # [K] in 0..1
     """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025; peers_active.md 3.4).
 
     A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
-    in front of what the map shows there. Where 2 x 2 x 2 voxels are all unknown they are tested as one, by their common
-    centre.
+    in front of what the map shows there; unexplored is what `VoxelVolume.unobserved` says. Where 2 x 2 x 2 voxels are
+    all unexplored they are tested as one, by their common centre.
     """
     return context.once(_shares)
 
@@ -39,12 +39,12 @@ def _shares(context: GainContext) -> np.ndarray:  # [K]
 
 
 def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  # [M, 3] metres, [M] voxels, all voxels
-    """Centres of wholly unknown cells and of single unknown voxels, how many voxels each stands for, and of how many.
+    """Centres of cells and of voxels that are wholly unobserved, how many voxels each stands for, and of how many.
 
     The volume's outermost layer lies beyond the workspace and is not counted. Only whole cells are taken as one: in a
     cell at a wall, the known half may hold the centre while the unknown half lies behind the wall.
     """
-    inner = volume.state[1:-1, 1:-1, 1:-1] == UNKNOWN
+    inner = volume.unobserved[1:-1, 1:-1, 1:-1]
     x, y, z = (size // _SIDE for size in inner.shape)
     even = inner[: x * _SIDE, : y * _SIDE, : z * _SIDE]
     whole = even.reshape(x, _SIDE, y, _SIDE, z, _SIDE).all(axis=(1, 3, 5))

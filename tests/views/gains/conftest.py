@@ -37,6 +37,11 @@ class TwoWalls:
         self.mapper.observe(frame, iterations=0)
         self.volume.integrate(frame)
 
+    def know(self, state: int) -> None:
+        """All space is in this state, and whatever was looked through is forgotten."""
+        self.volume.state[:] = state
+        self.volume.weight[:] = 0
+
     def context(self, *poses: np.ndarray, **changes: Any) -> GainContext:
         options: dict[str, Any] = {
             "mapper": self.mapper,

@@ -88,9 +88,13 @@ def test_the_loss_by_hand_and_in_the_first_occupied_voxel() -> None:
     depth = np.full((CAMERA.height, CAMERA.width), 2.05, np.float32)
     depth[0] = 0.0  # no return
     frame = Frame(np.full((*depth.shape, 3), 51, np.uint8), depth, np.eye(4), CAMERA)  # 0.2 of full brightness
-    shown = SimpleNamespace(color=np.full((*depth.shape, 3), 0.5, np.float32), depth=np.full_like(depth, 1.95))
+    # The map is a little transparent: what it shows lies at 1.95 m, its weighted sum is less.
+    shown = SimpleNamespace(
+        color=np.full((*depth.shape, 3), 0.5, np.float32), depth=np.full_like(depth, 0.9 * 1.95),
+        alpha=np.full_like(depth, 0.9),
+    )  # fmt: skip
     expected = 0.1 + COLOUR_WEIGHT * 0.3
-    points, loss = pixel_losses(frame, shown.color, shown.depth)
+    points, loss = pixel_losses(frame, shown.color, shown.depth / shown.alpha)
     assert len(loss) == (CAMERA.height - 1) * CAMERA.width
     np.testing.assert_allclose(loss, expected, rtol=1e-5)
     np.testing.assert_allclose(points[:, 2], 2.05, rtol=1e-6)
@@ -113,3 +117,9 @@ def test_keyframes_with_the_loss_are_the_newest_and_some_of_all_others() -> None
     assert spread(5, 16) == [0, 1, 2, 3, 4]
     assert spread(16, 16) == list(range(16))
     assert spread(100, 8) == [0, 32, 63, 95, 96, 97, 98, 99]
+
+
+def test_the_shell_in_front_of_a_wall_that_was_seen_holds_nothing_unseen(two_walls, looks) -> None:
+    east, _, north = evaluate_gains(("gs_planner_volume",), two_walls.context(*looks))[:, 0]
+    assert (two_walls.volume.state == UNKNOWN).any()
+    assert east < 0.02 < 0.2 < north

@@ -40,9 +40,15 @@ def test_transmitted_length_in_the_unknown_by_hand() -> None:
 
 def test_the_more_is_observed_the_more_the_fisher_term_decides(two_walls, looks) -> None:
     names = ("hgs_planner", "hgs_coverage", "fisherrf_pure")
-    two_walls.volume.state[:] = UNKNOWN
+    two_walls.know(UNKNOWN)
     gain, unseen, _ = evaluate_gains(names, two_walls.context(*looks)).T
     assert gain == pytest.approx(unseen / unseen.max()) and gain.argmax() == 2
-    two_walls.volume.state[:] = FREE
+    two_walls.know(FREE)
     gain, unseen, fisher = evaluate_gains(names, two_walls.context(*looks)).T
     assert unseen.max() == 0.0 and gain == pytest.approx(fisher / fisher.max()) and gain.argmax() == 1
+
+
+def test_the_shell_in_front_of_a_wall_that_was_seen_holds_nothing_unseen(two_walls, looks) -> None:
+    east, _, north = hgs_coverage(two_walls.context(*looks))
+    assert (two_walls.volume.state == UNKNOWN).any()
+    assert east < 0.02 < 0.2 < north

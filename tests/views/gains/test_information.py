@@ -23,7 +23,7 @@ def test_units_are_medians_of_what_is_known(hand_made) -> None:
 def test_the_observed_share_is_that_of_the_window_around_the_agent(two_walls) -> None:
     volume = two_walls.volume
     context = two_walls.context(np.eye(4))
-    volume.state[:] = UNKNOWN
+    two_walls.know(UNKNOWN)
     assert observed_share(context) == 0.0
     volume.state[: volume.shape[0] // 2] = FREE
     volume.state[volume.shape[0] // 2, 0, 0] = OCCUPIED
@@ -33,12 +33,19 @@ def test_the_observed_share_is_that_of_the_window_around_the_agent(two_walls) ->
     assert observed_share(context) == 1.0
 
 
+def test_what_a_ray_went_through_is_observed_whether_it_is_free_or_not(two_walls) -> None:
+    context = two_walls.context(np.eye(4))
+    share = observed_share(context)
+    two_walls.volume.weight[:] = 0
+    assert share > 1.3 * observed_share(context) > 0.0
+
+
 def test_quality_counts_as_much_as_is_observed(two_walls) -> None:
     context = two_walls.context(np.eye(4))
-    two_walls.volume.state[:] = UNKNOWN
+    two_walls.know(UNKNOWN)
     coverage, quality = np.array([0.3, 0.15, 0.0]), np.array([0.0, 5.0, 10.0])
     assert adaptive(context, coverage, quality) == pytest.approx([1.0, 0.5, 0.0])
-    two_walls.volume.state[:] = FREE
+    two_walls.know(FREE)
     assert adaptive(context, coverage, quality) == pytest.approx([1.0, 1.0, 1.0])
     # Where hardly anything is left to cover, the best of it no longer counts as much as the best of the other.
     assert adaptive(context, coverage / 30, quality) == pytest.approx([0.2, 0.6, 1.0])

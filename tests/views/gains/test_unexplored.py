@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
+from activestructure_gym.policies import ActiveGS, Frontier
+from activestructure_gym.sensors import Frame
 from activestructure_gym.views import GainContext, evaluate_gains
 from activestructure_gym.views.gains.unexplored import unknown_cells
-from activestructure_gym.volume import FREE, UNKNOWN
+from activestructure_gym.volume import FREE, UNKNOWN, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
 EYE = np.array([2.03, 2.01, 2.02])
@@ -24,7 +28,7 @@ def context(state: np.ndarray, alpha: float, depth: float, *, max_range: float =
     config = SimpleNamespace(voxel_size=0.1, max_range=max_range)
     return GainContext(
         mapper=SimpleNamespace(render_depth_alpha=lambda camera, poses: images),
-        volume=SimpleNamespace(state=state, origin=np.zeros(3), config=config),
+        volume=SimpleNamespace(state=state, unobserved=state == UNKNOWN, origin=np.zeros(3), config=config),
         planes=None, camera=CAMERA, bounds=np.array([[0.1] * 3, [4.1] * 3]), coverage_alpha=0.5, max_range=10.0,
         world_from_camera=poses,
     )  # fmt: skip
@@ -70,3 +74,37 @@ def test_known_space_has_nothing_to_explore_and_what_lies_outside_is_no_workspac
     assert (len(centres), sorted(counts.tolist()), total) == (5, [1, 1, 1, 1, 8], 40**3)
     np.testing.assert_allclose(centres[0], [4.0, 4.0, 0.2])
     assert (centres[1:, 2].round(6) == 0.35).all()
+
+
+@pytest.mark.parametrize("distance", [1.53, 3.53])  # near, and beyond the 2.4 m up to which one look is enough
+def test_what_has_been_looked_at_is_explored_though_it_is_not_proven_free(distance: float) -> None:
+    camera = PinholeCamera.from_size(160, 96)
+    pose = look_along(EYE, np.array([1.0, 0.0, 0.0]))
+    volume = VoxelVolume(np.array([[0.0] * 3, [8.0, 4.0, 4.0]]))
+    whole = GainContext(
+        mapper=SimpleNamespace(render_depth_alpha=lambda *_: (wall[None], np.ones_like(wall[None]))),
+        volume=volume, planes=None, camera=camera, bounds=np.zeros((2, 3)), coverage_alpha=0.5, max_range=10.0,
+        world_from_camera=pose[None],
+    )  # fmt: skip
+    wall = np.full((96, 160), distance, np.float32)
+    before = evaluate_gains(("unexplored",), whole)[0, 0]
+    volume.integrate(Frame(np.zeros((96, 160, 3), np.uint8), wall, pose, camera))
+    after = evaluate_gains(("unexplored",), dataclasses.replace(whole))[0, 0]
+    assert after < 0.03 * before  # what is left stands at the border of the image
+    # What one may move through is another question: in front of the wall it still has to be proven.
+    shell = (volume.state == UNKNOWN) & ~volume.unobserved
+    assert shell.sum() > 0.05 * before * volume.state.size
+    assert not volume.clearance[shell].any()
+
+
+def test_where_all_has_been_seen_active_gs_goes_by_confidence_and_frontier_by_the_way(two_walls, looks) -> None:
+    east, west, _ = looks  # the west wall was seen once, the east wall three times
+    gains = evaluate_gains(("unexplored", "confidence"), two_walls.context(east, west))
+    assert gains[:, 0].max() < 1e-4
+    table = np.zeros((2, len(CANDIDATE_FEATURES)), np.float32)
+    table[:, CANDIDATE_FEATURES.index("path_length")] = [1.0, 1.2]
+    chosen = []
+    for policy in (Frontier(), ActiveGS()):
+        policy.bind(("unexplored", "confidence"))
+        chosen.append(policy.act({"candidates": table, "candidate_gains": gains, "action_mask": np.ones(2, np.int8)}))
+    assert chosen == [0, 1]

@@ -1,11 +1,11 @@
 """What the keyframes together tell about every Gaussian: the sum of their Fisher blocks, kept between decisions.
 
 FisherRF renders all keyframes at every planning step, so planning takes longer with every keyframe. Here the share of
-each keyframe is stored, and at every decision only the ones that have no share yet and a fixed number of the stalest
-are rendered. What that means for the sum:
+each keyframe is stored, and at every decision only the ones that have no share yet are rendered, and of the others the
+stalest, ``renders`` in all (more only if more are new). What that means for the sum:
 
 - it counts every keyframe once, each with the map as it was when that keyframe was last rendered: up to ``renders``
-  keyframes it is exact, beyond that no share is older than ``ceil(T / renders)`` decisions;
+  keyframes it is exact, beyond that shares grow old as fast as new keyframes take their place in the ``renders``;
 - Gaussians that were removed are gone from it at once, those that are new have nothing from a keyframe until its turn;
 - when the shares outgrow ``budget_mb``, the stalest are settled: they stay in the sum as they are (and follow removals)
   but cannot be measured anew.

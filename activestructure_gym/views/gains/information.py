@@ -79,19 +79,27 @@ def observed_share(context: GainContext) -> float:  # 0..1
     size = volume.config.voxel_size
     low = np.floor((eye[:2] - 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
     high = np.ceil((eye[:2] + 0.5 * WINDOW - volume.origin[:2]) / size).astype(int)
-    x, y = (slice(max(0, a), max(0, b)) for a, b in zip(low, high))
-    window = volume.unobserved[x, y]
+    # The outermost voxels lie outside of the workspace: nobody can observe them.
+    x, y = (slice(max(1, a), max(1, min(b, n - 1))) for a, b, n in zip(low, high, volume.shape))
+    window = volume.unobserved[x, y, 1:-1]
     return 1.0 - float(window.mean()) if window.size else 0.0
 
 
 def adaptive(context: GainContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
-    """G = G_cov + lambda_o G_Q (HGS-Planner), each as a share of the best candidate's.
+    """G = G_cov + lambda_o G_Q (HGS-Planner): coverage as a share of the best candidate's, quality by its rank.
 
-    The two have no common unit, and information spans many orders of magnitude. Where even the best candidate's G_cov
-    is below `LITTLE` of a whole view, it counts as a share of that: what is left to cover must not hide the other term.
+    The two have no common unit. Information spans many orders of magnitude, and of some criteria the best view has a
+    hundred times the median's: as a share of the best nearly all candidates would have none of it, and coverage alone
+    would decide. Where even the best candidate's G_cov is below `LITTLE` of a whole view, it counts as a share of that:
+    what is left to cover must not hide the other term.
     """
-    most, best = max(coverage.max(initial=0.0), LITTLE), quality.max(initial=0.0)
-    return coverage / most + observed_share(context) * (quality / best if best > 0 else quality)
+    most = max(coverage.max(initial=0.0), LITTLE)
+    return coverage / most + observed_share(context) * share_below(quality)
+
+
+def share_below(values: np.ndarray) -> np.ndarray:  # [K] -> [K] in 0..1
+    """Of every value the share of all that are not above it; 0 where the value is 0."""
+    return np.where(values > 0, np.searchsorted(np.sort(values), values, side="right") / max(1, len(values)), 0.0)
 
 
 def register_both(name: str) -> Callable[[Gain], Gain]:

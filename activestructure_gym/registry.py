@@ -1,8 +1,9 @@
 """Names for things that plug in: policies, gains, scenes.
 
-A name is found in three places, in this order: what was registered in this process, ``"package.module:attribute"``
-(works in every worker process without registering), and the entry points of installed packages in the group
-``activestructure_gym.<kind>`` (so ``pip install`` alone makes a plug-in known).
+A name is found in four places, in this order: what was registered in this process, ``"family:rest"`` where a family
+makes entries from what its names say (``learned:CHECKPOINT``), ``"package.module:attribute"`` (works in every worker
+process without registering), and the entry points of installed packages in the group ``activestructure_gym.<kind>``
+(so ``pip install`` alone makes a plug-in known).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ class Registry(Generic[T]):
         self.kind = kind
         self.group = f"activestructure_gym.{plural}"
         self._entries: dict[str, T] = {}
+        self._families: dict[str, Callable[[str], T]] = {}
 
     def register(self, name: str) -> Callable[[T], T]:
         """Decorator: ``@POLICIES.register("mine")``. Registering the same name again replaces it."""
@@ -31,6 +33,15 @@ class Registry(Generic[T]):
         def remember(entry: T) -> T:
             self._entries[name] = entry
             return entry
+
+        return remember
+
+    def register_family(self, name: str) -> Callable[[Callable[[str], T]], Callable[[str], T]]:
+        """Decorator for a function that makes the entry of ``name:rest`` from ``rest``."""
+
+        def remember(make: Callable[[str], T]) -> Callable[[str], T]:
+            self._families[name] = make
+            return make
 
         return remember
 
@@ -44,7 +55,10 @@ class Registry(Generic[T]):
         """The object called ``name``; raises `InputError` naming the nearest known name."""
         if name in self._entries:
             return self._entries[name]
-        if ":" in name:
+        family, colon, rest = name.partition(":")
+        if colon and family in self._families:
+            return self._families[family](rest)
+        if colon:
             return self._import(name)
         for point in entry_points(group=self.group):
             if point.name == name:

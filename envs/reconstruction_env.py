@@ -187,6 +187,13 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             raise gym.error.ResetNeeded("there are no candidates before reset()")
         return np.arange(self.action_space.n) < len(self.reconstruction.candidates)
 
+    @property
+    def coverage(self) -> SurfaceCoverage:
+        """What the reward counts. Ground truth: for scores and labels, never for a policy."""
+        if self._frame is None:
+            raise gym.error.ResetNeeded("nothing is counted before reset()")
+        return self._coverage
+
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
         """What the camera sees, what the map renders there, and the plan with the path so far."""
         if self.render_mode is None:

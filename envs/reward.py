@@ -36,6 +36,11 @@ class SurfaceCoverage:
         self.seen = np.zeros(len(points), dtype=bool)
 
     @property
+    def points(self) -> np.ndarray:  # [S, 3] world
+        """The samples."""
+        return self._points
+
+    @property
     def share(self) -> float:
         """Seen samples / all samples, 0..1."""
         return float(self.seen.mean()) if len(self.seen) else 1.0

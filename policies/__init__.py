@@ -22,6 +22,7 @@ from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hgs_planner import HGSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
+from activestructure_gym.policies.learned import Learned
 from activestructure_gym.policies.naruto import Naruto
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.popgs import (
@@ -71,6 +72,7 @@ __all__ = [
     "HoleArea",
     "InfoTrace",
     "InfoTracePure",
+    "Learned",
     "LogDet",
     "LogDetBlock",
     "LogDetBlockPure",

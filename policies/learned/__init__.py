@@ -1,0 +1,18 @@
+"""Policies that were trained: one small network over the candidate set, found as ``learned:CHECKPOINT``.
+
+Light to import: torch is loaded by the first decision, stable-baselines3 by `CandidatePolicy`.
+"""
+
+from typing import Any
+
+from activestructure_gym.policies.learned.policy import SHIPPED, Learned, learned_from
+
+__all__ = ["SHIPPED", "CandidatePolicy", "Learned", "learned_from", "with_used_keys"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("CandidatePolicy", "with_used_keys"):
+        from activestructure_gym.policies.learned import sb3
+
+        return getattr(sb3, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,90 @@
+"""The candidate-set network: one score per candidate view, and a value of the state.
+
+A flat network over the candidate table learns nothing, since a row's content changes place from step to step; the
+same small head applied to every row reaches a greedy expert within a few thousand steps (dossier peers_info_rl, B and
+C1). Planes pass messages along the edges of the Plane Scene Graph and reach a candidate through the planes it would
+see. Renumbering candidates renumbers the scores, renumbering planes changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from activestructure_gym.policies.learned import features
+from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
+
+MASKED = -1e8  # the score of a row without a candidate: finite, so that entropies stay finite
+
+
+def masked_pool(tokens: Tensor, mask: Tensor) -> Tensor:  # [B, N, C], [B, N] -> [B, 2 C]
+    """Mean and maximum over the rows that count; 0 where none does."""
+    weights = mask[..., None]
+    mean = (tokens * weights).sum(1) / weights.sum(1).clamp(min=1.0)
+    most = torch.where(weights > 0, tokens, tokens.new_full((), -torch.inf)).amax(1)
+    return torch.cat([mean, torch.where(most.isfinite(), most, torch.zeros_like(most))], dim=-1)
+
+
+def _head(inputs: int, width: int) -> nn.Sequential:
+    """Two layers to one number that begins near 0: all candidates about equally likely."""
+    last = nn.Linear(width, 1)
+    nn.init.normal_(last.weight, std=0.01)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), last)
+
+
+class CandidateNetwork(nn.Module):
+    """Scores of candidates and the value of the state, from observations of `USED_KEYS` in batches."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        planes, width, gains = config.planes, config.candidates, len(config.gains)
+        self.plane_in = nn.Linear(features.PLANE_INPUTS, planes)
+        self.rounds = nn.ModuleList(nn.Linear(2 * planes, planes) for _ in range(config.rounds))
+        self.candidate_in = nn.Sequential(
+            nn.Linear(features.CANDIDATE_INPUTS + features.INPUTS_PER_GAIN * gains + planes, width),
+            nn.ReLU(),
+            nn.Linear(width, width),
+            nn.ReLU(),
+        )
+        pooled = 2 * width + 2 * planes + features.GLOBAL_INPUTS + gains
+        self.context = nn.Sequential(nn.Linear(pooled, width), nn.ReLU())
+        self.scorer = _head(2 * width, width)
+        self.critic = _head(pooled, width)
+
+    def forward(self, observation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:  # [B, K], [B]
+        """Scores, `MASKED` in rows without a candidate, and values.
+
+        The critic only reads what the scorer has learnt to see: its errors do not reach the shared layers, so a
+        policy that begins from a copied expert is not bent by a critic that knows nothing yet.
+        """
+        valid, present = observation["action_mask"], observation["plane_mask"]
+        links = features.plane_links(observation)
+        planes = torch.relu(self.plane_in(features.plane_inputs(observation)))
+        for layer in self.rounds:
+            planes = torch.relu(layer(torch.cat([planes, links @ planes], dim=-1)))
+        planes = planes * present[..., None]
+        seen = observation["candidate_planes"]
+        summary = seen @ planes / (1.0 + seen.sum(-1, keepdim=True))  # [B, K, planes]
+        tokens = self.candidate_in(torch.cat([features.candidate_inputs(observation), summary], dim=-1))
+        pooled = torch.cat(
+            [masked_pool(tokens, valid), masked_pool(planes, present), features.global_inputs(observation)], dim=-1
+        )
+        context = self.context(pooled)[:, None].expand_as(tokens)
+        scores = self.scorer(torch.cat([tokens, context], dim=-1)).squeeze(-1)
+        value = self.critic(pooled.detach()).squeeze(-1)
+        return torch.where(valid > 0, scores, scores.new_full((), MASKED)), value
+
+    @property
+    def parameter_count(self) -> int:
+        """Numbers that are learnt."""
+        return sum(parameter.numel() for parameter in self.parameters())
+
+
+def as_tensors(observations: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+    """The entries the network reads, as float32; a leading batch axis must be there already."""
+    return {key: torch.as_tensor(np.asarray(observations[key]), dtype=torch.float32) for key in USED_KEYS}

@@ -1,0 +1,110 @@
+"""The candidate-set network inside stable-baselines3's PPO.
+
+``PPO(CandidatePolicy, env)`` trains on any of our environments; with ``with_used_keys(env)`` it does so about twice as
+fast, since stable-baselines3 copies and converts every entry of an observation, images included. The mask is applied
+inside the policy, from the observation: plain PPO never samples a masked row, and nothing else is needed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network
+from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
+from activestructure_gym.policies.learned.network import CandidateNetwork
+
+
+def with_used_keys(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The env without the entries of the observation that the network does not read."""
+    return gym.wrappers.FilterObservation(env, list(USED_KEYS))
+
+
+class CandidateExtractor(BaseFeaturesExtractor):
+    """The whole network, as what stable-baselines3 calls a feature extractor: [B, K + 1], scores and value."""
+
+    def __init__(self, observation_space: spaces.Dict, network: Mapping[str, Any] | None = None) -> None:
+        missing = [key for key in USED_KEYS if key not in observation_space.spaces]
+        if missing:
+            raise InputError(f"the observation lacks {', '.join(missing)}: a learned policy reads {USED_KEYS}")
+        rows, gains = observation_space["candidate_gains"].shape  # type: ignore[misc]
+        super().__init__(observation_space, rows + 1)
+        # Without a description the columns' names are unknown; they are only needed to save a checkpoint.
+        names = tuple(f"gain_{number}" for number in range(gains))
+        config = NetworkConfig(gains=names) if network is None else NetworkConfig.from_dict(network)
+        if len(config.gains) != gains:
+            raise InputError(
+                f"the network was made for the gains {', '.join(config.gains)}, the env offers {gains}: "
+                "make the env with gains=... of the same names"
+            )
+        self.network = CandidateNetwork(config)
+
+    def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Scores of all rows, then the value."""
+        scores, value = self.network(observations)
+        return torch.cat([scores, value[:, None]], dim=-1)
+
+
+class _Split(nn.Module):
+    """Takes scores and value apart again, where stable-baselines3 has its two hidden networks."""
+
+    def __init__(self, rows: int) -> None:
+        super().__init__()
+        self.latent_dim_pi, self.latent_dim_vf = rows, 1
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        return features[:, :-1]
+
+    def forward_critic(self, features: Tensor) -> Tensor:
+        return features[:, -1:]
+
+
+class CandidatePolicy(MultiInputActorCriticPolicy):
+    """Actor and critic of the candidate-set network, for stable-baselines3's ``PPO`` and ``A2C``.
+
+    ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its gains;
+    `begin_from` copies a checkpoint of ours.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        action_space: spaces.Discrete,
+        lr_schedule: Any,
+        *,
+        network: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        options.setdefault("features_extractor_class", CandidateExtractor)
+        options.setdefault("features_extractor_kwargs", {"network": network})
+        options["ortho_init"] = False
+        super().__init__(observation_space, action_space, lr_schedule, **options)
+
+    def _build(self, lr_schedule: Any) -> None:
+        self.mlp_extractor = _Split(self.features_dim - 1)  # type: ignore[assignment]
+        self.action_net, self.value_net = nn.Identity(), nn.Identity()  # type: ignore[assignment]
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
+
+    @property
+    def network(self) -> CandidateNetwork:
+        """The network itself, to be saved or copied."""
+        return self.features_extractor.network  # type: ignore[return-value,union-attr]
+
+    def begin_from(self, place: str | os.PathLike[str]) -> None:
+        """Take over the weights of a checkpoint; raises `InputError` if its network is another one."""
+        start = load_network(find_checkpoint(place))
+        if start.config != self.network.config:
+            raise InputError(f"'{place}' holds another network: {start.config}, expected {self.network.config}")
+        self.network.load_state_dict(start.state_dict())

@@ -1,0 +1,115 @@
+"""A checkpoint as a policy: found by name, equal after saving, never a masked row, and light until it decides."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies import POLICIES
+from activestructure_gym.policies.learned import Learned
+from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint
+from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
+from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(3)
+    network = CandidateNetwork(NetworkConfig())
+    with torch.no_grad():
+        network.scorer[-1].weight.normal_()
+    weights = tmp_path_factory.mktemp("run") / "best.safetensors"
+    save_checkpoint(weights, network, {"method": "none"})
+    return weights
+
+
+def test_saved_and_loaded_is_equal_to_the_last_bit(checkpoint: Path, tmp_path: Path, make_observation) -> None:
+    network = load_network(checkpoint)
+    save_checkpoint(tmp_path / "again.safetensors", network, {})
+    tensors = as_tensors({key: value[None] for key, value in make_observation().items()})
+    with torch.no_grad():
+        for one, other in zip(network(tensors), load_network(tmp_path / "again.safetensors")(tensors)):
+            assert torch.equal(one, other)
+    assert json.loads(checkpoint.with_suffix(".json").read_text())["trained"] == {"method": "none"}
+
+
+def test_found_by_every_form_of_its_name(checkpoint: Path) -> None:
+    folder = checkpoint.parent
+    forms = (checkpoint, folder, checkpoint.with_suffix(""), checkpoint.with_suffix(".json"))
+    kinds = [POLICIES.get(f"learned:{place}") for place in forms]
+    assert {kind.spec for kind in kinds} == {kinds[0].spec}
+    assert kinds[0].required_gains == ("pixel", "hole_area")
+    assert POLICIES.get(kinds[0].spec).spec == kinds[0].spec
+    with pytest.raises(InputError, match="no file"):
+        POLICIES.get(f"learned:{folder / 'other'}")
+    with pytest.raises(InputError, match="unknown policy 'learned'"):
+        if "learned" not in POLICIES:
+            POLICIES.get("learned")
+        else:  # our own ships with the package
+            raise InputError("unknown policy 'learned'")
+
+
+def test_a_changed_checkpoint_is_another_policy(checkpoint: Path, tmp_path: Path) -> None:
+    for suffix in (".safetensors", ".json"):
+        (tmp_path / f"copy{suffix}").write_bytes(checkpoint.with_suffix(suffix).read_bytes())
+    spec = POLICIES.get(f"learned:{tmp_path / 'copy'}").spec
+    network = load_network(tmp_path / "copy.safetensors")
+    with torch.no_grad():
+        network.scorer[-1].bias.add_(1.0)
+    save_checkpoint(tmp_path / "copy.safetensors", network, {})
+    with pytest.raises(InputError, match="has changed"):
+        POLICIES.get(spec)
+    assert POLICIES.get(f"learned:{tmp_path / 'copy'}").spec != spec
+
+
+def test_damaged_files_are_told(checkpoint: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.safetensors").write_bytes(b"nothing")
+    (tmp_path / "a.json").write_bytes(checkpoint.with_suffix(".json").read_bytes())
+    with pytest.raises(InputError, match="not those that its JSON describes"):
+        load_network(find_checkpoint(tmp_path / "a"))
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(InputError, match="cannot be read as a checkpoint"):
+        load_network(find_checkpoint(tmp_path / "a"))
+
+
+def test_never_a_masked_row_deterministic_and_picklable(checkpoint: Path, make_observation) -> None:
+    first = POLICIES.get(f"learned:{checkpoint}")()
+    assert isinstance(first, Learned)
+    first.reset(0)
+    second = pickle.loads(pickle.dumps(first))
+    for valid in (1, 2, 9, 16):
+        observation = make_observation(valid=valid)
+        choice = first.act(observation)
+        assert isinstance(choice, int) and observation["action_mask"][choice] == 1
+        assert second.act(observation) == choice
+        json.dumps(first.trace(), allow_nan=False)
+    with pytest.raises(ValueError, match="no candidate is valid"):
+        first.act(make_observation(valid=0))
+
+
+def test_gains_are_found_by_name(checkpoint: Path, make_observation) -> None:
+    policy, other = POLICIES.get(f"learned:{checkpoint}")(), POLICIES.get(f"learned:{checkpoint}")()
+    observation = make_observation()
+    other.bind(("hole_area", "structure", "pixel"))
+    pixel, hole_area = observation["candidate_gains"].T
+    wider = observation | {"candidate_gains": np.stack([hole_area, pixel * 7, pixel], axis=1)}
+    np.testing.assert_array_equal(other.scores(wider), policy.scores(observation))
+
+
+def test_no_ground_truth_is_read_and_nothing_heavy_loaded(checkpoint: Path) -> None:
+    assert not {"coverage", "oracle", "reward"} & {word for key in USED_KEYS for word in key.split("_")}
+    code = (
+        "import sys; from activestructure_gym.policies import POLICIES;"
+        f"POLICIES.get({f'learned:{checkpoint}'!r})();"
+        "print([m for m in ('torch', 'stable_baselines3', 'numba', 'safetensors') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"

@@ -71,7 +71,7 @@ class Comparison:
         """
         policies = self._check_policies()
         hashes = {}
-        with warming_up(self.policies, self.overrides, notify):
+        with warming_up(policies, self.overrides, notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
                 hashes[spec] = self._check_scene(spec).content_hash

@@ -17,6 +17,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
 
 _HASH_DIGITS = 12
+_LONGEST = 80  # characters of a policy in a file's name
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class Job:
     @property
     def name(self) -> str:
         """The name of the job's run directory."""
-        return f"{slug(scene_label(self.scene))}--{slug(self.policy)}--seed{self.seed}--{self.hash}"
+        # A checkpoint's place may be longer than a file's name may be; the hash is over all of it.
+        return f"{slug(scene_label(self.scene))}--{slug(self.policy)[-_LONGEST:]}--seed{self.seed}--{self.hash}"
 
     @property
     def title(self) -> str:

@@ -77,11 +77,13 @@ def make_policy(spec: str) -> Policy:
 def canonical_policy(spec: str) -> str:
     """The one text for a policy: options sorted by name, without those that say what is usual.
 
-    Raises `InputError` like `make_policy` for unknown names and options.
+    A class that is made from its name says in ``spec`` what it is called from anywhere: a checkpoint by its absolute
+    path and its content. Raises `InputError` like `make_policy` for unknown names and options.
     """
     kind, options = _class_and_options(spec)
     usual = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
     name, _, query = spec.partition("?")
+    name = vars(kind).get("spec", name)  # its own, and not that of a class it is derived from
     texts = parse_options(query, f"policy '{spec}'")
     kept = [f"{key}={texts[key]}" for key in sorted(texts) if options[key] != usual.get(key, inspect.Parameter.empty)]
     return f"{name}?{'&'.join(kept)}" if kept else name

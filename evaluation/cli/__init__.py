@@ -18,6 +18,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg scenes     list the scenes known by name, or check one
   asg doctor     say what works here, what does not, and which package is missing
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation
+  asg train      train a learned policy (bc, rank, ppo), or score policies on layouts nobody was trained on
   asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
   asg export     write a run's map as 3D Gaussian splatting PLY or as SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers

@@ -157,6 +157,81 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Train:
+    """Train a learned policy on procedural apartments, or score policies on layouts nobody was trained on.
+
+    bc copies an expert, rank learns the order of its gains, ppo learns from rewards (best from a checkpoint of bc).
+    Commands and what they write: docs/learning.md.
+    """
+
+    what: Annotated[Literal["bc", "rank", "ppo", "score"], tyro.conf.Positional]
+    """The method, or score."""
+    out: str | None = None
+    """The run's directory; runs/<method>-<date>-<time> if not given. Its policy is learned:DIRECTORY."""
+    resume: Switch = False
+    """Go on with the run in --out, with everything as it was begun; no other option is needed."""
+    seed: int = 0
+    """Of everything: layouts, starts, noise, weights. Equal seeds give equal networks on one machine."""
+    workers: int = 0
+    """Processes at a time; 0 is one per core. Changes no result."""
+
+    preset: str = "fast"
+    """fast, default or paper."""
+    frames: int | None = None
+    """Frame budget of every episode; the preset's if not given."""
+    set: tuple[str, ...] = ()
+    """Changes of the configuration, e.g. mapper.iterations=0."""
+    layouts: int = 240
+    """Procedural apartments to train on; of score: apartments to test on, one episode each (24 if not given)."""
+    rooms: tuple[int, ...] = (1, 2, 3)
+    """Rooms of the layouts, in turn."""
+    gains: tuple[str, ...] = ("pixel", "hole_area")
+    """What the policy is told about every candidate."""
+    noise: bool = True
+    """Another sensor noise in every training episode; validation and score are without."""
+    reward: Literal["rate", "auc", "env"] = "rate"
+    """What PPO is paid: new surface per frame spent, the area under the coverage, or the environment's reward."""
+
+    teacher: str = "oracle"
+    """bc, rank: oracle (the true new surface of every candidate), or the gain a greedy expert goes by (hole_area)."""
+    episodes: int = 160
+    """bc, rank: episodes of the expert."""
+    data: str | None = None
+    """bc, rank: directory of the expert's episodes, to share it between runs; --out's own if not given."""
+    epochs: int = 60
+    """bc, rank."""
+    start: str | None = None
+    """ppo: the checkpoint to begin from (a run's directory or a file)."""
+    iterations: int = 150
+    """ppo: of --envs times 128 steps each."""
+    envs: int = 2
+    """ppo: environments at a time; changes results, unlike --workers."""
+    gamma: float = 0.3
+    """ppo: discount per decision."""
+    learning_rate: float | None = None
+    """1e-3; of ppo 3e-4, from a checkpoint 1e-4."""
+    validate_every: int = 10
+    """Epochs or iterations between validations."""
+    validation_layouts: int = 12
+    """Apartments to validate on, one episode each."""
+
+    policies: tuple[str, ...] = ("pixel_only", "hole_area")
+    """score: who plays, beside random and the one-step oracle."""
+    scenes: tuple[str, ...] = ()
+    """score: further scenes, each with an episode per seed."""
+    seeds: tuple[str, ...] = tuple(str(seed) for seed in range(20))
+    """score: of the episodes on --scenes."""
+    baseline: str | None = "pixel_only"
+    """score: whom the others are measured against."""
+
+    def run(self) -> int:
+        """See `train.train`."""
+        from activestructure_gym.evaluation.cli.train import train
+
+        return train(self)
+
+
+@dataclass(frozen=True)
 class Report:
     """Write the report of finished runs: one page that needs nothing else, and tables as Markdown, CSV and LaTeX."""
 
@@ -205,6 +280,7 @@ COMMANDS: dict[str, type[Command]] = {
     "scenes": Scenes,
     "doctor": Doctor,
     "bench": Bench,
+    "train": Train,
     "evaluate": Evaluate,
     "report": Report,
     "export": Export,

@@ -63,10 +63,8 @@ def plane_inputs(observation: Tensors) -> Tensor:  # [B, P, PLANE_INPUTS]
     centroids = table[..., plane_columns("centroid_x", "centroid_y", "centroid_z")]
     (offset,) = plane_columns("offset")
     distance = (normals * position[:, None]).sum(-1, keepdim=True) + table[..., offset, None]
-    area, points, observations, degree = table[..., plane_columns("area", "points", "observations", "degree")].unbind(-1)
-    counts = torch.stack(
-        [area.log1p() / 4, points.log1p() / 10, observations.log1p() / 4, degree.log1p() / 3], dim=-1
-    )
+    counts = table[..., plane_columns("area", "points", "observations", "degree")].log1p()
+    counts = counts / torch.tensor([4.0, 10.0, 4.0, 3.0], device=table.device)
     inputs = torch.cat(
         [
             turned(normals, yaw),

@@ -1,0 +1,139 @@
+"""What decides a training run; equal configurations train equal networks on one machine."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.policies.learned.config import NetworkConfig
+
+METHODS = ("bc", "rank", "ppo")
+REWARDS = ("rate", "auc", "env")
+ORACLE = "oracle"  # the teacher who knows the truth
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """The episodes that are learnt from."""
+
+    layouts: int = 240  # procedural apartments; GenNBV's main finding is that their number matters most
+    rooms: tuple[int, ...] = (1, 2, 3)  # of the layouts, in turn
+    preset: str = "fast"
+    frames: int | None = None  # frame budget; None = the preset's
+    overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields
+    gains: tuple[str, ...] = ("pixel", "hole_area")  # what the policy is told about every candidate
+    max_planes: int = 64
+    noise: bool = True  # sensor noise, another one in every episode
+    episodes_per_layout: int = 8  # in a row: building a layout takes as long as several episodes
+    reward: str = "rate"
+
+    def __post_init__(self) -> None:
+        for name in ("rooms", "gains"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
+        for name in ("layouts", "max_planes", "episodes_per_layout"):
+            _check_whole(name, getattr(self, name))
+        if not self.rooms or not all(isinstance(n, int) and 1 <= n <= 7 for n in self.rooms):
+            raise InputError(f"rooms of the layouts are whole numbers from 1 to 7, got {self.rooms}")
+        if self.reward not in REWARDS:
+            raise unknown_name("reward", self.reward, REWARDS)
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """A method, its world and its constants. Wrong values raise `InputError`."""
+
+    method: str = "bc"
+    seed: int = 0
+    world: WorldConfig = field(default_factory=WorldConfig)
+    planes: int = 32  # sizes of the network, see NetworkConfig
+    candidates: int = 48
+    rounds: int = 2
+    validation_layouts: int = 12  # one episode on each
+    validate_every: int = 10  # epochs, or PPO iterations
+    # Learning from an expert.
+    teacher: str = ORACLE  # "oracle", or the gain a greedy expert goes by
+    episodes: int = 160  # of the expert
+    explore: float = 0.25  # share of the expert's steps that are drawn at random, so that its mistakes are seen too
+    temperature: float = 0.1  # of the soft labels, in shares of the best candidate's score
+    bins: int = 15  # of the ordinal targets (VIN-NBV)
+    epochs: int = 60
+    batch: int = 64  # states
+    # PPO; constants of dossier peers_info_rl C1 where nothing else is said.
+    iterations: int = 150
+    envs: int = 2
+    steps: int = 128  # per env and iteration
+    ppo_epochs: int = 4
+    ppo_batch: int = 64
+    gamma: float = 0.3  # close-greedy (Hestia): far rewards are credited to the wrong view
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.003
+    target_kl: float = 0.05
+    critic_first: int = 5  # iterations in which only the critic learns, where a checkpoint is begun from
+    learning_rate: float | None = None  # None: 1e-3; 1e-4 for PPO from a checkpoint, 3e-4 from nothing
+    start: str | None = None  # checkpoint to begin from, with its content: FILE@1a2b3c4d
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise unknown_name("method", self.method, METHODS)
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise InputError(f"a seed is a whole number from 0 on, got {self.seed!r}")
+        for name in (
+            "validation_layouts", "validate_every", "episodes", "epochs", "batch", "iterations", "envs", "steps",
+            "ppo_epochs", "ppo_batch",
+        ):  # fmt: skip
+            _check_whole(name, getattr(self, name))
+        _check_whole("bins", self.bins, least=2)
+        _check_whole("critic_first", self.critic_first, least=0)
+        for name, low, high in (("explore", 0, 1), ("gamma", 0, 1), ("gae_lambda", 0, 1), ("temperature", 1e-6, 1e6)):
+            if not low <= getattr(self, name) <= high:
+                raise InputError(f"{name} must lie in {low} .. {high}, got {getattr(self, name)}")
+        if self.learning_rate is not None and not self.learning_rate > 0:
+            raise InputError(f"learning_rate must be above 0, got {self.learning_rate}")
+        if self.start is not None and self.method != "ppo":
+            raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
+        if (self.envs * self.steps) % self.ppo_batch == 1:
+            raise InputError(f"ppo_batch {self.ppo_batch} leaves a batch of one step over: choose another")
+        self.network()
+
+    def network(self) -> NetworkConfig:
+        """The shape of the network."""
+        return NetworkConfig(self.world.gains, planes=self.planes, candidates=self.candidates, rounds=self.rounds)
+
+    @property
+    def rate(self) -> float:
+        """The learning rate in use."""
+        if self.learning_rate is not None:
+            return self.learning_rate
+        return 1e-3 if self.method != "ppo" else 1e-4 if self.start else 3e-4
+
+    @property
+    def units(self) -> int:
+        """Epochs, or PPO iterations."""
+        return self.iterations if self.method == "ppo" else self.epochs
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        content = dataclasses.asdict(self)
+        content["world"]["overrides"] = dict(self.world.overrides)
+        return content
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> TrainingConfig:
+        """The configuration that `as_dict` described; raises `InputError` for anything else."""
+        try:
+            values = dict(content)
+            world = dict(values.pop("world"))
+            overrides = {k: tuple(v) if isinstance(v, list) else v for k, v in world.pop("overrides").items()}
+            return cls(**values, world=WorldConfig(**world, overrides=tuple(overrides.items())))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"this is no description of a training run ({type(error).__name__}: {error})") from error
+
+
+def _check_whole(name: str, value: Any, *, least: int = 1) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise InputError(f"{name} must be a whole number of at least {least}, got {value!r}")

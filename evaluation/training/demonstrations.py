@@ -1,0 +1,163 @@
+"""Episodes of an expert, with the expert's gain of every candidate in every state: what bc and rank learn from.
+
+One file per layout, written at once, so that collecting goes on where it was stopped. What a file holds depends on the
+configuration and its number alone, not on how many processes collect.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.store import load_arrays, plain, read_json, write_json
+from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
+from activestructure_gym.evaluation.training.layouts import layout_specs
+from activestructure_gym.evaluation.training.oracle import expert_scores, teacher_gain
+from activestructure_gym.evaluation.training.spreading import spread
+from activestructure_gym.evaluation.training.world import draw_noise, learning_reward, make_env
+from activestructure_gym.policies.learned.config import USED_KEYS
+
+DATA = "demonstrations"
+_DESCRIPTION = "demonstrations.json"
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """States in the order they were visited, episode after episode."""
+
+    observations: dict[str, np.ndarray]  # every entry of USED_KEYS, [N, ...]
+    scores: np.ndarray  # [N, K] the expert's, 0 or more; 0 in rows without a candidate
+    rewards: np.ndarray  # [N] of the step that was taken
+    ends: np.ndarray  # [N] bool: the last state of its episode
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def returns(self, gamma: float) -> np.ndarray:  # [N]
+        """Discounted sums of rewards to the end of each episode."""
+        result, following = np.zeros(len(self.rewards)), 0.0
+        for n in range(len(self.rewards) - 1, -1, -1):
+            following = self.rewards[n] + gamma * (0.0 if self.ends[n] else following)
+            result[n] = following
+        return result
+
+
+def description(config: TrainingConfig) -> dict[str, Any]:
+    """What the demonstrations depend on."""
+    whole = config.as_dict()
+    return {key: whole[key] for key in ("seed", "world", "teacher", "episodes", "explore")}
+
+
+def collect(
+    config: TrainingConfig, directory: Path, *, workers: int = 1, tell: Callable[[int, int], None] = lambda *_: None
+) -> None:
+    """Fill ``directory``; files that are there already are kept. ``tell`` hears how many of how many files there are.
+
+    Raises `InputError` if the directory holds demonstrations made otherwise.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    check_description(config, directory)
+    write_json(directory / _DESCRIPTION, description(config))
+    numbers = list(range(-(-config.episodes // config.world.episodes_per_layout)))
+    missing = [number for number in numbers if not _file(directory, number).is_file()]
+    tell(len(numbers) - len(missing), len(numbers))
+    for done in spread(_write, [(config, directory, number) for number in missing], workers):
+        tell(len(numbers) - len(missing) + done, len(numbers))
+
+
+def check_description(config: TrainingConfig, directory: Path) -> None:
+    """Raise `InputError` if ``directory`` holds demonstrations made otherwise."""
+    if not (directory / _DESCRIPTION).is_file():
+        return
+    found, wanted = read_json(directory / _DESCRIPTION), _as_json(description(config))
+    different = [key for key in wanted if found.get(key) != wanted[key]]
+    if different:
+        raise InputError(
+            f"'{directory}' holds demonstrations made with another {' and '.join(different)}: choose another directory"
+        )
+
+
+def load(config: TrainingConfig, directory: Path) -> Demonstrations:
+    """All of them; raises `InputError` if some are missing or others are there."""
+    check_description(config, directory)
+    numbers = range(-(-config.episodes // config.world.episodes_per_layout))
+    missing = [number for number in numbers if not _file(directory, number).is_file()]
+    if missing:
+        raise InputError(f"'{directory}' lacks {len(missing)} of {len(numbers)} files of demonstrations")
+    files = [load_arrays(_file(directory, number)) for number in numbers]
+    joined = {key: np.concatenate([file[key] for file in files]) for key in files[0]}
+    observations = {key: joined.pop(key) for key in USED_KEYS}
+    return Demonstrations(observations, **joined)
+
+
+def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
+    """The content of file ``number``: the episodes of the expert on one layout."""
+    from activestructure_gym.scenes import load_scene
+
+    world = config.world
+    layouts = layout_specs("train", world.layouts, world.rooms)
+    rng = np.random.default_rng([config.seed, number])
+    # All layouts once before any comes again.
+    order = np.random.default_rng([config.seed, len(layouts)]).permutation(len(layouts))
+    scene = load_scene(layouts[order[number % len(layouts)]])
+    extra = () if config.teacher == ORACLE or config.teacher in world.gains else (config.teacher,)
+    columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}
+    first = number * world.episodes_per_layout
+    for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):
+        noise = draw_noise(rng) if world.noise else None
+        env = make_env(world, scene, gains=(*world.gains, *extra), noise=noise)
+        for state in _episode(config, env, rng):
+            for key, value in state.items():
+                columns[key].append(value)
+        env.close()
+    return {key: np.stack(values) for key, values in columns.items()}
+
+
+def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    observation, info = env.reset(seed=int(rng.integers(2**31)))
+    ended = not observation["action_mask"].any()
+    while not ended:
+        scores = expert_scores(teacher_gain(config.teacher, env, observation), observation)
+        valid = np.flatnonzero(observation["action_mask"])
+        explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
+        action = drawn if explores else int(valid[np.argmax(scores[valid])])
+        state = {key: observation[key] for key in USED_KEYS}
+        state["candidate_gains"] = state["candidate_gains"][:, : len(config.world.gains)]
+        before = info["frames"]
+        observation, reward, terminated, truncated, info = env.step(action)
+        ended = terminated or truncated
+        earned = learning_reward(
+            config.world.reward,
+            share=info["reward/coverage"] / env.reward_config.coverage,
+            frames=info["frames"] - before,
+            left=float(observation["budget"][0]),
+            env_reward=reward,
+        )
+        yield state | {"scores": scores.astype(np.float32), "rewards": earned, "ends": ended}
+
+
+def _write(config: TrainingConfig, directory: Path, number: int) -> None:
+    file = _file(directory, number)
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as stream:
+            np.savez_compressed(stream, **record(config, number))  # type: ignore[arg-type]
+        os.replace(temporary, file)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _file(directory: Path, number: int) -> Path:
+    return directory / f"layout-{number:05d}.npz"
+
+
+def _as_json(content: dict[str, Any]) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads(json.dumps(plain(content)))
+    return result

@@ -1,0 +1,75 @@
+"""One episode of anybody who chooses, and the area under its coverage. Quick: no map is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.evaluation.statistics import area_under
+from activestructure_gym.evaluation.training.config import WorldConfig
+from activestructure_gym.evaluation.training.oracle import oracle_greedy
+from activestructure_gym.evaluation.training.world import make_env
+from activestructure_gym.policies import Policy
+from activestructure_gym.scenes import Scene
+
+Choose = Callable[[ReconstructionEnv, dict[str, np.ndarray]], int]
+
+
+@dataclass(frozen=True)
+class Played:
+    """Coverage over the frames paid."""
+
+    frames: tuple[int, ...]  # after the start and after every step
+    coverage: tuple[float, ...]  # share of the observable surface, 0..1
+    budget: int
+
+    @property
+    def auc(self) -> float:
+        """Mean coverage over the frame budget, 0..1."""
+        return area_under(np.array(self.frames, np.float64), np.array(self.coverage), self.budget)
+
+
+def play(env: ReconstructionEnv, choose: Choose, seed: int) -> Played:
+    """One whole episode."""
+    observation, info = env.reset(seed=seed)
+    frames, coverage = [int(info["frames"])], [env.coverage.share]
+    ended = not observation["action_mask"].any()
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(choose(env, observation))
+        frames.append(int(info["frames"]))
+        coverage.append(env.coverage.share)
+        ended = terminated or truncated
+    return Played(tuple(frames), tuple(coverage), env.config.frame_budget)
+
+
+def play_policy(world: WorldConfig, scene: Scene, policy: Policy, seed: int) -> Played:
+    """One episode of a policy, without sensor noise."""
+    env = make_env(world, scene, gains=policy.required_gains)
+    policy.bind(env.config.gains)
+    policy.reset(seed)
+    return _closed(env, lambda _, observation: policy.act(observation), seed)
+
+
+def play_oracle(world: WorldConfig, scene: Scene, seed: int) -> Played:
+    """One episode of the reference that sees the truth."""
+    return _closed(make_env(world, scene, gains=()), oracle_greedy, seed)
+
+
+def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:
+    """(mean - mean of random) / (mean of oracle - mean of random): 0 is random, 1 is the one-step oracle.
+
+    A ratio of means over the same episodes, since that of a single episode may divide by almost nothing; NaN where
+    the two references are equal.
+    """
+    floor, ceiling = float(np.mean(random)), float(np.mean(oracle))
+    return (float(np.mean(values)) - floor) / (ceiling - floor) if ceiling != floor else float("nan")
+
+
+def _closed(env: ReconstructionEnv, choose: Choose, seed: int) -> Played:
+    try:
+        return play(env, choose, seed)
+    finally:
+        env.close()

@@ -1,0 +1,116 @@
+"""PPO of stable-baselines3 in iterations that each depend on the seed, their number and the weights alone.
+
+Every iteration begins with fresh episodes. An episode that is under way cannot be kept in a file, and this way none has
+to be: what a killed run loses is one iteration, which is done again exactly. The price is the rest of one episode per
+env and iteration.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.runs import (
+    TrainingRun,
+    module_tensors,
+    optimizer_tensors,
+    restore_module,
+    restore_optimizer,
+)
+from activestructure_gym.evaluation.training.supervised import Tell, Validate
+from activestructure_gym.policies.learned.network import CandidateNetwork
+from activestructure_gym.policies.learned.sb3 import CandidatePolicy
+
+MakeEnv = Callable[[], gym.Env[Any, Any]]
+
+
+def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
+    """The envs in this process, or each in a spawned one of its own; which of both changes no result."""
+    # Never forked: a child forked from a process that used numba's or torch's threads hangs.
+    return SubprocVecEnv(list(makers), start_method="spawn") if processes else DummyVecEnv(list(makers))
+
+
+def train_ppo(
+    config: TrainingConfig, envs: VecEnv, run: TrainingRun, validate: Validate, tell: Tell = lambda *_: None
+) -> CandidateNetwork:
+    """Train to the last iteration, from wherever the run is; returns the network as it is then."""
+    torch.manual_seed(config.seed)
+    model = PPO(
+        CandidatePolicy,
+        envs,
+        learning_rate=config.rate,
+        n_steps=config.steps,
+        batch_size=config.ppo_batch,
+        n_epochs=config.ppo_epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        clip_range=config.clip,
+        ent_coef=config.entropy,
+        target_kl=config.target_kl,
+        policy_kwargs={"network": config.network().as_dict()},
+        device="cpu",
+    )
+    model.set_logger(Logger(None, []))
+    policy = model.policy
+    assert isinstance(policy, CandidatePolicy)
+    if config.start is not None:
+        from activestructure_gym.policies.learned import learned_from
+
+        policy.begin_from(learned_from(config.start).checkpoint)
+    if run.tensors:
+        restore_module(policy.network, run.tensors)
+        restore_optimizer(policy.optimizer, run.tensors)
+    elif config.start is not None:
+        # What it begins from counts: fine-tuning that only makes it worse must not replace it.
+        row = dict(validate(policy.network))
+        run.keep_if_best(row, policy.network, 0)
+        tell(0, row)
+
+    while not run.ended:
+        iteration = run.position
+        _seed_everything(config.seed, iteration, envs)
+        model.num_timesteps = iteration * config.envs * config.steps
+        model._n_updates = iteration * config.ppo_epochs
+        model._last_obs = None  # makes stable-baselines3 reset the envs, with the seeds just given
+        _let_learn(policy.network, critic_only=config.start is not None and iteration < config.critic_first)
+        model.learn(config.envs * config.steps, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
+        row = _row(model)
+        if (iteration + 1) % config.validate_every == 0 or iteration + 1 == config.iterations:
+            row |= validate(policy.network)
+        run.finish_unit(row, policy.network, module_tensors(policy.network) | optimizer_tensors(policy.optimizer))
+        tell(run.position, row)
+    return policy.network
+
+
+def _seed_everything(seed: int, iteration: int, envs: VecEnv) -> None:
+    """Stable-baselines3 draws actions from torch's global generator and batches from numpy's."""
+    one, two, three, four = (int(n) for n in np.random.SeedSequence([seed, iteration]).generate_state(4))
+    random.seed(one)
+    np.random.seed(two)  # noqa: NPY002
+    torch.manual_seed(three)
+    envs.seed(four % 2**31)
+
+
+def _let_learn(network: CandidateNetwork, *, critic_only: bool) -> None:
+    for name, parameter in network.named_parameters():
+        parameter.requires_grad_(name.startswith("critic.") or not critic_only)
+
+
+def _row(model: PPO) -> dict[str, float]:
+    """Stable-baselines3's own numbers, and the rewards of the iteration."""
+    row = {name: float(value) for name, value in model.logger.name_to_value.items() if name.startswith("train/")}
+    model.logger.name_to_value.clear()
+    rewards, starts = model.rollout_buffer.rewards, model.rollout_buffer.episode_starts
+    row["rollout/reward_per_step"] = float(rewards.mean())
+    row["rollout/reward_per_episode"] = float(rewards.sum() / max(1.0, starts.sum()))
+    row["rollout/steps_per_episode"] = float(rewards.size / max(1.0, starts.sum()))
+    return row

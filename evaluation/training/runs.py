@@ -1,0 +1,205 @@
+"""The directory of a training run::
+
+    config.json              what was asked for, with versions and machine
+    state.safetensors        weights, optimiser and how far the run is, in one file that is replaced at once
+    best.safetensors, .json  the checkpoint with the best validation so far: `learned:DIRECTORY` is this one
+    last.safetensors, .json  the checkpoint of the last unit
+    log.jsonl                one line per unit (epoch or PPO iteration); no clock in it
+    tensorboard/             the same for TensorBoard, where it is installed
+    demonstrations/          what bc and rank learn from
+    references.json          random and oracle on the validation layouts
+
+A unit's random numbers depend on the seed and its number alone, and its log line is written before its state. So a run
+that was killed at any moment and resumed ends with the same weights and the same log as one that was not.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation import machine
+from activestructure_gym.evaluation.store import json_line, plain, read_json, write_json
+from activestructure_gym.evaluation.training.config import TrainingConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from activestructure_gym.policies.learned.network import CandidateNetwork
+
+CONFIG = "config.json"
+STATE = "state.safetensors"
+LOG = "log.jsonl"
+BEST, LAST = "best.safetensors", "last.safetensors"
+SCORE = "validation/normalised"  # what decides which checkpoint is the best
+_META = "training"
+
+
+def read_config(directory: Path) -> TrainingConfig:
+    """The configuration a run was begun with; raises `InputError` where there is none."""
+    try:
+        content = read_json(directory / CONFIG)["training"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"'{directory}' holds no training run to go on with: no {CONFIG} can be read") from error
+    return TrainingConfig.from_dict(content)
+
+
+class TrainingRun:
+    """A run's directory, opened at its beginning or where it was stopped. Hold the directory while it is open."""
+
+    def __init__(self, directory: Path, config: TrainingConfig) -> None:
+        directory.mkdir(parents=True, exist_ok=True)
+        self.directory, self.config = directory, config
+        self.position = 0  # units done
+        self.best: float | None = None
+        self.facts: dict[str, Any] = {}  # further counters of the method
+        self._tensors: dict[str, torch.Tensor] = {}
+        if (directory / CONFIG).is_file():
+            if read_config(directory) != config:
+                raise InputError(f"'{directory}' holds a training run of another configuration: choose another --out")
+        else:
+            record = {"training": config.as_dict(), "versions": machine.versions(), "hardware": machine.hardware()}
+            write_json(directory / CONFIG, record)
+        self._load()
+        self._cut_log()
+        self._tensorboard = _tensorboard_writer(directory / "tensorboard")
+
+    @property
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """What `save` was given last; empty at the beginning."""
+        return self._tensors
+
+    @property
+    def ended(self) -> bool:
+        """Whether all units are done."""
+        return self.position >= self.config.units
+
+    def finish_unit(
+        self, row: Mapping[str, float], network: CandidateNetwork, tensors: Mapping[str, torch.Tensor], **facts: Any
+    ) -> None:
+        """Log a unit, keep the checkpoint if it is the best, and make the unit one that is done."""
+        self.keep_if_best(row, network, self.position + 1)
+        self.position += 1
+        self._log(row)
+        self._save(tensors, facts)
+        if self.ended:
+            self._checkpoint(LAST, row, network, self.position)
+
+    def keep_if_best(self, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
+        """Keep the network as the best so far, or as the first if nothing is validated."""
+        score = row.get(SCORE)
+        if score is not None and (self.best is None or score > self.best):
+            self.best = score
+            self._checkpoint(BEST, row, network, position)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The log so far."""
+        file = self.directory / LOG
+        if not file.is_file():
+            return []
+        return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines(keepends=True) if _whole(line)]
+
+    def close(self) -> None:
+        """Let go of the log for TensorBoard."""
+        if self._tensorboard is not None:
+            self._tensorboard.close()
+
+    def _checkpoint(self, name: str, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
+        from activestructure_gym.policies.learned.checkpoint import save_checkpoint
+
+        notes = {"configuration": self.config.as_dict(), "unit": position, "log": dict(row)}
+        save_checkpoint(self.directory / name, network, plain(notes) | {"versions": machine.versions()})
+
+    def _log(self, row: Mapping[str, float]) -> None:
+        with open(self.directory / LOG, "a", encoding="utf-8") as file:
+            file.write(json_line({"unit": self.position, **row}))
+            file.flush()
+            os.fsync(file.fileno())
+        if self._tensorboard is not None:
+            for name, value in row.items():
+                self._tensorboard.add_scalar(name, value, self.position)
+            self._tensorboard.flush()
+
+    def _save(self, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
+        from safetensors.torch import save
+
+        self._tensors, self.facts = {name: tensor.contiguous() for name, tensor in tensors.items()}, dict(facts)
+        meta = {"position": self.position, "best": self.best, "facts": self.facts}
+        temporary = self.directory / f".{STATE}.{os.getpid()}.tmp"
+        try:
+            with open(temporary, "wb") as file:
+                file.write(save(self._tensors, {_META: json.dumps(meta)}))
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, self.directory / STATE)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def _load(self) -> None:
+        from safetensors import SafetensorError, safe_open
+
+        for temporary in self.directory.glob(".*.tmp"):
+            temporary.unlink(missing_ok=True)
+        file = self.directory / STATE
+        if not file.is_file():
+            return
+        try:
+            with safe_open(file, "pt") as stored:
+                meta = json.loads(stored.metadata()[_META])
+                self._tensors = {name: stored.get_tensor(name) for name in stored.keys()}
+        except (SafetensorError, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"'{file}' cannot be read ({type(error).__name__}: {error})") from error
+        self.position, self.best, self.facts = meta["position"], meta["best"], meta["facts"]
+
+    def _cut_log(self) -> None:
+        """Forget lines of units whose state was not written any more: they are done again."""
+        kept = [row for row in self.rows() if row["unit"] <= self.position]
+        if not (self.directory / LOG).is_file():
+            return
+        temporary = self.directory / f".{LOG}.{os.getpid()}.tmp"
+        temporary.write_text("".join(json_line(row) for row in kept), encoding="utf-8")
+        os.replace(temporary, self.directory / LOG)
+
+
+def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
+    """An optimiser's moments and counters under flat names."""
+    state = optimizer.state_dict()["state"]
+    return {f"optimizer.{n}.{key}": value for n, entries in state.items() for key, value in entries.items()}
+
+
+def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Undo `optimizer_tensors`."""
+    state: dict[int, dict[str, torch.Tensor]] = {}
+    for name, value in tensors.items():
+        kind, _, rest = name.partition(".")
+        if kind == "optimizer":
+            number, _, key = rest.partition(".")
+            state.setdefault(int(number), {})[key] = value
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+
+
+def module_tensors(module: torch.nn.Module) -> dict[str, torch.Tensor]:
+    """A module's weights under flat names, copied."""
+    return {f"module.{name}": value.detach().clone() for name, value in module.state_dict().items()}
+
+
+def restore_module(module: torch.nn.Module, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Undo `module_tensors`."""
+    module.load_state_dict({n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")})
+
+
+def _whole(line: str) -> bool:
+    return line.endswith("\n") and bool(line.strip())
+
+
+def _tensorboard_writer(directory: Path) -> Any:
+    """TensorBoard's writer, or None where it is not installed: the same numbers stand in the log."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(directory))

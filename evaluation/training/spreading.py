@@ -1,0 +1,54 @@
+"""Calls spread over spawned processes of one thread each, which end when this process does."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process
+from typing import Any
+
+from activestructure_gym.evaluation.threads import capped_environment
+
+
+def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[int]:
+    """Make all calls, here for one worker, else in as many processes; yields how many are made. Errors are raised."""
+    if workers <= 1 or len(calls) <= 1:
+        for done, call in enumerate(calls, start=1):
+            function(*call)
+            yield done
+        return
+    with single_threaded_children():
+        # Never forked: a child forked from a process that used numba's or torch's threads hangs.
+        pool = ProcessPoolExecutor(min(workers, len(calls)), get_context("spawn"), initializer=follow_parent)
+        try:
+            waiting = [pool.submit(function, *call) for call in calls]
+            for done, future in enumerate(as_completed(waiting), start=1):
+                future.result()
+                yield done
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def single_threaded_children() -> Iterator[None]:
+    """Processes that are started in the block use one thread each; libraries read that from their environment."""
+    before = dict(os.environ)
+    os.environ.update(capped_environment(1))
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def follow_parent() -> None:
+    """End this process when its parent does, however that ends: a pool's own pipes stay open among its workers."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

@@ -1,0 +1,110 @@
+"""Learning from an expert: behaviour cloning by soft labels, and ranking by ordinal targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.demonstrations import Demonstrations
+from activestructure_gym.evaluation.training.runs import (
+    TrainingRun,
+    module_tensors,
+    optimizer_tensors,
+    restore_module,
+    restore_optimizer,
+)
+from activestructure_gym.evaluation.training.targets import bin_edges, ordinal, soft_labels, standardised
+from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
+
+Validate = Callable[[CandidateNetwork], Mapping[str, float]]
+Tell = Callable[[int, Mapping[str, float]], None]
+
+_CRITIC_WEIGHT = 0.5  # of the squared error of the value; it reaches the critic alone
+
+
+class OrdinalRanks(nn.Module):
+    """CORAL: one score, and a falling threshold for each border between ranks, P(rank > k) = sigmoid(score + b_k).
+
+    One score for all borders keeps the probabilities in order (Cao et al., "Rank consistent ordinal regression", 2020).
+    """
+
+    def __init__(self, bins: int) -> None:
+        super().__init__()
+        # With a score of 0, the shares of bins of equal mass.
+        above = 1.0 - torch.arange(1, bins) / bins
+        self.thresholds = nn.Parameter(torch.log(above / (1.0 - above)))  # [bins - 1]
+
+    def forward(self, scores: Tensor, ranks: Tensor) -> Tensor:  # [M], [M] int64 -> scalar
+        """Mean over the scores of the summed binary cross-entropies of all borders."""
+        above = (ranks[:, None] > torch.arange(len(self.thresholds))).to(scores.dtype)
+        logits = scores[:, None] + self.thresholds
+        return functional.binary_cross_entropy_with_logits(logits, above, reduction="none").sum(1).mean()
+
+
+def train_supervised(
+    config: TrainingConfig, data: Demonstrations, run: TrainingRun, validate: Validate, tell: Tell = lambda *_: None
+) -> CandidateNetwork:
+    """Train to the last epoch, from wherever the run is; returns the network as it is then."""
+    torch.manual_seed(config.seed)
+    model = nn.ModuleDict({"network": CandidateNetwork(config.network())})
+    if config.method == "rank":
+        model["ranks"] = OrdinalRanks(config.bins)
+    network = model["network"]
+    assert isinstance(network, CandidateNetwork)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.rate)
+    if run.tensors:
+        restore_module(model, run.tensors)
+        restore_optimizer(optimizer, run.tensors)
+
+    inputs = as_tensors(data.observations)
+    targets, returns = _targets(config, data), torch.as_tensor(data.returns(config.gamma), dtype=torch.float32)
+    best = torch.as_tensor(data.scores).argmax(1)
+    batches = -(-len(data) // config.batch)
+    while not run.ended:
+        epoch, sums = run.position, dict.fromkeys(("train/loss", "train/critic_loss", "train/agreement"), 0.0)
+        order = np.random.default_rng([config.seed, epoch]).permutation(len(data))
+        for number, chosen in enumerate(np.array_split(order, batches)):
+            for group in optimizer.param_groups:
+                group["lr"] = _cosine(config.rate, (epoch + number / batches) / config.epochs)
+            rows = torch.as_tensor(chosen)
+            scores, values = network({key: value[rows] for key, value in inputs.items()})
+            valid = inputs["action_mask"][rows] > 0
+            if config.method == "rank":
+                loss = model["ranks"](scores[valid], targets[rows][valid])
+            else:
+                loss = -(targets[rows] * functional.log_softmax(scores, dim=1)).sum(1).mean()
+            critic = functional.mse_loss(values, returns[rows])
+            optimizer.zero_grad()
+            (loss + _CRITIC_WEIGHT * critic).backward()
+            nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+            optimizer.step()
+            share = len(rows) / len(data)
+            sums["train/loss"] += float(loss.detach()) * share
+            sums["train/critic_loss"] += float(critic.detach()) * share
+            sums["train/agreement"] += float((scores.argmax(1) == best[rows]).float().mean()) * share
+        row: dict[str, Any] = dict(sums)
+        if (epoch + 1) % config.validate_every == 0 or epoch + 1 == config.epochs:
+            row |= validate(network)
+        run.finish_unit(row, network, module_tensors(model) | optimizer_tensors(optimizer))
+        tell(run.position, row)
+    return network
+
+
+def _targets(config: TrainingConfig, data: Demonstrations) -> Tensor:  # [N, K]
+    valid = data.observations["action_mask"] > 0
+    scores = data.scores.astype(np.float64)
+    if config.method == "bc":
+        return torch.as_tensor(soft_labels(scores, valid, config.temperature), dtype=torch.float32)
+    heights = standardised(scores, valid)
+    return torch.as_tensor(ordinal(heights, bin_edges(heights[valid], config.bins)))
+
+
+def _cosine(rate: float, share: float) -> float:
+    return 0.5 * rate * (1.0 + math.cos(math.pi * share))

@@ -1,0 +1,38 @@
+"""What is learnt from the scores of an expert: probabilities, or ordinal ranks. Pure functions of arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def soft_labels(scores: np.ndarray, valid: np.ndarray, temperature: float) -> np.ndarray:  # [N, K] x2 -> [N, K]
+    """softmax(score / (largest score x temperature)) over the valid candidates; equal where all are 0."""
+    scores = np.where(valid, scores, -np.inf)
+    most = np.maximum(scores.max(axis=1, keepdims=True), 0.0)
+    with np.errstate(invalid="ignore"):
+        shares = np.where(valid, np.where(most > 0, scores / np.where(most > 0, most, 1.0), 0.0), -np.inf)
+    weights = np.exp((shares - shares.max(axis=1, keepdims=True)) / temperature)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def standardised(scores: np.ndarray, valid: np.ndarray) -> np.ndarray:  # [N, K] x2 -> [N, K]
+    """Scores as standard deviations from the mean of their state's valid candidates; 0 where all are equal.
+
+    Early states offer much and late ones little; within a state only the order matters (VIN-NBV).
+    """
+    count = valid.sum(axis=1, keepdims=True)
+    mean = np.where(valid, scores, 0.0).sum(axis=1, keepdims=True) / count
+    variance = np.where(valid, (scores - mean) ** 2, 0.0).sum(axis=1, keepdims=True) / count
+    deviation = np.sqrt(variance)
+    safe = np.where(deviation > 1e-12, deviation, 1.0)
+    return np.where(valid & (deviation > 1e-12), (scores - mean) / safe, 0.0)
+
+
+def bin_edges(values: np.ndarray, bins: int) -> np.ndarray:  # [V] -> [bins - 1], rising
+    """Borders between bins of equal mass; fewer distinct ones where many values are equal."""
+    return np.quantile(values, np.arange(1, bins) / bins)
+
+
+def ordinal(values: np.ndarray, edges: np.ndarray) -> np.ndarray:  # any shape -> the same, int64 in 0 .. len(edges)
+    """The number of borders below each value."""
+    return np.searchsorted(edges, values, side="left").astype(np.int64)

@@ -1,0 +1,76 @@
+"""How good a network is on layouts it was never trained on, between random choice and the one-step oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.evaluation.store import read_json, write_json
+from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.layouts import layout_specs
+from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
+from activestructure_gym.evaluation.training.runs import SCORE
+from activestructure_gym.evaluation.training.world import make_env
+from activestructure_gym.policies import Random
+from activestructure_gym.policies.base import best_valid
+from activestructure_gym.policies.learned.config import USED_KEYS
+from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
+from activestructure_gym.scenes import Scene, load_scene
+
+_SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
+_FILE = "references.json"
+
+
+def network_choice(network: CandidateNetwork) -> Choose:
+    """The candidate with the highest score, for envs that offer the network's gains in its order."""
+
+    def choose(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
+        with torch.no_grad():
+            scores = network(as_tensors({key: observation[key][None] for key in USED_KEYS}))[0][0]
+        return best_valid(scores.numpy(), observation)
+
+    return choose
+
+
+class Validation:
+    """One episode on each validation layout. The layouts stay in memory; the references are played once per run."""
+
+    def __init__(self, config: TrainingConfig, directory: Path, tell: Callable[[str], None] = lambda _: None) -> None:
+        self._config, self._file, self._tell = config, directory / _FILE, tell
+        self._specs = layout_specs("validation", config.validation_layouts, config.world.rooms)
+        self._scenes: list[Scene] = []
+        self._references: dict[str, list[float]] = {}
+
+    def __call__(self, network: CandidateNetwork) -> dict[str, float]:
+        """``validation/auc``, and ``validation/normalised`` = (x - random) / (oracle - random)."""
+        self._prepare()
+        areas = []
+        for number, scene in enumerate(self._scenes):
+            self._tell(f"validating on layout {number + 1} of {len(self._scenes)}")
+            env = make_env(self._config.world, scene)
+            areas.append(play(env, network_choice(network), _SEED + number).auc)
+            env.close()
+        random, oracle = self._references["random"], self._references["oracle"]
+        return {"validation/auc": float(np.mean(areas)), SCORE: normalised(areas, random, oracle)}
+
+    def _prepare(self) -> None:
+        if self._scenes:
+            return
+        for number, spec in enumerate(self._specs):
+            self._tell(f"preparing validation layout {number + 1} of {len(self._specs)}")
+            self._scenes.append(load_scene(spec))
+        stored: dict[str, Any] = read_json(self._file) if self._file.is_file() else {}
+        if stored.get("layouts") != list(self._specs):
+            stored = {"layouts": list(self._specs), "random": [], "oracle": []}
+            world = self._config.world
+            for number, scene in enumerate(self._scenes):
+                self._tell(f"playing the references on layout {number + 1} of {len(self._specs)}")
+                stored["random"].append(play_policy(world, scene, Random(), _SEED + number).auc)
+                stored["oracle"].append(play_oracle(world, scene, _SEED + number).auc)
+            write_json(self._file, stored)
+        self._references = stored

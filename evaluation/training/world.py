@@ -1,0 +1,119 @@
+"""The env that is learnt in: another layout, start pose and sensor noise, all from the seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from activestructure_gym.config import ReconstructionConfig, configure, replaced
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.envs.observation import observation_space
+from activestructure_gym.evaluation.training.config import WorldConfig
+from activestructure_gym.policies.learned.config import USED_KEYS
+from activestructure_gym.scenes import Scene, load_scene
+
+_PERFECT_SHARE = 0.3  # of the episodes have a sensor without noise, as the comparisons do
+_NOISE_RANGE = (0.5, 2.0)  # times the noise of a Kinect
+_RATE_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
+
+
+def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> ReconstructionConfig:
+    """The configuration of its episodes without noise, with these gains or the world's own."""
+    changes: dict[str, Any] = {"gains": tuple(world.gains if gains is None else gains)}
+    if world.frames is not None:
+        changes["frame_budget"] = world.frames
+    return configure(world.preset, dict(world.overrides) | changes)
+
+
+def make_env(
+    world: WorldConfig, scene: Scene, *, gains: Sequence[str] | None = None, noise: dict[str, Any] | None = None
+) -> ReconstructionEnv:
+    """The full env for one scene. It never ends by how much was seen: that is ground truth."""
+    config = replaced(world_config(world, gains), {"sensor": noise or {}})
+    return ReconstructionEnv(scene, config=config, coverage_target=None, max_planes=world.max_planes)
+
+
+def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
+    """Fields of the sensor's configuration for one episode."""
+    perfect, multiplier, holes = rng.random() < _PERFECT_SHARE, rng.uniform(*_NOISE_RANGE), rng.random() < 0.5
+    if perfect:
+        return {"depth_noise": "none"}
+    return {"depth_noise": "kinect", "noise_multiplier": float(multiplier), "edge_dropout": bool(holes)}
+
+
+def learning_reward(kind: str, *, share: float, frames: int, left: float, env_reward: float) -> float:
+    """What a step is worth to PPO.
+
+    ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left (0..1).
+    "rate": 20 share / (1 + frames / 5), the gain per frame that greedy planners go by, right for a short horizon.
+    "auc": 20 share left, whose sum over an episode is 20 times the area under the coverage after the first frame.
+    "env": the environment's own, which counts metres and not frames.
+    """
+    if kind == "rate":
+        return 20.0 * share / (1.0 + frames / _RATE_FRAMES)
+    if kind == "auc":
+        return 20.0 * share * left
+    return env_reward
+
+
+class TrainingEnv(gym.Env[dict[str, np.ndarray], np.int64]):
+    """Episodes on randomised layouts, with the entries of the observation that a learned policy reads.
+
+    A reset with a seed draws a new layout; resets without one keep it for `WorldConfig.episodes_per_layout` episodes.
+    The end of the budget is a termination here: the budget is part of the observation, and nothing follows it.
+    """
+
+    def __init__(self, world: WorldConfig, layouts: Sequence[str]) -> None:
+        config = world_config(world)
+        self.world, self.layouts = world, tuple(layouts)
+        whole = observation_space(config, world.max_planes)
+        self.observation_space = spaces.Dict({key: whole[key] for key in USED_KEYS})
+        self.action_space = spaces.Discrete(config.views.max_candidates)
+        self.env: ReconstructionEnv | None = None
+        self._scene: Scene | None = None
+        self._episodes_left = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        observation: dict[str, np.ndarray] = {}
+        while not observation or not observation["action_mask"].any():  # nowhere to go: another start
+            if seed is not None or self._episodes_left < 1 or self._scene is None:
+                self._scene = load_scene(self.layouts[int(self.np_random.integers(len(self.layouts)))])
+                self._episodes_left, seed = self.world.episodes_per_layout, None
+            self._episodes_left -= 1
+            self.close()
+            noise = draw_noise(self.np_random) if self.world.noise else None
+            self.env = make_env(self.world, self._scene, noise=noise)
+            observation, info = self.env.reset(seed=int(self.np_random.integers(2**31)))
+        self._frames = info["frames"]
+        return self._used(observation), {"action_mask": info["action_mask"]}
+
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Walk to row ``action`` of the candidate table."""
+        assert self.env is not None, "reset() comes first"
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        frames, self._frames = info["frames"] - self._frames, info["frames"]
+        earned = learning_reward(
+            self.world.reward,
+            share=info["reward/coverage"] / self.env.reward_config.coverage,
+            frames=frames,
+            left=float(observation["budget"][0]),
+            env_reward=reward,
+        )
+        return self._used(observation), earned, terminated or truncated, False, {"action_mask": info["action_mask"]}
+
+    def close(self) -> None:
+        """Let go of the sensor."""
+        if self.env is not None:
+            self.env.close()
+
+    @staticmethod
+    def _used(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {key: observation[key] for key in USED_KEYS}

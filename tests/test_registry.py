@@ -48,3 +48,14 @@ def test_an_error_inside_a_plug_in_stays_what_it_is(tmp_path, monkeypatch: pytes
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(AttributeError, match="tau_and_a_half"):
         Registry("thing", "things").get("asg_broken_plug_in:x")
+
+
+def test_a_family_makes_entries_from_their_names() -> None:
+    things: Registry[str] = Registry("thing", "things")
+    assert things.register_family("made")(str.upper) is str.upper
+    assert things.get("made:of/wood?or=not") == "OF/WOOD?OR=NOT"
+    things.register("made:known")("registered")
+    assert things.get("made:known") == "registered"
+    assert list(things) == ["made:known"]
+    with pytest.raises(InputError, match="unknown thing 'made'"):
+        things.get("made")

@@ -26,6 +26,7 @@ def observation(rng: np.random.Generator, rows: int = 12, valid: int = 8, gains:
         "candidate_planes": rng.integers(0, 2, (rows, 4)).astype(np.int8),
         "plane_mask": np.array([1, 1, 1, 0], np.int8),
         "plane_features": rng.uniform(0, 1, (4, len(PLANE_FEATURES))).astype(np.float32),
+        "plane_edges": np.zeros((4, 4), np.float32),
         "fidelity": np.array([20.0, 25.0], np.float32),
         "pose": np.array([1.0, 2.0, 1.5, 1.0, 0.0, 0.0, 0.0], np.float32),
         "budget": np.array([0.7], np.float32),

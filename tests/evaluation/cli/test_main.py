@@ -36,7 +36,7 @@ def test_version_and_no_argument(capsys):
     assert main([]) == 0 and capsys.readouterr().out.strip() == HELP
 
 
-@pytest.mark.parametrize("command", ["compare", "scenes", "doctor", "bench", "evaluate"])
+@pytest.mark.parametrize("command", ["compare", "scenes", "doctor", "bench", "train", "evaluate"])
 def test_every_command_explains_itself(command, capsys):
     assert main([command, "--help"]) == 0
     assert f"usage: asg {command}" in capsys.readouterr().out
@@ -75,6 +75,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "bx"], ["unknown scene 'bx'", "did you mean 'box'"]),
         (["compare", "--scenes", "box", "--start", "0.01,0.01,1.3,0"], ["start"]),
         (["compare", "--scenes", "box", "--start", "90,90,1.3,0"], ["start"]),
+        (["compare", "--scenes", "box", "--policies", "learned:nowhere"], ["no checkpoint", "nowhere"]),
         (["compare", "--scenes", "box", "--policies", "frontire"], ["unknown policy 'frontire'"]),
         (["compare", "--scenes", "box", "--frames", "0"], ["frame budget must be at least 1, got 0"]),
         (["compare", "--scenes", "box", "--frames", "-5"], ["frame budget must be at least 1, got -5"]),

@@ -3,53 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from stable_baselines3 import PPO
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.learned import CandidatePolicy, with_used_keys
 from activestructure_gym.policies.learned.checkpoint import load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
-
-
-class RandomCandidates(gym.Env[dict[str, Any], np.int64]):
-    """Random observations; one unit of reward for the largest first gain; a masked row ends everything."""
-
-    def __init__(self, make: Any) -> None:
-        self.make, self.steps = make, 0
-        example = make()
-        self.observation_space = spaces.Dict(
-            {key: spaces.Box(-1e4, 1e7, value.shape, np.float32) for key, value in example.items()}
-            | {"rgb": spaces.Box(0, 255, (4, 6, 3), np.uint8)}
-        )
-        self.action_space = spaces.Discrete(len(example["action_mask"]))
-
-    def _observe(self) -> dict[str, Any]:
-        self.last = self.make(valid=int(self.np_random.integers(1, 10)))
-        return {k: v.astype(np.float32) for k, v in self.last.items()} | {"rgb": np.zeros((4, 6, 3), np.uint8)}
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict]:
-        super().reset(seed=seed)
-        self.steps = 0
-        return self._observe(), {}
-
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict]:
-        assert self.last["action_mask"][action] == 1, "a masked row"
-        gains = np.where(self.last["action_mask"], self.last["candidate_gains"][:, 0], -1)
-        self.steps += 1
-        return self._observe(), float(action == gains.argmax()), False, self.steps >= 5, {}
+from tests.policies.learned.toys import RandomCandidates
 
 
 @pytest.fixture
-def model(make_observation) -> PPO:
+def model() -> PPO:
     torch.set_num_threads(1)
-    env = RandomCandidates(make_observation)
+    env = RandomCandidates(images=True)
     return PPO(CandidatePolicy, env, n_steps=64, batch_size=32, n_epochs=2, seed=0, device="cpu")
 
 
@@ -109,8 +79,8 @@ def test_a_policy_begins_from_a_checkpoint(model: PPO, tmp_path: Path) -> None:
         policy.begin_from(tmp_path / "other")
 
 
-def test_unused_entries_can_be_dropped(make_observation) -> None:
-    env = with_used_keys(RandomCandidates(make_observation))
+def test_unused_entries_can_be_dropped() -> None:
+    env = with_used_keys(RandomCandidates(images=True))
     assert set(env.observation_space.spaces) == set(USED_KEYS) == set(env.reset(seed=0)[0])
     with pytest.raises(InputError, match="offers 2"):
         PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(gains=("a", "b", "c")).as_dict()})

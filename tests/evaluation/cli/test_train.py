@@ -1,0 +1,127 @@
+"""``asg train`` from outside: what is refused, what is written, what survives a SIGKILL."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.cli.commands import Train
+from activestructure_gym.evaluation.cli.train import training_config
+
+TINY = [
+    "--layouts", "2", "--frames", "20", "--validation-layouts", "2",
+    "--set", "sensor.width=48", "sensor.height=27", "views.max_candidates=12", "mapper.iterations=0",
+]  # fmt: skip
+BOXES = ("box?seed=1", "box?seed=2&size=5,4,2.6")
+
+
+@pytest.fixture(autouse=True)
+def somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of this test's environment stays: the command caps the threads of its own process."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+
+
+@pytest.fixture
+def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boxes in place of apartments, which take seconds to build."""
+    from activestructure_gym.evaluation.training import demonstrations, layouts, scoring, validation
+
+    for module in (demonstrations, layouts, scoring, validation):
+        monkeypatch.setattr(module, "layout_specs", lambda use, count, rooms: BOXES[:count])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["bc", "--teacher", "deep"], ["unknown gain 'deep'"]),
+        (["bc", "--gains", "pixle"], ["unknown gain 'pixle'", "did you mean 'pixel'"]),
+        (["bc", "--start", "nowhere"], ["no checkpoint", "nowhere"]),
+        (["ppo", "--gamma", "2"], ["gamma", "2"]),
+        (["bc", "--episodes", "0"], ["episodes", "at least 1"]),
+        (["rank", "--preset", "quick"], ["unknown preset 'quick'"]),
+        (["rank", "--workers", "-1"], ["--workers", "-1"]),
+        (["ppo", "--resume"], ["--resume needs --out"]),
+        (["ppo", "--resume", "--out", "nothing"], ["no training run", "nothing"]),
+        (["score", "--policies", "learned:nowhere"], ["no checkpoint", "nowhere"]),
+        (["score", "--baseline", "hole_are"], ["unknown policy 'hole_are'"]),
+        (["score", "--policies", "pixel_only", "--baseline", "hole_area"], ["--baseline is one of"]),
+        (["bc", "--out", "foreign"], ["holds other files"]),
+    ],
+)
+def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_path, capsys) -> None:
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "thesis.tex").touch()
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["train", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("asg: ") and said.count("\n") == 1 and all(word in said for word in words), said
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_options_become_a_configuration() -> None:
+    options = Train("rank", seed=3, rooms=(2,), gains=("pixel,structure",), set=("sensor.width=64",), noise=False)
+    config = training_config(options)
+    assert (config.method, config.seed, config.world.rooms, config.world.noise) == ("rank", 3, (2,), False)
+    assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
+    with pytest.raises(InputError, match="belongs to ppo"):
+        training_config(Train("bc", start=None)).__class__(method="bc", start="x")
+
+
+def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    learn = ["--episodes", "2", "--epochs", "2", "--validate-every", "1", "--workers", "1", *TINY]
+    assert main(["train", "bc", "--out", "bc", *learn]) == 0
+    said = capsys.readouterr().out
+    assert "normalised" in said and "learned:bc" in said
+    description = json.loads((tmp_path / "bc" / "best.json").read_text())
+    assert description["network"]["gains"] == ["pixel", "hole_area"]
+    assert description["trained"]["configuration"]["episodes"] == 2
+    rows = [json.loads(line) for line in (tmp_path / "bc" / "log.jsonl").read_text().splitlines()]
+    assert [row["unit"] for row in rows] == [1, 2] and all("validation/normalised" in row for row in rows)
+
+    assert main(["train", "bc", "--out", "bc", *learn]) == 2
+    assert "add --resume" in capsys.readouterr().err
+    before = (tmp_path / "bc" / "last.safetensors").read_bytes()
+    assert main(["train", "bc", "--out", "bc", "--resume"]) == 0  # it has ended; nothing changes
+    assert (tmp_path / "bc" / "last.safetensors").read_bytes() == before
+    capsys.readouterr()
+
+    score = ["train", "score", "--out", "score", "--policies", "pixel_only,learned:bc", "--workers", "1", *TINY]
+    assert main(score) == 0
+    said = capsys.readouterr().out
+    assert "oracle-greedy" in said and "learned:bc/best" in said
+    assert (tmp_path / "score" / "score.md").read_text().count("`learned:bc/best`") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["bc", "ppo"])
+def test_a_killed_run_goes_on_to_the_same_bytes(method: str, tmp_path: Path) -> None:
+    small = ["--layouts", "2", "--rooms", "1", "--frames", "12", "--validation-layouts", "1", "--workers", "2"]
+    small += ["--set", "views.max_candidates=12", "sensor.width=48", "sensor.height=27", "mapper.iterations=0"]
+    small += ["--episodes", "10", "--epochs", "40"] if method == "bc" else ["--iterations", "3"]
+    small += ["--validate-every", "20"]
+    command = [sys.executable, "-m", "activestructure_gym.evaluation.cli", "train", method]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    whole = subprocess.run([*command, "--out", "whole", *small], env=environment, capture_output=True, text=True)
+    assert whole.returncode == 0, whole.stderr
+    process = subprocess.Popen([*command, "--out", "killed", *small], env=environment)
+    log = tmp_path / "killed" / "log.jsonl"
+    while process.poll() is None and not (log.is_file() and log.read_text().count("\n") >= 1):
+        time.sleep(0.02)
+    assert process.poll() is None, "it ended before it could be killed"
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    again = subprocess.run([*command, "--out", "killed", "--resume"], env=environment, capture_output=True, text=True)
+    assert again.returncode == 0, again.stderr
+    assert "going on" in again.stdout
+    for name in ("last.safetensors", "best.safetensors", "log.jsonl"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name

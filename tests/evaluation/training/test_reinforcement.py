@@ -1,0 +1,97 @@
+"""PPO on random candidates: learns, repeats exactly, goes on where it was killed, and keeps what it began from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+
+from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.reinforcement import train_ppo, vector_env
+from activestructure_gym.evaluation.training.runs import SCORE, TrainingRun
+from activestructure_gym.policies.learned import learned_from
+from activestructure_gym.policies.learned.checkpoint import load_network, save_checkpoint
+from activestructure_gym.policies.learned.network import CandidateNetwork
+from tests.policies.learned.toys import RandomCandidates
+
+CONFIG = TrainingConfig(
+    method="ppo", iterations=3, envs=2, steps=32, ppo_batch=32, ppo_epochs=2, planes=8, candidates=16,
+    validate_every=3, critic_first=1,
+)  # fmt: skip
+
+
+class Killed(Exception):
+    """Stands for a SIGKILL."""
+
+
+def no_validation(network: CandidateNetwork) -> dict[str, float]:
+    return {SCORE: 0.0}
+
+
+def train(config: TrainingConfig, place: Path, tell=lambda *_: None, validate=no_validation, processes=False):
+    torch.set_num_threads(1)
+    envs = vector_env([partial(RandomCandidates, 16, 5)] * config.envs, processes=processes)
+    run = TrainingRun(place, config)
+    try:
+        return train_ppo(config, envs, run, validate, tell), run
+    finally:
+        envs.close()
+
+
+def test_a_killed_run_that_is_resumed_equals_one_that_was_not(tmp_path: Path) -> None:
+    def kill(position: int, row: Mapping[str, float]) -> None:
+        if position == 1:
+            raise Killed
+
+    train(CONFIG, tmp_path / "whole")
+    with pytest.raises(Killed):
+        train(CONFIG, tmp_path / "killed", kill)
+    train(CONFIG, tmp_path / "killed")
+    for name in ("last.safetensors", "log.jsonl", "state.safetensors"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_processes_change_no_result(tmp_path: Path) -> None:
+    train(CONFIG, tmp_path / "one")
+    train(CONFIG, tmp_path / "several", processes=True)
+    for name in ("last.safetensors", "log.jsonl"):
+        assert (tmp_path / "several" / name).read_bytes() == (tmp_path / "one" / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_learns_to_take_the_largest_gain(tmp_path: Path) -> None:
+    config = replace(CONFIG, iterations=40, steps=64, ppo_epochs=4, learning_rate=3e-3, validate_every=40)
+    _, run = train(config, tmp_path)
+    rewards = [row["rollout/reward_per_step"] for row in run.rows()]
+    assert sum(rewards[-3:]) / 3 > max(0.8, 1.5 * rewards[0])
+
+
+def test_what_it_begins_from_is_kept_where_it_only_gets_worse(tmp_path: Path) -> None:
+    torch.manual_seed(5)
+    begun = CandidateNetwork(CONFIG.network())
+    save_checkpoint(tmp_path / "start.safetensors", begun, {})
+    spec = learned_from(str(tmp_path / "start")).spec.removeprefix("learned:")
+    scores = iter([0.9, 0.5])
+    config = replace(CONFIG, start=spec)
+    trained, run = train(config, tmp_path / "run", validate=lambda network: {SCORE: next(scores)})
+    best = load_network(tmp_path / "run" / "best.safetensors").state_dict()
+    assert all(torch.equal(best[name], value) for name, value in begun.state_dict().items())
+    assert run.best == 0.9
+    assert not torch.equal(trained.scorer[0].weight, begun.scorer[0].weight)
+
+
+def test_at_first_only_the_critic_learns(tmp_path: Path) -> None:
+    torch.manual_seed(5)
+    begun = CandidateNetwork(CONFIG.network())
+    save_checkpoint(tmp_path / "start.safetensors", begun, {})
+    spec = learned_from(str(tmp_path / "start")).spec.removeprefix("learned:")
+    trained, _ = train(replace(CONFIG, start=spec, iterations=1), tmp_path / "run")
+    changed = {
+        n.split(".")[0] for n, value in trained.state_dict().items() if not torch.equal(value, begun.state_dict()[n])
+    }
+    assert changed == {"critic"}

@@ -1,0 +1,211 @@
+"""Randomised worlds, the oracle and the episodes played in them; all in the smallest scene there is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.training import demonstrations, oracle, scoring
+from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
+from activestructure_gym.evaluation.training.layouts import layout_specs
+from activestructure_gym.evaluation.training.playing import play_oracle, play_policy
+from activestructure_gym.evaluation.training.world import TrainingEnv, make_env
+from activestructure_gym.policies import POLICIES, Random
+from activestructure_gym.policies.learned.config import USED_KEYS
+from activestructure_gym.scenes import Scene, load_scene
+from activestructure_gym.sensors import RGBDSensor
+from tests.envs.test_contract import digest
+
+SMALL = WorldConfig(
+    frames=25,
+    overrides=(("views.max_candidates", 16), ("sensor.width", 48), ("sensor.height", 27), ("mapper.iterations", 0)),
+    max_planes=12,
+    episodes_per_layout=2,
+)
+BOXES = ("box?seed=1", "box?seed=2&size=5,4,2.6")
+
+
+@pytest.fixture(scope="module")
+def box() -> Scene:
+    return load_scene("box")
+
+
+def test_layouts_are_many_and_those_for_testing_are_others() -> None:
+    uses = {use: set(layout_specs(use, 240, (1, 2, 3))) for use in ("train", "validation", "test")}
+    assert all(len(specs) == 240 for specs in uses.values())
+    assert not uses["train"] & uses["test"] and not uses["train"] & uses["validation"]
+    assert not uses["validation"] & uses["test"]
+    assert layout_specs("train", 4, (1, 2, 3))[3] == "apartment?rooms=1&seed=3"
+    with pytest.raises(InputError, match="at most"):
+        layout_specs("train", 100_001, (1,))
+
+
+def test_episodes_differ_in_layout_start_and_noise_and_repeat_with_the_seed() -> None:
+    env = TrainingEnv(SMALL, BOXES)
+    scenes, starts, sensors = set(), set(), set()
+    for seed in range(6):
+        observation, _ = env.reset(seed=seed)
+        assert set(observation) == set(USED_KEYS) and env.observation_space.contains(observation)
+        for _ in range(2):
+            assert env.env is not None
+            scenes.add(env.env.reconstruction.scene.source)
+            starts.add(env.env.reconstruction.trajectory[0].tobytes())
+            sensors.add(env.env.config.sensor)
+            env.reset()
+    assert len(scenes) == 2 and len(starts) > 4 and len(sensors) > 4
+    assert {sensor.depth_noise for sensor in sensors} == {"none", "kinect"}
+    assert all(sensor.width == 48 for sensor in sensors)
+
+    def rollout() -> list[object]:
+        found: list[object] = [digest(env.reset(seed=3)[0])]
+        for _ in range(3):
+            observation, reward, ended, _, _ = env.step(0)
+            found += [digest(observation), reward]
+            if ended:
+                found.append(digest(env.reset()[0]))
+        return found
+
+    assert rollout() == rollout()
+    env.close()
+
+
+def test_the_end_of_the_budget_is_a_termination_to_a_learner() -> None:
+    env = TrainingEnv(replace(SMALL, frames=2), BOXES[:1])
+    env.reset(seed=0)
+    assert env.step(0)[2:4] == (True, False)
+    env.close()
+
+
+def test_the_oracle_sees_what_the_sensor_then_sees(box: Scene) -> None:
+    env = make_env(SMALL, box)
+    env.reset(seed=1)
+    said = oracle.newly_seen(env)
+    count = len(env.reconstruction.candidates)
+    assert said[:count].max() > 0.02 and not said[count:].any()
+    sensor = RGBDSensor(box, env.config.sensor, np.random.default_rng(0))
+    before = env.coverage.seen.copy()
+    for row in (int(said.argmax()), int(said[:count].argmin())):
+        pose = env.reconstruction.candidates.world_from_camera[row]
+        env.coverage.seen[:] = before
+        env.coverage.add(sensor.capture(pose).depth, sensor.camera, pose)
+        # The reward asks whether one pixel's depth agrees, so it misses some samples at grazing angles.
+        assert said[row] == pytest.approx(env.coverage.share - before.mean(), abs=0.03)
+    env.coverage.seen[:] = True
+    assert not oracle.newly_seen(env).any()
+    env.close()
+
+
+def test_asking_the_oracle_changes_nothing_and_no_policy_can_ask(box: Scene) -> None:
+    def observations(ask: bool) -> list[object]:
+        env, found = make_env(SMALL, box), []
+        observation, info = env.reset(seed=2)
+        for _ in range(3):
+            found.append((digest(observation), digest(info)))
+            if ask:
+                oracle.newly_seen(env)
+            observation, _, ended, truncated, info = env.step(0)
+            if ended or truncated:
+                break
+        env.close()
+        return found
+
+    assert observations(ask=True) == observations(ask=False)
+    assert not [name for name in POLICIES if "oracle" in name]
+    with pytest.raises(InputError):
+        make_env(replace(SMALL, gains=("oracle",)), box)
+
+
+def test_the_oracle_is_ahead_of_random_choice(box: Scene) -> None:
+    world = replace(SMALL, frames=40)
+    best = [play_oracle(world, box, seed).auc for seed in range(3)]
+    random = [play_policy(world, box, Random(), seed).auc for seed in range(3)]
+    assert np.mean(best) > np.mean(random)
+    assert play_oracle(world, box, 0).auc == best[0]
+
+
+@pytest.fixture
+def tiny_layouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boxes in place of apartments, which take seconds to build."""
+    for module in (demonstrations, scoring):
+        monkeypatch.setattr(module, "layout_specs", lambda use, count, rooms: BOXES[:count])
+
+
+def test_demonstrations_are_collected_once_and_go_on(tiny_layouts: None, tmp_path: Path) -> None:
+    config = TrainingConfig(world=replace(SMALL, layouts=2), episodes=3)
+    told: list[tuple[int, int]] = []
+    demonstrations.collect(config, tmp_path / "a", tell=lambda *at: told.append(at))
+    assert told == [(0, 2), (1, 2), (2, 2)]
+    data = demonstrations.load(config, tmp_path / "a")
+    assert int(data.ends.sum()) == 3 and data.ends[-1]
+    assert set(data.observations) == set(USED_KEYS)
+    valid = data.observations["action_mask"] > 0
+    assert (data.scores[~valid] == 0).all() and data.scores[valid].max() > 0
+    # The label is the truth, which no entry of the observation is.
+    for key in ("candidate_gains", "candidates"):
+        for column in np.moveaxis(data.observations[key], -1, 0):
+            assert not np.allclose(column[valid], data.scores[valid])
+
+    (tmp_path / "a" / "layout-00001.npz").unlink()
+    with pytest.raises(InputError, match="lacks 1 of 2"):
+        demonstrations.load(config, tmp_path / "a")
+    demonstrations.collect(config, tmp_path / "a")
+    again = demonstrations.load(config, tmp_path / "a")
+    np.testing.assert_array_equal(again.scores, data.scores)
+    with pytest.raises(InputError, match="another teacher"):
+        demonstrations.collect(replace(config, teacher="pixel"), tmp_path / "a")
+
+
+def test_a_greedy_expert_s_labels_are_its_gain(tiny_layouts: None, tmp_path: Path) -> None:
+    config = TrainingConfig(world=replace(SMALL, layouts=1), episodes=1, teacher="structure", explore=0.0)
+    demonstrations.collect(config, tmp_path)
+    data = demonstrations.load(config, tmp_path)
+    assert data.observations["candidate_gains"].shape[-1] == 2  # the expert's own gain is no input
+    assert data.scores.max() > 0
+
+
+def test_the_table_is_between_random_and_the_oracle(tiny_layouts: None, tmp_path: Path) -> None:
+    played = scoring.cells(2, (1,), ["box"], [0, 1])
+    assert [(cell.scene, cell.seed) for cell in played] == [(BOXES[0], 0), (BOXES[1], 1), ("box", 0), ("box", 1)]
+    scoring.play_cells(SMALL, ["pixel_only"], played, tmp_path)
+    rows = {(row.policy, row.group): row for row in scoring.table(tmp_path, ["pixel_only"], played, "pixel_only")}
+    for group in ("box", scoring.LAYOUTS):
+        assert rows["random", group].normalised.value == 0.0 and rows["oracle-greedy", group].normalised.value == 1.0
+        row = rows["pixel_only", group]
+        assert row.episodes == 2 and row.normalised.has_interval and row.lead is None
+        expected = (row.auc - rows["random", group].auc) / (
+            rows["oracle-greedy", group].auc - rows["random", group].auc
+        )
+        assert row.normalised.value == pytest.approx(expected)
+    lead = rows["oracle-greedy", "box"].lead
+    assert lead is not None and lead.value == pytest.approx(1 - rows["pixel_only", "box"].normalised.value)
+    text = scoring.markdown(list(rows.values()), "pixel_only")
+    assert text.count("\n") == 8 and "`oracle-greedy`" in text
+
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*seed*.json")}
+    scoring.play_cells(SMALL, ["pixel_only"], played, tmp_path)  # nothing is played again
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*seed*.json")} == before
+    with pytest.raises(InputError, match="other conditions"):
+        scoring.play_cells(replace(SMALL, frames=30), ["pixel_only"], played, tmp_path)
+
+
+def test_a_checkpoint_is_shown_by_its_last_names() -> None:
+    assert scoring.short_policy("learned:/data/runs/bc/best.safetensors@01234567") == "learned:bc/best"
+    assert scoring.short_policy("pixel_only") == "pixel_only"
+
+
+def test_configurations_are_checked_and_return_from_json() -> None:
+    config = TrainingConfig(method="ppo", world=SMALL, gamma=0.5, start="a.safetensors@01234567")
+    assert TrainingConfig.from_dict(config.as_dict()) == config
+    assert config.rate == 1e-4 and TrainingConfig(method="ppo").rate == 3e-4 and TrainingConfig().rate == 1e-3
+    for wrong in ({"method": "dqn"}, {"seed": -1}, {"gamma": 1.5}, {"epochs": 0}, {"start": "a"}, {"bins": 1}):
+        with pytest.raises(InputError):
+            TrainingConfig(**wrong)
+    for wrong in ({"rooms": ()}, {"rooms": (9,)}, {"reward": "points"}, {"layouts": 0}):
+        with pytest.raises(InputError):
+            WorldConfig(**wrong)
+    with pytest.raises(InputError, match="no description of a training run"):
+        TrainingConfig.from_dict({"method": "bc"})

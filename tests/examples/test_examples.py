@@ -1,0 +1,92 @@
+"""The examples run, in small. That of RLlib needs the extra `rllib`."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.conftest import ROOT
+
+EXAMPLES = ROOT / "examples"
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def in_small(text: str) -> str:
+    """The same program with a box for a room, an update of 8 steps, and only one of them."""
+    text, boxes = re.subn(
+        r'ActiveStructure/Room-v0", ', 'ActiveStructure/Room-v0", scene="box", frame_budget=20, ', text
+    )
+    text, sizes = re.subn(r"n_steps=64, batch_size=64", "n_steps=8, batch_size=8", text)
+    text, steps = re.subn(r"learn\(4096\)", "learn(8)", text)
+    assert (boxes, sizes, steps) == (1, 1, 1)
+    return text
+
+
+def program(text: str) -> list[str]:
+    """Its lines without docstring and empty ones."""
+    return [line for line in re.sub(r'^""".*?"""\n', "", text, flags=re.DOTALL).splitlines() if line.strip()]
+
+
+def test_twelve_lines_of_stable_baselines3(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (EXAMPLES / "sb3_ppo.py").read_text()
+    lines = program(text)
+    assert len(lines) - 1 == 12 and lines[-1].startswith("print(")
+    exec(compile(in_small(text), "sb3_ppo.py", "exec"), {"__name__": "example"})
+    assert "20 frames" in capsys.readouterr().out
+
+
+def test_the_page_shows_the_same_lines() -> None:
+    page = (ROOT / "docs" / "learning.md").read_text()
+    shown = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    text = (EXAMPLES / "sb3_ppo.py").read_text()
+    assert [line for line in shown[0].splitlines() if line.strip()] == program(text)
+
+
+def test_ppo_in_a_single_file(capsys: pytest.CaptureFixture[str]) -> None:
+    example = load("ppo_single_file")
+    args = example.Args(frames=12, num_envs=2, num_steps=6, total_steps=24, minibatch=8, update_epochs=1)
+    args.env_id = "activestructure_gym:ActiveStructure/Room-v0"
+    example.gym.register("BoxForThisTest-v0", lambda **o: example.gym.make(args.env_id, scene="box", **o).unwrapped)
+    try:
+        args.env_id = "BoxForThisTest-v0"
+        history = example.main(args)
+    finally:
+        del example.gym.registry["BoxForThisTest-v0"]
+    assert len(history) == 2 and np.isfinite(history).all() and history[0] > 0
+    assert "update 2: reward per step" in capsys.readouterr().out
+
+
+def test_the_single_file_s_agent_never_takes_a_masked_row(rng: np.random.Generator) -> None:
+    import torch
+
+    from tests.policies.learned.toys import random_observation
+
+    example = load("ppo_single_file")
+    agent = example.Agent(2, 27)
+    for valid in (1, 5, 16):
+        observation = random_observation(rng, 16, valid, 7)
+        distribution, value = agent(example.tensors({key: observation[key][None] for key in example.KEYS}))
+        drawn = distribution.sample(torch.Size([200]))[:, 0].numpy()
+        assert observation["action_mask"][drawn].all() and value.shape == (1,)
+
+
+@pytest.mark.slow
+def test_rllib_runs_two_iterations(tmp_path: Path) -> None:
+    pytest.importorskip("ray.rllib", reason="needs the extra `rllib`", exc_type=ImportError)
+    example = load("rllib_ppo")
+    returns = example.main(example.Args(frames=12, iterations=2, env_runners=0, steps=16))
+    assert len(returns) == 2 and np.isfinite(returns).all()

@@ -181,8 +181,8 @@ class Train:
     """Frame budget of every episode; the preset's if not given."""
     set: tuple[str, ...] = ()
     """Changes of the configuration, e.g. mapper.iterations=0."""
-    layouts: int = 240
-    """Procedural apartments to train on; of score: apartments to test on, one episode each (24 if not given)."""
+    layouts: int | None = None
+    """Procedural apartments to train on (240 if not given); of score: to test on, one episode each (24)."""
     rooms: tuple[int, ...] = (1, 2, 3)
     """Rooms of the layouts, in turn."""
     gains: tuple[str, ...] = ("pixel", "hole_area")

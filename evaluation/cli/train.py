@@ -79,7 +79,7 @@ def _train(options: Train, console: Console, workers: int) -> int:
         return 130
     console.print(
         f"{config.units} {_unit(config)}, {time.monotonic() - began:.0f} s"
-        + ("" if best is None else f"; best validation {best:.3f} (0 = random, 1 = one-step oracle)")
+        + ("" if best is None else f"; best validation: coverage {100 * best:.1f} %")
     )
     console.print(f"Compare it: [bold]asg compare --policies learned:{escape(str(directory))},pixel_only[/]")
     return 0 if validated else 1
@@ -111,7 +111,7 @@ def _world(options: Train, gains: tuple[str, ...]) -> WorldConfig:
     from activestructure_gym.evaluation.training.config import WorldConfig
 
     return WorldConfig(
-        layouts=options.layouts,
+        layouts=WorldConfig().layouts if options.layouts is None else options.layouts,
         rooms=options.rooms,
         preset=options.preset,
         frames=options.frames,
@@ -180,7 +180,6 @@ def _run(
 def _score(options: Train, console: Console, workers: int) -> int:
     from activestructure_gym.evaluation.holding import hold
     from activestructure_gym.evaluation.training import scoring
-    from activestructure_gym.evaluation.training.config import TrainingConfig
     from activestructure_gym.evaluation.training.world import world_config
     from activestructure_gym.policies import canonical_policy, make_policy
 
@@ -188,8 +187,8 @@ def _score(options: Train, console: Console, workers: int) -> int:
     baseline = None if options.baseline is None else canonical_policy(options.baseline)
     if baseline not in (None, *policies, scoring.RANDOM):
         raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
-    layouts = _SCORE_LAYOUTS if options.layouts == TrainingConfig().world.layouts else options.layouts
-    world = dataclasses.replace(_world(options, split_list(options.gains)), layouts=max(1, layouts), noise=False)
+    layouts = _SCORE_LAYOUTS if options.layouts is None else options.layouts
+    world = _world(dataclasses.replace(options, layouts=None), split_list(options.gains))
     for name in policies:
         world_config(world, tuple(make_policy(name).required_gains))
     cells = scoring.cells(layouts, world.rooms, split_scenes(options.scenes), parse_seeds(options.seeds))

@@ -105,7 +105,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     layouts = layout_specs("train", world.layouts, world.rooms)
     rng = np.random.default_rng([config.seed, number])
     # All layouts once before any comes again.
-    order = np.random.default_rng([config.seed, len(layouts)]).permutation(len(layouts))
+    order = np.random.default_rng([config.seed, 0, len(layouts)]).permutation(len(layouts))
     scene = load_scene(layouts[order[number % len(layouts)]])
     extra = () if config.teacher == ORACLE or config.teacher in world.gains else (config.teacher,)
     columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}

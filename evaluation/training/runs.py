@@ -35,7 +35,7 @@ CONFIG = "config.json"
 STATE = "state.safetensors"
 LOG = "log.jsonl"
 BEST, LAST = "best.safetensors", "last.safetensors"
-SCORE = "validation/normalised"  # what decides which checkpoint is the best
+SCORE = "validation/auc"  # what decides which checkpoint is the best
 _META = "training"
 
 
@@ -90,7 +90,7 @@ class TrainingRun:
             self._checkpoint(LAST, row, network, self.position)
 
     def keep_if_best(self, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
-        """Keep the network as the best so far, or as the first if nothing is validated."""
+        """Keep the network if it was validated and is the best so far."""
         score = row.get(SCORE)
         if score is not None and (self.best is None or score > self.best):
             self.best = score

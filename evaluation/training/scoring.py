@@ -6,7 +6,7 @@ intervals are over pairs.
 
 from __future__ import annotations
 
-import dataclasses
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,8 @@ class Cell:
     @property
     def file(self) -> str:
         """Where its results are kept."""
-        return f"{slug(scene_label(self.scene))}--seed{self.seed}.json"
+        mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # two files may have one label
+        return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}.json"
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ def play_cells(
     tell: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
     """Play what is not in ``directory`` yet; each episode is kept as soon as all have played it."""
-    conditions = {"world": dataclasses.asdict(world) | {"overrides": dict(world.overrides)}}
+    conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
+    conditions["overrides"] = dict(world.overrides)
     (directory / _EPISODES).mkdir(parents=True, exist_ok=True)
     record = directory / "score.json"
     if record.is_file() and read_json(record)["conditions"] != _json(conditions):

@@ -56,7 +56,7 @@ class Validation:
             areas.append(play(env, network_choice(network), _SEED + number).auc)
             env.close()
         random, oracle = self._references["random"], self._references["oracle"]
-        return {"validation/auc": float(np.mean(areas)), SCORE: normalised(areas, random, oracle)}
+        return {SCORE: float(np.mean(areas)), "validation/normalised": normalised(areas, random, oracle)}
 
     def _prepare(self) -> None:
         if self._scenes:

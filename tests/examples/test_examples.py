@@ -59,8 +59,8 @@ def test_the_page_shows_the_same_lines() -> None:
 def test_ppo_in_a_single_file(capsys: pytest.CaptureFixture[str]) -> None:
     example = load("ppo_single_file")
     args = example.Args(frames=12, num_envs=2, num_steps=6, total_steps=24, minibatch=8, update_epochs=1)
-    args.env_id = "activestructure_gym:ActiveStructure/Room-v0"
-    example.gym.register("BoxForThisTest-v0", lambda **o: example.gym.make(args.env_id, scene="box", **o).unwrapped)
+    room = "activestructure_gym:ActiveStructure/Room-v0"
+    example.gym.register("BoxForThisTest-v0", lambda **o: example.gym.make(room, scene="box", **o).unwrapped)
     try:
         args.env_id = "BoxForThisTest-v0"
         history = example.main(args)

@@ -62,7 +62,7 @@ def test_beats_random_on_states_it_was_not_trained_on(method: str, data, fresh, 
     valid = fresh.observations["action_mask"] > 0
     best = fresh.scores.max(1)
     random = float(np.mean([s[v].mean() / b for s, v, b in zip(fresh.scores, valid, best)]))
-    assert random < 0.4 and reached(network, fresh) > 0.8
+    assert reached(network, fresh) > max(0.8, 1.5 * random)
     losses = [row["train/loss"] for row in run.rows()]
     assert len(losses) == 12 and losses[-1] < losses[0]
     assert [SCORE in row for row in run.rows()] == [n % 4 == 3 for n in range(12)]

@@ -88,7 +88,7 @@ def main(args: Args) -> list[float]:
         .env_runners(num_env_runners=args.env_runners, rollout_fragment_length="auto", batch_mode="complete_episodes")
         .training(
             train_batch_size_per_learner=args.steps,
-            minibatch_size=64,
+            minibatch_size=min(64, args.steps),
             num_epochs=4,
             gamma=0.3,
             lambda_=0.95,

@@ -11,11 +11,12 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from activestructure_gym.errors import InputError, unknown_name
 
 T = TypeVar("T")
+Maker = TypeVar("Maker", bound=Callable[[str], Any])
 
 
 class Registry(Generic[T]):
@@ -36,10 +37,10 @@ class Registry(Generic[T]):
 
         return remember
 
-    def register_family(self, name: str) -> Callable[[Callable[[str], T]], Callable[[str], T]]:
+    def register_family(self, name: str) -> Callable[[Maker], Maker]:
         """Decorator for a function that makes the entry of ``name:rest`` from ``rest``."""
 
-        def remember(make: Callable[[str], T]) -> Callable[[str], T]:
+        def remember(make: Maker) -> Maker:
             self._families[name] = make
             return make
 

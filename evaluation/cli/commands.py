@@ -203,7 +203,9 @@ class Train:
     start: str | None = None
     """ppo: the checkpoint to begin from (a run's directory or a file)."""
     iterations: int = 150
-    """ppo: of --envs times 128 steps each."""
+    """ppo: of --envs times --steps steps each."""
+    steps: int = 128
+    """ppo: per environment and iteration."""
     envs: int = 2
     """ppo: environments at a time; changes results, unlike --workers."""
     gamma: float = 0.3

@@ -49,7 +49,7 @@ def train(options: Train) -> int:
 
 def _train(options: Train, console: Console, workers: int) -> int:
     from activestructure_gym.evaluation.holding import hold
-    from activestructure_gym.evaluation.training.runs import CONFIG, STATE, read_config
+    from activestructure_gym.evaluation.training.runs import CONFIG, read_config
 
     if options.resume and not options.out:
         raise InputError("--resume needs --out: the directory of the run to go on with")
@@ -65,10 +65,9 @@ def _train(options: Train, console: Console, workers: int) -> int:
         raise InputError(f"'{directory}' holds a run of {config.method}, not of {options.what}")
     _check(config)
     began = time.monotonic()
-    state = directory / STATE
     try:
         with hold(directory), Live(console) as live:
-            if state.is_file():
+            if begun:
                 console.print(f"going on with {escape(str(directory))}")
             best, validated = _run(config, directory, options, workers, live)
     except KeyboardInterrupt:
@@ -96,7 +95,7 @@ def training_config(options: Train) -> TrainingConfig:
         chosen = learned_from(options.start.removeprefix("learned:"))
         start, gains = chosen.spec.removeprefix("learned:"), chosen.required_gains
     same = (
-        "seed", "teacher", "episodes", "epochs", "iterations", "envs", "gamma", "learning_rate", "validate_every",
+        "seed", "teacher", "episodes", "epochs", "iterations", "steps", "envs", "gamma", "learning_rate", "validate_every",
         "validation_layouts",
     )  # fmt: skip
     return TrainingConfig(

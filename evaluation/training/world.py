@@ -67,6 +67,9 @@ class TrainingEnv(gym.Env[dict[str, np.ndarray], np.int64]):
     The end of the budget is a termination here: the budget is part of the observation, and nothing follows it.
     """
 
+    observation_space: spaces.Dict
+    action_space: spaces.Discrete
+
     def __init__(self, world: WorldConfig, layouts: Sequence[str]) -> None:
         config = world_config(world)
         self.world, self.layouts = world, tuple(layouts)

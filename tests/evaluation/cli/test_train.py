@@ -108,7 +108,7 @@ def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.Cap
 def test_a_killed_run_goes_on_to_the_same_bytes(method: str, tmp_path: Path) -> None:
     small = ["--layouts", "2", "--rooms", "1", "--frames", "12", "--validation-layouts", "1", "--workers", "2"]
     small += ["--set", "views.max_candidates=12", "sensor.width=48", "sensor.height=27", "mapper.iterations=0"]
-    small += ["--episodes", "10", "--epochs", "40"] if method == "bc" else ["--iterations", "3"]
+    small += ["--episodes", "10", "--epochs", "40"] if method == "bc" else ["--iterations", "3", "--steps", "32"]
     small += ["--validate-every", "20"]
     command = [sys.executable, "-m", "activestructure_gym.evaluation.cli", "train", method]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
@@ -116,7 +116,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(method: str, tmp_path: Path) -> 
     assert whole.returncode == 0, whole.stderr
     process = subprocess.Popen([*command, "--out", "killed", *small], env=environment)
     log = tmp_path / "killed" / "log.jsonl"
-    while process.poll() is None and not (log.is_file() and log.read_text().count("\n") >= 1):
+    while process.poll() is None and not (log.is_file() and log.read_text().count("\n") >= 2):
         time.sleep(0.02)
     assert process.poll() is None, "it ended before it could be killed"
     process.send_signal(signal.SIGKILL)

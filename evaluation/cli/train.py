@@ -95,8 +95,8 @@ def training_config(options: Train) -> TrainingConfig:
         chosen = learned_from(options.start.removeprefix("learned:"))
         start, gains = chosen.spec.removeprefix("learned:"), chosen.required_gains
     same = (
-        "seed", "teacher", "episodes", "epochs", "iterations", "steps", "envs", "gamma", "learning_rate", "validate_every",
-        "validation_layouts",
+        "seed", "teacher", "episodes", "epochs", "iterations", "steps", "envs", "gamma", "learning_rate",
+        "validate_every", "validation_layouts",
     )  # fmt: skip
     return TrainingConfig(
         method=options.what,

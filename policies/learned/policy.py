@@ -91,7 +91,8 @@ def learned_from(place: str) -> type[Learned]:
 
 def _policy_of(weights: Path, spec: str) -> type[Learned]:
     gains = read_network_config(weights).gains
-    return type("Learned", (Learned,), {"checkpoint": weights, "spec": spec, "required_gains": gains})
+    about = {"checkpoint": weights, "spec": spec, "required_gains": gains, "__module__": __name__}  # else it is "abc"
+    return type("Learned", (Learned,), about)
 
 
 if SHIPPED.is_file():

@@ -1,0 +1,87 @@
+"""Checkpoints as policies of a comparison: named by place and content, and run like any other."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+import torch
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation import comparison
+from activestructure_gym.evaluation.episode import build
+from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.warmup import WarmMark, all_gains, smallest_job
+from activestructure_gym.policies import POLICIES, canonical_policy
+from activestructure_gym.policies.learned import learned_from
+from activestructure_gym.policies.learned.checkpoint import save_checkpoint
+from activestructure_gym.policies.learned.config import NetworkConfig
+from activestructure_gym.policies.learned.network import CandidateNetwork
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A training run's directory, and the working directory above it."""
+    torch.manual_seed(0)
+    place = tmp_path / ("a_long_name_" * 8) / "run"
+    save_checkpoint(place / "best.safetensors", CandidateNetwork(NetworkConfig(gains=("structure",))), {})
+    monkeypatch.chdir(place.parent)
+    return place
+
+
+def test_a_job_knows_the_checkpoint_from_anywhere_and_its_content(run: Path, monkeypatch) -> None:
+    spec = canonical_policy("learned:run")
+    assert spec.startswith(f"learned:{run}/best.safetensors@")
+    monkeypatch.chdir("/")
+    assert canonical_policy(spec) == spec
+    first = Job(scene="box", policy=spec, seed=0)
+    assert len(first.name.encode()) < 200
+    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(gains=("structure",))), {})
+    with pytest.raises(InputError, match="has changed"):
+        canonical_policy(spec)
+    assert Job(scene="box", policy=canonical_policy(f"learned:{run}"), seed=0).name != first.name
+    assert canonical_policy("pixel_only") == "pixel_only"
+    with pytest.raises(InputError, match="takes no options"):
+        canonical_policy(f"learned:{run}?travel=shared")
+
+
+def test_a_class_derived_from_a_checkpoint_s_is_another_policy(run: Path, monkeypatch) -> None:
+    kind = learned_from("run")
+    monkeypatch.setitem(POLICIES._entries, "mine", type("Mine", (kind,), {}))
+    assert canonical_policy("mine") == "mine" != kind.spec
+
+
+def test_a_checkpoint_spelt_in_two_ways_runs_once(run: Path, monkeypatch) -> None:
+    warmed = []
+    monkeypatch.setattr(comparison, "warming_up", lambda policies, *_: warmed.append(policies) or nullcontext())
+    monkeypatch.setattr(StandardProtocol, "truth", lambda self, scene: None)
+    specs = ["learned:run", f"learned:{run / 'best.safetensors'}", "random"]
+    jobs = comparison.Comparison(["box"], specs, preset="fast").prepare()
+    assert [job.policy for job in jobs] == [canonical_policy("learned:run"), "random"] == warmed[0]
+    assert comparison.Comparison.of(jobs).policies == tuple(warmed[0])
+
+
+def test_the_mark_of_a_warm_up_is_of_the_checkpoint_s_content(run: Path) -> None:
+    def mark() -> WarmMark | None:
+        policies = [canonical_policy("learned:run"), "random"]
+        assert all_gains(policies) == ["structure"]
+        return WarmMark.of(smallest_job(policies, {}), all_gains(policies))
+
+    first = mark()
+    assert first is not None and first == mark()
+    save_checkpoint(run / "best.safetensors", CandidateNetwork(NetworkConfig(gains=("structure",))), {})
+    assert mark() not in (None, first)
+
+
+def test_its_env_offers_the_gains_of_the_checkpoint(run: Path) -> None:
+    from activestructure_gym.scenes import load_scene
+
+    job = Job(scene="box", policy=canonical_policy("learned:run"), seed=0, preset="fast", frame_budget=10)
+    policy, env = build(job, load_scene("box"))
+    assert env.config.gains == ("structure",)
+    observation, _ = env.reset(seed=0)
+    policy.reset(0)
+    assert observation["action_mask"][policy.act(observation)] == 1
+    env.close()

@@ -230,7 +230,7 @@ class Live:
             disable=not console.is_terminal,
         )
         self._task: TaskID | None = None
-        self._steps = 0
+        self._steps, self._tenth = 0, 0
         self._last = (0, time.monotonic())
 
     def __enter__(self) -> Live:
@@ -246,8 +246,9 @@ class Live:
             self._progress.remove_task(self._task)
         self._task = self._progress.add_task(escape(title), total=total, completed=done, numbers="", stage="")
         self._steps, self._last = steps, (done, time.monotonic())
+        self._tenth = 0
         if not self._console.is_terminal:
-            self._console.print(f"{escape(title)}: {done} of {total} done")
+            self._console.print(escape(title) + (f", {done} of {total} done before" if done else ""), highlight=False)
 
     def say(self, stage: str) -> None:
         """What happens just now."""
@@ -258,6 +259,9 @@ class Live:
         """Move the bar of files or episodes."""
         if self._task is not None:
             self._progress.update(self._task, completed=done, total=total)
+        if not self._console.is_terminal and 10 * done // max(1, total) > self._tenth:
+            self._tenth = 10 * done // max(1, total)
+            self._console.print(f"[dim]{done}/{total}", highlight=False)
 
     def unit(self, done: int, row: Mapping[str, float]) -> None:
         """An epoch or an iteration is done."""

@@ -60,7 +60,7 @@ def learning_reward(kind: str, *, share: float, frames: int, left: float, env_re
     return env_reward
 
 
-class TrainingEnv(gym.Env[dict[str, np.ndarray], np.int64]):
+class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
     """Episodes on randomised layouts, with the entries of the observation that a learned policy reads.
 
     A reset with a seed draws a new layout; resets without one keep it for `WorldConfig.episodes_per_layout` episodes.

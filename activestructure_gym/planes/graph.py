@@ -81,8 +81,8 @@ class GraphUpdate:
 class PlaneSceneGraph:
     """Planes of a scene and how they hang together, updated keyframe by keyframe.
 
-    All arrays below are in the order of ``nodes`` and describe the state after the last update. Given the same frames
-    the same graph results; nothing is random.
+    All arrays below are in the order of ``nodes`` and describe the state of the last `assess`, which `update` ends
+    with. Given the same frames the same graph results; nothing is random.
     """
 
     def __init__(self, config: PlaneGraphConfig | None = None) -> None:
@@ -90,30 +90,23 @@ class PlaneSceneGraph:
         self.nodes: list[PlaneNode] = []  # by id
         self.keyframes = 0  # updates so far
         self._next_id = 0
-        self._assess(None)
-        self._find_deficiencies(None)
+        self.assess()
 
     def update(
         self, frame: Frame, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None
     ) -> GraphUpdate:
-        """Detect the planes of a keyframe and join them.
+        """Detect the planes of a keyframe, join them, and assess the graph."""
+        joined = self.integrate(frame)
+        self.assess(space_state=space_state, map_points=map_points)
+        return joined
 
-        ``space_state`` tells whether world points are unknown (0), free (1) or occupied (2); without it only planes
-        and images close a boundary (mode v). ``map_points`` are the map's Gaussians: without them only holes
-        are deficient, not what the map covers too coarsely.
+    def integrate(self, frame: Frame, detection: PlaneDetection | None = None) -> GraphUpdate:
+        """Join a keyframe's segments, by default those that are detected in it, and nothing else.
+
+        Between two decisions an agent takes several keyframes, and only the state at a decision is looked at; so
+        `assess` is a step of its own, without which all arrays stay as they were.
         """
-        detection = segment_planes(frame, self.config.detection)
-        return self.integrate(frame, detection, space_state=space_state, map_points=map_points)
-
-    def integrate(
-        self,
-        frame: Frame,
-        detection: PlaneDetection,
-        *,
-        space_state: SpaceState | None = None,
-        map_points: MapPoints | None = None,
-    ) -> GraphUpdate:
-        """Join segments found elsewhere; `update` in two steps."""
+        detection = detection or segment_planes(frame, self.config.detection)
         first_new = self._next_id
         owner = self._assign(frame, detection.segments)
         touched = sorted(set(owner) - {NO_NODE})
@@ -121,19 +114,6 @@ class PlaneSceneGraph:
             self._fuse(frame, detection, owner, touched)
         merged = self._merge(touched)
         self.keyframes += 1
-        if map_points is None:
-            self._assess(space_state)
-            coarse = None
-        elif default_threads() == 1:
-            self._assess(space_state)
-            coarse = coarse_patches(self.nodes, self.config.quality, map_points)
-        else:
-            # Both read the same nodes, and the patches spend their time in kernels, which leave Python to the rest.
-            with ThreadPoolExecutor(1) as aside:
-                future = aside.submit(coarse_patches, self.nodes, self.config.quality, map_points)
-                self._assess(space_state)
-            coarse = future.result()
-        self._find_deficiencies(coarse)
         stays = {gone: kept for kept, gone in merged}
         ids = []
         for node_id in owner:
@@ -213,6 +193,28 @@ class PlaneSceneGraph:
                     break
         return merged
 
+    def assess(self, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None) -> None:
+        """Work out edges, tree, quality, surprise, deficit and deficiencies of the nodes as they are.
+
+        ``space_state`` tells whether world points are unknown (0), free (1) or occupied (2); without it only planes
+        and images close a boundary (mode v). ``map_points`` are the map's Gaussians: without them only holes
+        are deficient, not what the map covers too coarsely.
+        """
+        quality = self.config.quality
+        if map_points is None:
+            self._assess(space_state)
+            coarse = None
+        elif default_threads() == 1:
+            self._assess(space_state)
+            coarse = coarse_patches(self.nodes, quality, map_points)
+        else:
+            # Both read the same nodes, and the patches spend their time in kernels, which leave Python to the rest.
+            with ThreadPoolExecutor(1) as aside:
+                future = aside.submit(coarse_patches, self.nodes, quality, map_points)
+                self._assess(space_state)
+            coarse = future.result()
+        self.deficiencies: Deficiencies = find_deficiencies(self.nodes, quality, coarse=coarse)
+
     def _assess(self, space_state: SpaceState | None) -> None:
         nodes, config = self.nodes, self.config
         self.normals = np.array([node.normal for node in nodes]).reshape(-1, 3)  # [N, 3]
@@ -234,9 +236,6 @@ class PlaneSceneGraph:
             self.normals, self.centroids, self.edges, self.tree, config.surprise
         )
         self.deficit = information_deficit(self.quality.scores, self.surprise.total)  # [N] gamma, Eq. 10
-
-    def _find_deficiencies(self, coarse: SparsePatches | None) -> None:
-        self.deficiencies: Deficiencies = find_deficiencies(self.nodes, self.config.quality, coarse=coarse)
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
         """Pairs that at least one keyframe showed both of: only those relations have been observed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 
@@ -22,14 +23,21 @@ def _moves(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     the other voxels in the block between its two ends, with how many [26] int64 of those there are.
     """
     strides = np.array([shape[1] * shape[2], shape[2], 1])
-    parts = list(itertools.product((0, 1), repeat=3))
-    jump, cost, corners, count = np.zeros(26, np.int64), np.zeros(26, np.float32), np.zeros((26, 6), np.int64), []
-    for n, move in enumerate(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m)):
-        jump[n], cost[n] = strides @ move, np.linalg.norm(move)
-        between = {int(strides @ np.multiply(move, part)) for part in parts} - {0, int(jump[n])}
-        corners[n, : len(between)] = sorted(between)
-        count.append(len(between))
-    return jump, cost, corners, np.array(count, dtype=np.int64)
+    move, cost, corners, count = _steps()
+    return move @ strides, cost, corners @ strides, count
+
+
+@cache
+def _steps() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """`_moves` in voxels along the three axes instead of offsets: [26, 3], [26], [26, 6, 3], [26]."""
+    moves = [move for move in itertools.product((-1, 0, 1), repeat=3) if any(move)]
+    corners, count = np.zeros((26, 6, 3), np.int64), np.zeros(26, np.int64)
+    for n, move in enumerate(moves):
+        parts = {tuple(a * b for a, b in zip(move, part)) for part in itertools.product((0, 1), repeat=3)}
+        between = sorted(parts - {(0, 0, 0), move})
+        corners[n, : len(between)] = np.reshape(between, (-1, 3))
+        count[n] = len(between)
+    return np.array(moves), np.linalg.norm(moves, axis=1).astype(np.float32), corners, count
 
 
 @kernel

@@ -50,11 +50,13 @@ class ReconstructionConfig:
 
 # Overrides of the defaults above, by field.
 PRESETS: dict[str, dict[str, Any]] = {
-    # For learning and for tests: small images, few iterations, few candidates.
+    # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
+    # depth and stay as they are (docs/performance.md, "Learning-sized environment").
     "fast": {
         "frame_budget": 100,
-        "sensor": {"width": 96, "height": 54},
-        "mapper": {"iterations": 2},
+        "keyframe_every": 20,
+        "sensor": {"width": 96, "height": 54, "supersample": 1},
+        "mapper": {"iterations": 0, "psnr_refresh": 0, "seed_stride": 3},
         "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,)},
     },
     # What comparisons on a CPU use.

@@ -195,9 +195,7 @@ class Reconstruction:
         with self._timed("mapping"):
             self.mapper.observe(frame, iterations=iterations)
         with self._timed("planes"):
-            live = self.mapper.map.parameters[:, : self.mapper.map.count]
-            points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
-            self.planes.update(frame, space_state=self.volume.state_at, map_points=points)
+            self.planes.integrate(frame)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         return frame
 
@@ -231,6 +229,10 @@ class Reconstruction:
                 self.volume, self.pose[:3, 3], min_clearance=config.motion.min_clearance
             )
             self.candidates = self.pool.offer(self.volume, self.distances, self.decisions, self._revisits())
+        with self._timed("planes"):
+            live = self.mapper.map.parameters[:, : self.mapper.map.count]
+            points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
+            self.planes.assess(space_state=self.volume.state_at, map_points=points)
         with self._timed("gains"):
             context = GainContext(
                 mapper=self.mapper,

@@ -82,7 +82,8 @@ class PlaneSceneGraph:
     """Planes of a scene and how they hang together, updated keyframe by keyframe.
 
     All arrays below are in the order of ``nodes`` and describe the state of the last `assess`, which `update` ends
-    with. Given the same frames the same graph results; nothing is random.
+    with; so do the deficiencies, if they are asked for before the next keyframe. Given the same frames the same graph
+    results; nothing is random.
     """
 
     def __init__(self, config: PlaneGraphConfig | None = None) -> None:
@@ -90,6 +91,9 @@ class PlaneSceneGraph:
         self.nodes: list[PlaneNode] = []  # by id
         self.keyframes = 0  # updates so far
         self._next_id = 0
+        self._map_points: MapPoints | None
+        self._coarse: SparsePatches | None
+        self._deficiencies: Deficiencies | None
         self.assess()
 
     def update(
@@ -200,20 +204,24 @@ class PlaneSceneGraph:
         and images close a boundary (mode v). ``map_points`` are the map's Gaussians: without them only holes
         are deficient, not what the map covers too coarsely.
         """
-        quality = self.config.quality
-        if map_points is None:
+        self._map_points, self._coarse, self._deficiencies = map_points, None, None
+        if map_points is None or default_threads() == 1:
             self._assess(space_state)
-            coarse = None
-        elif default_threads() == 1:
+            return
+        # Both read the same nodes, and the patches spend their time in kernels, which leave Python to the rest.
+        with ThreadPoolExecutor(1) as aside:
+            future = aside.submit(coarse_patches, self.nodes, self.config.quality, map_points)
             self._assess(space_state)
-            coarse = coarse_patches(self.nodes, quality, map_points)
-        else:
-            # Both read the same nodes, and the patches spend their time in kernels, which leave Python to the rest.
-            with ThreadPoolExecutor(1) as aside:
-                future = aside.submit(coarse_patches, self.nodes, quality, map_points)
-                self._assess(space_state)
-            coarse = future.result()
-        self.deficiencies: Deficiencies = find_deficiencies(self.nodes, quality, coarse=coarse)
+        self._coarse = future.result()
+
+    @property
+    def deficiencies(self) -> Deficiencies:
+        """Holes of the planes, and what the map covers coarsely; sought when somebody first asks."""
+        if self._deficiencies is None:
+            if self._coarse is None and self._map_points is not None:
+                self._coarse = coarse_patches(self.nodes, self.config.quality, self._map_points)
+            self._deficiencies = find_deficiencies(self.nodes, self.config.quality, coarse=self._coarse)
+        return self._deficiencies
 
     def _assess(self, space_state: SpaceState | None) -> None:
         nodes, config = self.nodes, self.config

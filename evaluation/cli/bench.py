@@ -22,6 +22,7 @@ _TITLES = {
     "grid": "the same jobs by hand and through the supervisor",
     "evaluation": "cost of an episode's evaluation, the truth in the cache",
     "policies": "seconds of a decision, median and quartiles",
+    "env": "where the time of a step goes, milliseconds of processor time",
 }
 
 
@@ -29,6 +30,7 @@ def bench(options: Bench) -> int:
     """Measure and print one table."""
     console = Console(highlight=False)
     scenes = split_list([options.scene] if options.scene else [])
+    size: dict[str, Any]
     if options.what in ("mapping", "growth"):
         from activestructure_gym.evaluation.cli import bench_mapping
 
@@ -59,10 +61,22 @@ def bench(options: Bench) -> int:
             rows = [row for scene in loaded for row in benchmark.detection_rows(scene, sizes=sizes, views=views)]
             costs = [row for scene in loaded for row in benchmark.graph_rows(scene, keyframes=keyframes)]
         print_whole(console, rows_table(costs, title="milliseconds of the planes per decision, 256 candidates"))
+    elif options.what == "env":
+        from activestructure_gym.evaluation.env_benchmark import SCENES, run_env_benchmark
+
+        size = {"rounds": 1, "seconds": 0.5} if options.quick else {}
+        with console.status("measuring the environment") as status:
+            speed, rows = run_env_benchmark(
+                scenes or (["box"] if options.quick else SCENES),
+                preset=options.preset,
+                notify=lambda line: status.update(f"measuring the {escape(line)}"),
+                **size,
+            )
+        print_whole(console, rows_table(speed, title="steps of the environment on this machine"))
     elif options.what == "grid":
         from activestructure_gym.evaluation.grid_benchmark import run_grid_benchmark
 
-        size: dict[str, Any] = {"frames": 8, "seeds": (0,), "repeats": 1} if options.quick else {}
+        size = {"frames": 8, "seeds": (0,), "repeats": 1} if options.quick else {}
         with console.status("measuring the grid") as status:
             chosen = scenes or (["box"] if options.quick else ["room"])
             rows = run_grid_benchmark(chosen, notify=lambda line: status.update(escape(line)), **size)

@@ -97,20 +97,23 @@ class Doctor:
 class Bench:
     """Measure a part on this machine: speed of the sensor or the rasteriser, planes found, quality of maps, cost of
     their growth, what the supervisor of a comparison costs, time of an episode's evaluation and of every policy's
-    decisions."""
+    decisions, steps per second of the environment in one process and in two."""
 
     what: Annotated[
-        Literal["sensor", "splatting", "planes", "mapping", "growth", "grid", "evaluation", "policies"],
+        Literal["sensor", "splatting", "planes", "mapping", "growth", "grid", "evaluation", "policies", "env"],
         tyro.conf.Positional,
     ]
     """The part to measure."""
     scene: str | None = None
     """The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), that are mapped (two
-    apartments), that a grid explores (room), or where policies decide (apartment?rooms=3); separated by commas."""
+    apartments), that a grid explores (room), where policies decide or that steps are taken in (apartment?rooms=3);
+    separated by commas."""
     out: str | None = None
     """Directory for the figure and the numbers of mapping and growth; only printed if not given."""
     quick: Switch = False
-    """Planes, mapping, growth, grid, evaluation and policies in small, to see that they run."""
+    """Planes, mapping, growth, grid, evaluation, policies and env in small, to see that they run."""
+    preset: Annotated[str, tyro.conf.arg(metavar="fast|default|paper")] = "fast"
+    """Of env."""
 
     workloads: tuple[str, ...] = ("W1", "W2", "W3", "W4")
     """Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k

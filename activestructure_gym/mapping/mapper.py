@@ -107,7 +107,9 @@ class Mapper:
         stride, added, dropped, new_share = self._seed(frame, boxes, bared)
         parts = None if dropped else boxes.extended(added)
         index = self._store.append(frame, new_share=new_share)
-        views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
+        views: list[int] = []
+        if iterations:  # choosing them costs as much as drawing one
+            views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
         losses, pruned = self._optimize(views, parts)
         # The new keyframe itself, which has no value yet, and those that have waited longest.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))

@@ -10,7 +10,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
-from activestructure_gym.volume.distance_field import bounding_box, segment_above
+from activestructure_gym.volume.distance_field import bounding_box, cut_out, segment_above
 
 # Live buckets of the queue: steps are at most sqrt(3) voxels long, and so far apart are the seeds' lengths at most.
 _BUCKETS = 16
@@ -243,7 +243,9 @@ def _boxed(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not mask.any():
         return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
     lower, upper = bounding_box(mask)
-    return lower - 1, np.pad(mask[tuple(slice(a, b) for a, b in zip(lower, upper))], 1)
+    border = np.ones(3, dtype=np.int64)
+    # Nothing true lies in the border, so what of the mask is cut out there stays false.
+    return lower - border, cut_out(mask, lower - border, upper + border)
 
 
 def _seeds(

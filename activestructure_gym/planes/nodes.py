@@ -88,8 +88,9 @@ class PlaneNode:
                 offset = (1.0 - share) * self.offset + share * segment.offset
                 length = np.linalg.norm(normal)
                 self.normal, self.offset = normal / length, float(offset / length)
-        weights = np.array([segment.area for segment in segments])
-        seen_normal = np.average([segment.normal for segment in segments], axis=0, weights=weights + 1e-12)
+        weights = np.array([segment.area for segment in segments])[:, None] + 1e-12
+        normals = np.array([segment.normal for segment in segments])
+        seen_normal = (normals * weights).sum(axis=0) / weights.sum(axis=0)
         self.normals = [*self.normals, seen_normal / np.linalg.norm(seen_normal)][-self._window :]
         self.moments += moments
         self.keyframes |= 1 << keyframe

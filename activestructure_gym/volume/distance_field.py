@@ -17,10 +17,24 @@ def bounding_box(
 ) -> tuple[np.ndarray, np.ndarray]:  # ([3] lower, [3] upper) int64 indices, upper exclusive
     """The smallest box that holds all true voxels."""
     lower, upper = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    for axis in range(3):
-        present = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
+    columns = mask.any(axis=2)
+    for axis, some in enumerate((columns.any(axis=1), columns.any(axis=0), mask.any(axis=(0, 1)))):
+        present = np.flatnonzero(some)
         lower[axis], upper[axis] = present[0], present[-1] + 1
     return lower, upper
+
+
+def cut_out(
+    array: np.ndarray,  # [X, Y, Z]
+    lower: np.ndarray,  # [3] int64, may be negative
+    upper: np.ndarray,  # [3] int64, exclusive, may lie beyond the array
+) -> np.ndarray:
+    """A copy of the box from ``lower`` to ``upper``, 0 where it reaches out of the array."""
+    box = np.zeros(tuple(upper - lower), array.dtype)
+    first, last = np.maximum(lower, 0), np.minimum(upper, array.shape)
+    source = tuple(slice(a, b) for a, b in zip(first, last))
+    box[tuple(slice(a, b) for a, b in zip(first - lower, last - lower))] = array[source]
+    return box
 
 
 @kernel

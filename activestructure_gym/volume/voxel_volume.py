@@ -244,8 +244,9 @@ class VoxelVolume:
                 slack = self.config.unknown_slack / self.voxel_size
                 # What lies further outside than the slack cannot be nearer than the shell around the box.
                 border = int(np.ceil(slack)) + 1
-                box = tuple(slice(a, b) for a, b in zip(*distance_field.bounding_box(free)))
-                state = np.pad(self.state, border)[tuple(slice(s.start, s.stop + 2 * border) for s in box)]
+                lower, upper = distance_field.bounding_box(free)
+                box = tuple(slice(a, b) for a, b in zip(lower, upper))
+                state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
                 inner = (slice(border, -border),) * 3
                 any_kind = distance_field.distance_to_cubes(state != FREE)[inner]
                 farthest = float(any_kind.max()) + slack

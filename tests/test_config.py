@@ -36,7 +36,7 @@ def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
 def test_a_mapper_is_chosen_by_name_and_its_fields_replaced() -> None:
     nested = configure("fast", {"mapper": {"name": "splatam", "window": 5}})
     dotted = configure("fast", {"mapper.window": 5, "mapper.name": "splatam"})
-    expected = dataclasses.replace(MAPPERS["splatam"], window=5, iterations=2)  # 2 is the preset's
+    expected = dataclasses.replace(MAPPERS["splatam"], window=5, **PRESETS["fast"]["mapper"])
     assert nested.mapper == dotted.mapper == expected
     assert configure("default", {"mapper.name": "splatam"}).mapper == MAPPERS["splatam"]
     assert configure("default", {"mapper.name": "default"}) == configure()

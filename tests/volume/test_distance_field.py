@@ -31,6 +31,16 @@ def test_without_obstacles_the_distance_is_infinite():
     assert np.isinf(distance_field.distance_to_cubes(np.zeros((3, 4, 5), bool))).all()
 
 
+def test_a_box_that_reaches_out_of_the_array_is_zero_there():
+    array = np.random.default_rng(0).integers(1, 9, (4, 5, 6))
+    for lower, upper in (((-2, 1, 0), (3, 5, 9)), ((1, 2, 3), (2, 4, 6)), ((-1, -1, -1), (5, 6, 7))):
+        expected = np.pad(array, 3)[tuple(slice(a + 3, b + 3) for a, b in zip(lower, upper))]
+        np.testing.assert_array_equal(distance_field.cut_out(array, np.array(lower), np.array(upper)), expected)
+    mask = np.zeros((4, 5, 6), dtype=bool)
+    mask[1, 2:4, 5] = mask[3, 0, 0] = True
+    assert [side.tolist() for side in distance_field.bounding_box(mask)] == [[1, 0, 0], [4, 4, 6]]
+
+
 def test_sampling_equals_scipy_and_is_zero_far_outside():
     rng = np.random.default_rng(2)
     field = rng.random((6, 7, 8)).astype(np.float32)

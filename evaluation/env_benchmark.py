@@ -182,7 +182,7 @@ class Episodes:
     def during(self, seconds: float) -> Round:
         """Episodes for so long."""
         until, parts = time.perf_counter() + seconds, list[Round]()
-        while time.perf_counter() < until:
+        while not parts or time.perf_counter() < until:
             parts.append(self.episode(until))
         stages: defaultdict[str, float] = defaultdict(float)
         for part in parts:

@@ -209,6 +209,19 @@ def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
     assert policy_benchmark.SCENE in capsys.readouterr().out
 
 
+def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
+    from activestructure_gym.evaluation import env_benchmark
+
+    def measured(scenes, *, notify, **options):
+        notify("[scene]")
+        return [{"scene": scenes[0], **options}], [{"stage": "planes", "ms_per_step": 6.25}]
+
+    monkeypatch.setattr(env_benchmark, "run_env_benchmark", measured)
+    assert main(["bench", "env", "--quick", "--preset", "paper"]) == 0
+    out = capsys.readouterr().out
+    assert "box" in out and "paper" in out and "6.25" in out
+
+
 def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
     from activestructure_gym.planes import benchmark
 

@@ -12,7 +12,8 @@ from activestructure_gym import reconstruction as conductor
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along, rotation_angle
-from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
+from activestructure_gym.planes import MapPoints, PlaneSceneGraph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.scenes.surface_samples import uniform_samples
@@ -166,15 +167,15 @@ def test_tracking_replaces_the_reported_pose_everywhere(box: Scene, monkeypatch:
     run = Reconstruction(configure("fast", {"sensor": {**SMALL["sensor"], **NOISY_POSES}, "frame_budget": 40,
                                             "keyframe_every": 5, "mapper.tracking.iterations": 20}))  # fmt: skip
     seen = []
-    integrate, update = VoxelVolume.integrate, PlaneSceneGraph.update
+    integrate, join = VoxelVolume.integrate, PlaneSceneGraph.integrate
     monkeypatch.setattr(
         VoxelVolume, "integrate", lambda self, f, **kw: seen.append(f) or integrate(self, f, **kw)
     )
-    monkeypatch.setattr(PlaneSceneGraph, "update", lambda self, f, **kw: seen.append(f) or update(self, f, **kw))
+    monkeypatch.setattr(PlaneSceneGraph, "integrate", lambda self, f: seen.append(f) or join(self, f))
     run.start(box, 0)
     wander(run)
     assert np.array_equal(run.mapper.keyframes[0].world_from_camera, run.trajectory[0])  # the start is given
-    for kept, in_volume, in_planes in zip(run.mapper.keyframes, seen[::2], seen[1::2]):
+    for kept, in_volume, in_planes in zip(run.mapper.keyframes, seen[::2], seen[1::2], strict=True):
         assert np.array_equal(in_volume.world_from_camera, kept.world_from_camera)
         assert np.array_equal(in_planes.world_from_camera, kept.world_from_camera)
     metres, degrees = keyframe_errors(run)
@@ -244,13 +245,12 @@ def test_the_graph_describes_the_state_at_the_decision(box: Scene) -> None:
     graph = run.planes
     again = PlaneSceneGraph(graph.config)
     again.nodes, again.keyframes = graph.nodes, graph.keyframes
-    again._space_state, again._map_points = graph._space_state, graph._map_points
-    again.assess()
+    live = run.mapper.map.parameters[:, : run.mapper.map.count]
+    again.assess(space_state=run.volume.state_at, map_points=MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE]))
     np.testing.assert_array_equal(again.deficit, graph.deficit)
     np.testing.assert_array_equal(again.tree, graph.tree)
     assert len(graph.deficit) == len(graph.nodes) > 0
-    with pytest.raises(AttributeError, match="defizit"):
-        graph.defizit  # noqa: B018 - asked for to be refused
+    np.testing.assert_array_equal(again.deficiencies.areas, graph.deficiencies.areas)
 
 
 def test_few_keyframes_on_the_way_cost_no_safety() -> None:

@@ -1,8 +1,8 @@
 """Planes: detection in depth images, the Plane Scene Graph over them, its quality and its surprise.
 
 A keyframe goes through `PlaneSceneGraph.update`: segments are found (`detection`), matched to nodes (`matching`),
-fused into them (`nodes`, `surface`), and the graph is assessed anew (`topology`, `quality`, `surprise`). `arrays`
-writes the result into an observation.
+fused into them (`nodes`, `surface`), and the graph is assessed anew (`topology`, `quality`, `surprise`). An episode
+takes the last step once per decision (`integrate`, `assess`). `arrays` writes the result into an observation.
 """
 
 from activestructure_gym.planes.arrays import (

@@ -302,7 +302,8 @@ def graph_rows(
         marks.append(time.perf_counter())
         live = mapper.map.parameters[:, : mapper.map.count]
         points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
-        graph.integrate(frame, detection, space_state=volume.state_at, map_points=points)
+        graph.integrate(frame, detection)
+        graph.assess(space_state=volume.state_at, map_points=points)
         marks.append(time.perf_counter())
         _ = context.visible  # kept for the gains
         marks.append(time.perf_counter())

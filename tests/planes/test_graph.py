@@ -100,6 +100,20 @@ def test_the_same_frames_give_the_same_graph(furnished_room, furnished_views, ne
     assert [node.id for node in first.nodes] == [node.id for node in second.nodes]
 
 
+def test_assessed_once_after_several_keyframes_it_is_as_if_after_each(furnished_room, furnished_views, new_graph):
+    each, once = new_graph(), new_graph()
+    for position, direction in furnished_views[:8]:
+        frame = furnished_room.shoot(position, direction)[0]
+        each.update(frame)
+        once.integrate(frame)
+    assert once.nodes and len(once.areas) == 0  # as of the last assessment
+    once.assess()
+    for name in ("normals", "offsets", "areas", "weights", "edges", "tree", "betweenness", "structural", "deficit"):
+        np.testing.assert_array_equal(getattr(once, name), getattr(each, name))
+    np.testing.assert_array_equal(once.quality.modes, each.quality.modes)
+    np.testing.assert_array_equal(once.deficiencies.centres, each.deficiencies.centres)
+
+
 def test_edges_need_a_common_keyframe(rectangles, new_graph):
     """Two boards side by side, never in one image: near each other, yet their relation was never observed."""
     scene = rectangles().add((2, -1.1, 1), (0.2, 1.0, 0), (0, 0, 1)).add((2, 0.1, 1), (-0.2, 1.0, 0), (0, 0, 1))

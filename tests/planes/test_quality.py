@@ -212,10 +212,10 @@ def test_what_the_map_covers_coarsely_is_deficient_on_any_number_of_threads(rect
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_error_beside_the_assessment_reaches_the_caller(rectangles, new_graph, monkeypatch, threads):
     monkeypatch.setattr(graph_module, "default_threads", lambda: threads)
+    graph, points = new_graph(), MapPoints(np.zeros((2, 4)), np.zeros(2))
     with pytest.raises(ValueError):
-        new_graph().update(
-            whole_board(rectangles).shoot(EYE, AHEAD)[0], map_points=MapPoints(np.zeros((2, 4)), np.zeros(2))
-        )
+        graph.update(whole_board(rectangles).shoot(EYE, AHEAD)[0], map_points=points)
+        graph.deficiencies  # noqa: B018 - where there is one thread they are sought only now
 
 
 def test_known_space_closes_a_boundary(rectangles, new_graph):

@@ -149,7 +149,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         episode_seed = int(self.np_random.integers(2**31))
         self._frame = self.reconstruction.start(scene, episode_seed, start_pose)
         self._coverage = SurfaceCoverage(scene.observable_surface.points, self.reward_config)
-        self._coverage.add(self._frame.depth, self._frame.camera, self.reconstruction.pose)
+        self._count(self._frame, self.reconstruction.pose)
         self._ended = False
         terms = reward_terms(self.reward_config, share_gained=0.0, metres=0.0, invalid=False)
         return self._observe(), self._info(terms, reached=True, invalid=False)
@@ -167,7 +167,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         known = len(episode.keyframe_indices) - len(visit.keyframes)
         for frame, index in zip(visit.keyframes, episode.keyframe_indices[known:]):
             # The true pose: a frame carries the one the sensor reports.
-            self._coverage.add(frame.depth, frame.camera, episode.trajectory[index])
+            self._count(frame, episode.trajectory[index])
             self._frame = frame
         terms = reward_terms(
             self.reward_config,
@@ -207,6 +207,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         """Let go of the sensor; calling it twice does no harm."""
         if self._frame is not None:
             self.reconstruction.sensor.close()
+
+    def _count(self, frame: Frame, pose: np.ndarray) -> None:
+        sensor = self.reconstruction.sensor
+        depth = sensor.true_depth(pose) if self.reward_config.noise_free and sensor.has_depth_noise else frame.depth
+        self._coverage.add(depth, frame.camera, pose)
 
     @property
     def _covered(self) -> bool:

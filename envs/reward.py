@@ -20,9 +20,16 @@ class RewardConfig:
     invalid: float = 0.05  # for choosing a masked action
     tolerance_m: float = 0.05  # a sample is seen if the sensor's depth agrees this well; the C.R. threshold
     tolerance_share: float = 0.01  # of the depth, on top: a pixel is wider far away
+    # Count by the depth there is and not by the measured one: else a noisy sensor pays for looking at the same surface
+    # until its depth happens to agree.
+    noise_free: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.noise_free, bool | np.bool_):
+            raise InputError(f"reward noise_free must be True or False, got {self.noise_free!r}")
         for name, value in vars(self).items():
+            if name == "noise_free":
+                continue
             if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
                 raise InputError(f"reward {name} must be a finite number, got {value!r}")
 

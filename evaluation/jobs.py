@@ -52,7 +52,7 @@ class Job:
         text = json.dumps([__version__, content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
 
-    @property
+    @cached_property
     def name(self) -> str:
         """The name of the job's run directory."""
         # A checkpoint's place may be longer than a file's name may be; the hash is over all of it.
@@ -61,7 +61,16 @@ class Job:
     @property
     def title(self) -> str:
         """What people read."""
-        return f"{scene_label(self.scene)} · {self.policy} · seed {self.seed}"
+        return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
+
+    def shown(self) -> Job:
+        """The job as tables have it: a checkpoint by its short name; hash and name are still those of the job."""
+        label = policy_label(self.policy)
+        if label == self.policy:
+            return self
+        job = dataclasses.replace(self, policy=label)
+        job.__dict__.update(hash=self.hash, name=self.name)
+        return job
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -110,6 +119,20 @@ def scene_labels(specs: Iterable[str]) -> dict[str, str]:
         if len(set(labels.values())) == len(specs):
             return labels
     return {spec: spec for spec in specs}
+
+
+def policy_label(spec: str) -> str:
+    """A short name for a policy: a checkpoint's without the folders it lies in, ``learned:bc@01234567``.
+
+    The digits are those of its content, so that names differ where the checkpoints do. A file that is called ``best``
+    is the checkpoint of the run whose directory it lies in.
+    """
+    family, colon, place = spec.partition(":")
+    path, at, digits = place.partition("?")[0].rpartition("@")
+    if family != "learned" or not colon or not at:
+        return spec
+    file = PurePath(path)
+    return f"learned:{file.parent.name if file.stem == 'best' and file.parent.name else file.stem}@{digits}"
 
 
 def absolute_spec(spec: str) -> str:

@@ -115,7 +115,7 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
                 "run it again"
             )
         job = Job.from_dict(content["config"]["job"])
-        return Run(directory, scene or scene_label(job.scene), job, **content)
+        return Run(directory, scene or scene_label(job.scene), job.shown(), **content)
     except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
         raise InputError(f"'{directory}' cannot be read as a run ({type(error).__name__}: {error})") from error
 

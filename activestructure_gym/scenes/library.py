@@ -38,18 +38,18 @@ def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -
 
 @SCENES.register("room")
 @lru_cache(maxsize=2)
-def _room(*, seed: int = 0, furnished: bool = True) -> Scene:
+def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
     from activestructure_gym.scenes.procedural import make_apartment
 
-    return make_apartment(seed=seed, rooms=1, furnished=furnished)
+    return make_apartment(seed=seed, rooms=1, furnished=furnished, lit=lit)
 
 
 @SCENES.register("apartment")
 @lru_cache(maxsize=2)
-def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True) -> Scene:
+def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
     from activestructure_gym.scenes.procedural import make_apartment
 
-    return make_apartment(seed=seed, rooms=rooms, furnished=furnished)
+    return make_apartment(seed=seed, rooms=rooms, furnished=furnished, lit=lit)
 
 
 def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:

@@ -21,11 +21,12 @@ from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 _BOX_TRIANGLES = 1900  # the box room stays under 2,000
 
 
-def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True) -> Scene:
+def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
     """A furnished apartment with exactly ``rooms`` rooms (1 to 7), the same for the same arguments.
 
     The first room is a living room; with ``rooms=1`` the seed chooses living room, bedroom, study or kitchen in turn.
-    The floor is z = 0, the ceiling 2.7 m, the plan lies in x, y >= 0. Raises `InputError` for other arguments.
+    The floor is z = 0, the ceiling 2.7 m, the plan lies in x, y >= 0. ``lit=False`` leaves light and textures away,
+    which take most of the time: the same triangles in flat colours. Raises `InputError` for other arguments.
     """
     _check_seed(seed)
     if isinstance(rooms, bool) or not isinstance(rooms, int | np.integer) or not 1 <= rooms <= MAX_ROOMS:
@@ -34,7 +35,7 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True) -> 
         )
     plan = plan_apartment(seed=int(seed), rooms=int(rooms), furnished=furnished)
     layout = plan.layout
-    materials = Materials(int(seed))
+    materials = Materials(int(seed), painted=lit)
     builder = MeshBuilder()
     lines = [np.arange(size + 1) * UNIT for size in layout.owner.shape]
     add_shell(builder, layout.owner, lines, lambda *side: _describe_side(layout, materials, *side))
@@ -42,9 +43,12 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True) -> 
     for piece in plan.pieces:
         draw_piece(builder, materials, piece)
     windows = [_window_light(layout, space) for space in layout.spaces if space.kind == "window"]
-    options = f"seed={int(seed)}, rooms={int(rooms)}, furnished={bool(furnished)}"
-    name = f"apartment-{int(rooms)}-{int(seed)}" + ("" if furnished else "-empty")
-    return _finish(name, f"make_apartment({options})", builder.build(), materials, plan.lights, windows)
+    options = f"seed={int(seed)}, rooms={int(rooms)}, furnished={bool(furnished)}" + ("" if lit else ", lit=False")
+    name = f"apartment-{int(rooms)}-{int(seed)}" + ("" if furnished else "-empty") + ("" if lit else "-unlit")
+    source, built = f"make_apartment({options})", builder.build()
+    if not lit:
+        return _scene(name, source, built, materials, built.tint)
+    return _finish(name, source, built, materials, plan.lights, windows)
 
 
 def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> Scene:
@@ -149,15 +153,19 @@ def _finish(
     albedo = (mean[built.face_texture] * built.tint[built.faces[:, 0]]) ** 2.2
     albedo[built.glow[built.faces[:, 0]] > 0] = 0.0  # lamps and panes are light sources; they send nothing back
     light = bake_light(built, caster, face_albedo=albedo.astype(np.float32), lights=lights, windows=windows)
+    scene = _scene(name, source, built, materials, (built.tint * light).astype(np.float32))
+    scene.__dict__["raycaster"] = caster  # already built for the light; the cached property would build it again
+    return scene
+
+
+def _scene(name: str, source: str, built: BuiltMesh, materials: Materials, colors: np.ndarray) -> Scene:
     mesh = SceneMesh(
         vertices=built.vertices,
         faces=built.faces,
-        colors=(built.tint * light).astype(np.float32),
+        colors=colors,
         uv=built.uv,
         face_texture=built.face_texture,
         textures=tuple(materials.textures),
     )
     labels = PartLabels(built.face_part, built.part_names, built.part_structural)
-    scene = Scene(name=name, mesh=mesh, source=source, labels=labels)
-    scene.__dict__["raycaster"] = caster  # already built for the light; the cached property would build it again
-    return scene
+    return Scene(name=name, mesh=mesh, source=source, labels=labels)

@@ -88,8 +88,9 @@ PLAIN: dict[str, Color] = {
 class Materials:
     """Materials by role; ``textures`` grows as roles are used for the first time."""
 
-    def __init__(self, seed: int, *, detail: float = 1.0) -> None:
+    def __init__(self, seed: int, *, detail: float = 1.0, painted: bool = True) -> None:
         self._detail = detail  # factor on the size of all textures
+        self._painted = painted  # False: every texture is one white texel; the same surfaces have one
         self.textures: list[np.ndarray] = []
         self._seed = seed
         self._index: dict[str, int] = {}
@@ -108,8 +109,11 @@ class Materials:
         """The index of a texture of about size x size texels, painted on first use with a generator of its own."""
         if key not in self._index:
             self._index[key] = len(self.textures)
-            rng = np.random.default_rng([self._seed, zlib.crc32(key.encode())])
-            self.textures.append(paint(rng, size=round(size * self._detail), **options))
+            if self._painted:
+                rng = np.random.default_rng([self._seed, zlib.crc32(key.encode())])
+                self.textures.append(paint(rng, size=round(size * self._detail), **options))
+            else:
+                self.textures.append(np.full((1, 1, 3), 255, np.uint8))
         return self._index[key]
 
     def __getitem__(self, role: str) -> Material:

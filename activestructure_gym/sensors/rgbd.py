@@ -103,9 +103,23 @@ class RGBDSensor:
         if config.edge_dropout:
             depth = drop_edges(depth, self.camera, self._rng)
         # Noise first: the range is a promise about what is reported.
-        depth = np.where(depth <= np.float32(config.max_range), depth, np.float32(0.0))
+        depth = self._within_range(depth)
         reported = noisy_pose(pose, self._rng, sigma_m=config.pose_noise_m, sigma_deg=config.pose_noise_deg)
         return Frame(rgb=rgb, depth=depth, world_from_camera=np.array(reported), camera=self.camera)
+
+    @property
+    def has_depth_noise(self) -> bool:
+        """Whether the depth of a frame differs from `true_depth`."""
+        config = self.config
+        return config.edge_dropout or (config.depth_noise != "none" and config.noise_multiplier > 0)
+
+    def true_depth(self, world_from_camera: np.ndarray) -> np.ndarray:  # [H, W] float32 metres, 0 = no return
+        """What `capture` would measure there without an error. Ground truth; draws no random number."""
+        _, depth = self._renderer.render(self.camera, _checked_pose(world_from_camera), supersample=1)
+        return self._within_range(depth)
+
+    def _within_range(self, depth: np.ndarray) -> np.ndarray:
+        return np.where(depth <= np.float32(self.config.max_range), depth, np.float32(0.0))
 
     def close(self) -> None:
         """Let go of threads and graphics contexts; may be called twice."""

@@ -197,8 +197,10 @@ class Train:
 
     teacher: str = "oracle"
     """bc, rank: oracle (the true new surface of every candidate), or the gain a greedy expert goes by (hole_area)."""
-    episodes: int = 160
-    """bc, rank: episodes of the expert."""
+    episodes: int = 480
+    """bc, rank: episodes of the expert, two on each layout."""
+    temperature: float = 0.04
+    """bc: how sharply its probabilities fall with the expert's score; what PPO begins from draws from them."""
     data: str | None = None
     """bc, rank: directory of the expert's episodes, to share it between runs; --out's own if not given."""
     epochs: int = 60
@@ -207,9 +209,9 @@ class Train:
     """ppo: the checkpoint to begin from (a run's directory or a file)."""
     iterations: int = 150
     """ppo: of --envs times --steps steps each."""
-    steps: int = 128
+    steps: int = 64
     """ppo: per environment and iteration."""
-    envs: int = 2
+    envs: int = 4
     """ppo: environments at a time; changes results, unlike --workers."""
     gamma: float = 0.3
     """ppo: discount per decision."""
@@ -217,7 +219,7 @@ class Train:
     """1e-3; of ppo 3e-4, from a checkpoint 1e-4."""
     validate_every: int = 10
     """Epochs or iterations between validations."""
-    validation_layouts: int = 12
+    validation_layouts: int = 36
     """Apartments to validate on, one episode each."""
 
     policies: tuple[str, ...] = ("pixel_only", "hole_area")
@@ -225,9 +227,9 @@ class Train:
     scenes: tuple[str, ...] = ()
     """score: further scenes, each with an episode per seed."""
     seeds: tuple[str, ...] = tuple(str(seed) for seed in range(20))
-    """score: of the episodes on --scenes."""
-    baseline: str | None = "pixel_only"
-    """score: whom the others are measured against."""
+    """score: of the episodes on --scenes; each takes the scene's next start pose."""
+    baseline: tuple[str, ...] = ("pixel_only",)
+    """score: whom the others are measured against, a column for each."""
 
     def run(self) -> int:
         """See `train.train`."""

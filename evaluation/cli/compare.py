@@ -54,6 +54,7 @@ def compare(options: Compare) -> int:
     from activestructure_gym.evaluation.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.engines import Limits, get_engine
     from activestructure_gym.evaluation.holding import hold
+    from activestructure_gym.evaluation.jobs import policy_label
     from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
@@ -84,7 +85,8 @@ def compare(options: Compare) -> int:
                     jobs, directory, live, engine=options.engine, limits=limits, resume=options.resume,
                     command=_command_line(), held=held,
                 )  # fmt: skip
-            return _report(console, result, directory, time.monotonic() - began, options.baseline)
+            baseline = None if options.baseline is None else policy_label(options.baseline)
+            return _report(console, result, directory, time.monotonic() - began, baseline)
     except KeyboardInterrupt:
         if (directory / COMPARISON).is_file():
             print(

@@ -95,8 +95,8 @@ def training_config(options: Train) -> TrainingConfig:
         chosen = learned_from(options.start.removeprefix("learned:"))
         start, gains = chosen.spec.removeprefix("learned:"), chosen.required_gains
     same = (
-        "seed", "teacher", "episodes", "epochs", "iterations", "steps", "envs", "gamma", "learning_rate",
-        "validate_every", "validation_layouts",
+        "seed", "teacher", "episodes", "temperature", "epochs", "iterations", "steps", "envs", "gamma",
+        "learning_rate", "validate_every", "validation_layouts",
     )  # fmt: skip
     return TrainingConfig(
         method=options.what,
@@ -138,19 +138,20 @@ def _run(
 
     from activestructure_gym.evaluation.training import demonstrations
     from activestructure_gym.evaluation.training.runs import BEST, TrainingRun
+    from activestructure_gym.evaluation.training.spreading import one_thread
     from activestructure_gym.evaluation.training.validation import Validation
 
     torch.set_num_threads(1)
+    one_thread()
     run = TrainingRun(directory, config)
     validate = Validation(config, directory, live.say)
     try:
         if config.method == "ppo":
-            from activestructure_gym.evaluation.training.layouts import layout_specs
             from activestructure_gym.evaluation.training.reinforcement import train_ppo, vector_env
             from activestructure_gym.evaluation.training.spreading import single_threaded_children
-            from activestructure_gym.evaluation.training.world import TrainingEnv
+            from activestructure_gym.evaluation.training.world import TrainingEnv, learning_layouts
 
-            layouts = layout_specs("train", config.world.layouts, config.world.rooms)
+            layouts = learning_layouts(config.world, "train", config.world.layouts)
             live.say("starting the environments")
             with single_threaded_children():
                 envs = vector_env(
@@ -167,8 +168,16 @@ def _run(
 
             data = Path(options.data) if options.data else directory / demonstrations.DATA
             live.begin(f"demonstrations of {config.teacher}", 1, 0)
-            demonstrations.collect(config, data, workers=workers, tell=live.files)
+
+            def tell(done: int, total: int) -> None:
+                live.files(done, total)
+                run.timing.save()
+
+            run.timing.switch("collecting")
+            missing = demonstrations.collect(config, data, workers=workers, tell=tell)
             states = demonstrations.load(config, data)
+            if missing:
+                run.timing.count("collecting", len(states))
             live.begin(f"{config.method} on {len(states)} states", config.units, run.position)
             train_supervised(config, states, run, validate, live.unit)
     finally:
@@ -183,9 +192,10 @@ def _score(options: Train, console: Console, workers: int) -> int:
     from activestructure_gym.policies import canonical_policy, make_policy
 
     policies = [canonical_policy(name) for name in split_policies(options.policies)]
-    baseline = None if options.baseline is None else canonical_policy(options.baseline)
-    if baseline not in (None, *policies, scoring.RANDOM):
-        raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
+    baselines = [canonical_policy(name) for name in split_policies(options.baseline)]
+    for baseline in baselines:
+        if baseline not in (*policies, scoring.RANDOM):
+            raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{baseline}'")
     layouts = _SCORE_LAYOUTS if options.layouts is None else options.layouts
     world = _world(dataclasses.replace(options, layouts=None), split_list(options.gains))
     for name in policies:
@@ -196,16 +206,13 @@ def _score(options: Train, console: Console, workers: int) -> int:
         live.begin("episodes", len(cells), 0)
         live.say(f"{len(policies) + 2} policies each, {workers} at a time")
         scoring.play_cells(world, policies, cells, directory, workers=workers, tell=live.files)
-    rows = scoring.table(directory, policies, cells, baseline)
-    text = scoring.markdown(rows, options.baseline)
-    (directory / "score.md").write_text(text, encoding="utf-8")
-    columns = ["episodes on", "policy", "n", "AUC %", "normalised"] + (
-        [f"minus {options.baseline}"] if baseline else []
+    rows = scoring.table(directory, policies, cells, baselines)
+    (directory / "score.md").write_text(scoring.markdown(rows, baselines), encoding="utf-8")
+    shown = plain_table(
+        "mean coverage over the budget; normalised: 0 = random, 1 = one-step oracle; 95 %",
+        *scoring.headings(rows, baselines),
     )
-    shown = plain_table("mean coverage over the budget; normalised: 0 = random, 1 = one-step oracle; 95 %", *columns)
-    for row in rows:
-        entries = [row.group, scoring.short_policy(row.policy), str(row.episodes), f"{row.auc:.1f}"]
-        entries += [scoring.words(row.normalised), *([scoring.words(row.lead)] if baseline else [])]
+    for entries in scoring.entries(rows):
         shown.add_row(*map(escape, entries))
     print_whole(console, shown)
     console.print(f"written: {escape(str(directory / 'score.md'))}")

@@ -18,10 +18,16 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.store import load_arrays, plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
-from activestructure_gym.evaluation.training.layouts import layout_specs
-from activestructure_gym.evaluation.training.oracle import expert_scores, teacher_gain
+from activestructure_gym.evaluation.training.layouts import layout_order
+from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain
 from activestructure_gym.evaluation.training.spreading import spread
-from activestructure_gym.evaluation.training.world import draw_noise, learning_reward, make_env
+from activestructure_gym.evaluation.training.world import (
+    draw_noise,
+    learning_layouts,
+    learning_reward,
+    learning_scene,
+    make_env,
+)
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
@@ -57,8 +63,10 @@ def description(config: TrainingConfig) -> dict[str, Any]:
 
 def collect(
     config: TrainingConfig, directory: Path, *, workers: int = 1, tell: Callable[[int, int], None] = lambda *_: None
-) -> None:
+) -> int:
     """Fill ``directory``; files that are there already are kept. ``tell`` hears how many of how many files there are.
+
+    Returns how many were missing.
 
     Raises `InputError` if the directory holds demonstrations made otherwise.
     """
@@ -70,6 +78,7 @@ def collect(
     tell(len(numbers) - len(missing), len(numbers))
     for done in spread(_write, [(config, directory, number) for number in missing], workers):
         tell(len(numbers) - len(missing) + done, len(numbers))
+    return len(missing)
 
 
 def check_description(config: TrainingConfig, directory: Path) -> None:
@@ -99,15 +108,11 @@ def load(config: TrainingConfig, directory: Path) -> Demonstrations:
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     """The content of file ``number``: the episodes of the expert on one layout."""
-    from activestructure_gym.scenes import load_scene
-
     world = config.world
-    layouts = layout_specs("train", world.layouts, world.rooms)
-    rng = np.random.default_rng([config.seed, number])
-    # All layouts once before any comes again.
-    order = np.random.default_rng([config.seed, 0, len(layouts)]).permutation(len(layouts))
-    scene = load_scene(layouts[order[number % len(layouts)]])
     extra = () if config.teacher == ORACLE or config.teacher in world.gains else (config.teacher,)
+    layouts = learning_layouts(world, "train", world.layouts, (*world.gains, *extra))
+    rng = np.random.default_rng([config.seed, number])
+    scene = learning_scene(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
     columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}
     first = number * world.episodes_per_layout
     for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):
@@ -124,10 +129,11 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
     observation, info = env.reset(seed=int(rng.integers(2**31)))
     ended = not observation["action_mask"].any()
     while not ended:
-        scores = expert_scores(teacher_gain(config.teacher, env, observation), observation)
+        gain = teacher_gain(config.teacher, env, observation)
+        scores = expert_scores(gain, observation)
         valid = np.flatnonzero(observation["action_mask"])
         explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
-        action = drawn if explores else int(valid[np.argmax(scores[valid])])
+        action = drawn if explores else expert_choice(gain, observation)
         state = {key: observation[key] for key in USED_KEYS}
         state["candidate_gains"] = state["candidate_gains"][:, : len(config.world.gains)]
         before = info["frames"]

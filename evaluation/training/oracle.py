@@ -16,6 +16,7 @@ from activestructure_gym.policies.base import best_valid
 
 _SAMPLES = 4000  # of the observable surface, spread evenly: a thousandth of it still shows as 4
 _SIGHT_MARGIN = 2e-3  # metres before a sample that a line of sight spares, as for the observable surface itself
+_NOTHING = 1e-6  # gains below are equal: then the nearest is chosen
 
 
 def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observable surface, 0 in empty rows
@@ -62,6 +63,11 @@ def expert_scores(gain: np.ndarray, observation: dict[str, np.ndarray]) -> np.nd
     return np.maximum(gain, 0.0) * travel_discount(observation) * (observation["action_mask"] > 0)
 
 
+def expert_choice(gain: np.ndarray, observation: dict[str, np.ndarray]) -> int:
+    """Argmax of gain times the travel discount; the nearest where there is nothing to gain."""
+    return best_valid(np.maximum(gain, _NOTHING) * travel_discount(observation), observation)
+
+
 def oracle_greedy(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
-    """The reference: argmax of true new surface times the travel discount; the nearest where there is none."""
-    return best_valid(np.maximum(newly_seen(env), 1e-6) * travel_discount(observation), observation)
+    """The reference: the expert who goes by the true new surface."""
+    return expert_choice(newly_seen(env), observation)

@@ -32,9 +32,9 @@ class Played:
         return area_under(np.array(self.frames, np.float64), np.array(self.coverage), self.budget)
 
 
-def play(env: ReconstructionEnv, choose: Choose, seed: int) -> Played:
-    """One whole episode."""
-    observation, info = env.reset(seed=seed)
+def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None = None) -> Played:
+    """One whole episode, from the pose ``start`` [4, 4] or one that is drawn."""
+    observation, info = env.reset(seed=seed, options=None if start is None else {"start_pose": start})
     frames, coverage = [int(info["frames"])], [env.coverage.share]
     ended = not observation["action_mask"].any()
     while not ended:
@@ -45,17 +45,19 @@ def play(env: ReconstructionEnv, choose: Choose, seed: int) -> Played:
     return Played(tuple(frames), tuple(coverage), env.config.frame_budget)
 
 
-def play_policy(world: WorldConfig, scene: Scene, policy: Policy, seed: int) -> Played:
+def play_policy(
+    world: WorldConfig, scene: Scene, policy: Policy, seed: int, start: np.ndarray | None = None
+) -> Played:
     """One episode of a policy, without sensor noise."""
     env = make_env(world, scene, gains=policy.required_gains)
     policy.bind(env.config.gains)
     policy.reset(seed)
-    return _closed(env, lambda _, observation: policy.act(observation), seed)
+    return _closed(env, lambda _, observation: policy.act(observation), seed, start)
 
 
-def play_oracle(world: WorldConfig, scene: Scene, seed: int) -> Played:
+def play_oracle(world: WorldConfig, scene: Scene, seed: int, start: np.ndarray | None = None) -> Played:
     """One episode of the reference that sees the truth."""
-    return _closed(make_env(world, scene, gains=()), oracle_greedy, seed)
+    return _closed(make_env(world, scene, gains=()), oracle_greedy, seed, start)
 
 
 def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:
@@ -68,8 +70,8 @@ def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequenc
     return (float(np.mean(values)) - floor) / (ceiling - floor) if ceiling != floor else float("nan")
 
 
-def _closed(env: ReconstructionEnv, choose: Choose, seed: int) -> Played:
+def _closed(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | None) -> Played:
     try:
-        return play(env, choose, seed)
+        return play(env, choose, seed, start)
     finally:
         env.close()

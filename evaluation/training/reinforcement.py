@@ -1,24 +1,27 @@
 """PPO of stable-baselines3 in iterations that each depend on the seed, their number and the weights alone.
 
-Every iteration begins with fresh episodes. An episode that is under way cannot be kept in a file, and this way none has
-to be: what a killed run loses is one iteration, which is done again exactly. The price is the rest of one episode per
-env and iteration.
+Every iteration begins with fresh episodes, each env on a layout of its own; all layouts come once before any comes
+again. An episode that is under way cannot be kept in a file, and this way none has to be: what a killed run loses is
+one iteration, which is done again exactly. The price is the rest of one episode per env and iteration.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.runs import (
     TrainingRun,
     module_tensors,
@@ -26,7 +29,9 @@ from activestructure_gym.evaluation.training.runs import (
     restore_module,
     restore_optimizer,
 )
+from activestructure_gym.evaluation.training.spreading import one_thread
 from activestructure_gym.evaluation.training.supervised import Tell, Validate
+from activestructure_gym.evaluation.training.timing import Timing
 from activestructure_gym.policies.learned.network import CandidateNetwork
 from activestructure_gym.policies.learned.sb3 import CandidatePolicy
 
@@ -36,7 +41,15 @@ MakeEnv = Callable[[], gym.Env[Any, Any]]
 def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
     """The envs in this process, or each in a spawned one of its own; which of both changes no result."""
     # Never forked: a child forked from a process that used numba's or torch's threads hangs.
-    return SubprocVecEnv(list(makers), start_method="spawn") if processes else DummyVecEnv(list(makers))
+    if processes:
+        return SubprocVecEnv([partial(on_one_thread, make) for make in makers], start_method="spawn")
+    return DummyVecEnv(list(makers))
+
+
+def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
+    """The env, in a process that uses one thread."""
+    one_thread()
+    return make()
 
 
 def train_ppo(
@@ -62,33 +75,54 @@ def train_ppo(
     model.set_logger(Logger(None, []))
     policy = model.policy
     assert isinstance(policy, CandidatePolicy)
-    if config.start is not None:
-        from activestructure_gym.policies.learned import learned_from
-
-        policy.begin_from(learned_from(config.start).checkpoint)
     if run.tensors:
         restore_module(policy.network, run.tensors)
         restore_optimizer(policy.optimizer, run.tensors)
     elif config.start is not None:
+        from activestructure_gym.policies.learned import learned_from
+
+        policy.begin_from(learned_from(config.start).checkpoint)
         # What it begins from counts: fine-tuning that only makes it worse must not replace it.
+        run.timing.switch("validating")
         row = dict(validate(policy.network))
-        run.keep_if_best(row, policy.network, 0)
+        run.begin_with(row, policy.network)
         tell(0, row)
 
+    order = layout_order(config.seed, config.world.layouts)
     while not run.ended:
         iteration = run.position
         _seed_everything(config.seed, iteration, envs)
+        numbers = order[(iteration * config.envs + np.arange(config.envs)) % len(order)]
+        envs.set_options([{"layout": int(number)} for number in numbers])
         model.num_timesteps = iteration * config.envs * config.steps
         model._n_updates = iteration * config.ppo_epochs
         model._last_obs = None  # makes stable-baselines3 reset the envs, with the seeds just given
         _let_learn(policy.network, critic_only=config.start is not None and iteration < config.critic_first)
-        model.learn(config.envs * config.steps, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
+        steps, watch = config.envs * config.steps, _Watch(run.timing)
+        run.timing.switch("collecting")
+        model.learn(steps, callback=watch, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
+        run.timing.count("collecting", steps)
         row = _row(model)
         if (iteration + 1) % config.validate_every == 0 or iteration + 1 == config.iterations:
+            run.timing.switch("validating")
             row |= validate(policy.network)
         run.finish_unit(row, policy.network, module_tensors(policy.network) | optimizer_tensors(policy.optimizer))
         tell(run.position, row)
     return policy.network
+
+
+class _Watch(BaseCallback):
+    """Tells apart how long collecting and updating take."""
+
+    def __init__(self, timing: Timing) -> None:
+        super().__init__()
+        self._timing = timing
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self._timing.switch("updating")
 
 
 def _seed_everything(seed: int, iteration: int, envs: VecEnv) -> None:

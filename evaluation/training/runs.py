@@ -3,8 +3,10 @@
     config.json              what was asked for, with versions and machine
     state.safetensors        weights, optimiser and how far the run is, in one file that is replaced at once
     best.safetensors, .json  the checkpoint with the best validation so far: `learned:DIRECTORY` is this one
-    last.safetensors, .json  the checkpoint of the last unit
-    log.jsonl                one line per unit (epoch or PPO iteration); no clock in it
+    last.safetensors, .json  the checkpoint of the last unit, written when the run has ended
+    log.jsonl                one line per unit (epoch or PPO iteration), unit 0 is what PPO began from; no clock in it
+    curve.svg                the log as a picture
+    timing.json              how long what took, and on which machine
     tensorboard/             the same for TensorBoard, where it is installed
     demonstrations/          what bc and rank learn from
     references.json          random and oracle on the validation layouts
@@ -25,6 +27,8 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import machine
 from activestructure_gym.evaluation.store import json_line, plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.curve import learning_curve
+from activestructure_gym.evaluation.training.timing import Timing
 
 if TYPE_CHECKING:
     import torch
@@ -34,6 +38,8 @@ if TYPE_CHECKING:
 CONFIG = "config.json"
 STATE = "state.safetensors"
 LOG = "log.jsonl"
+CURVE = "curve.svg"
+TIMING = "timing.json"
 BEST, LAST = "best.safetensors", "last.safetensors"
 SCORE = "validation/auc"  # what decides which checkpoint is the best
 _META = "training"
@@ -66,7 +72,8 @@ class TrainingRun:
             write_json(directory / CONFIG, record)
         self._load()
         self._cut_log()
-        self._tensorboard = _tensorboard_writer(directory / "tensorboard")
+        self.timing = Timing(directory / TIMING)
+        self._tensorboard = _tensorboard_writer(directory / "tensorboard", self.position)
 
     @property
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -85,9 +92,15 @@ class TrainingRun:
         self.keep_if_best(row, network, self.position + 1)
         self.position += 1
         self._log(row)
-        self._save(tensors, facts)
-        if self.ended:
+        if self.ended:  # before the state, which says that there is nothing left to do
             self._checkpoint(LAST, row, network, self.position)
+        self._save(tensors, facts)
+        self.timing.save()
+
+    def begin_with(self, row: Mapping[str, float], network: CandidateNetwork) -> None:
+        """Log and keep what the first unit begins from."""
+        self.keep_if_best(row, network, 0)
+        self._log(row)
 
     def keep_if_best(self, row: Mapping[str, float], network: CandidateNetwork, position: int) -> None:
         """Keep the network if it was validated and is the best so far."""
@@ -104,7 +117,9 @@ class TrainingRun:
         return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines(keepends=True) if _whole(line)]
 
     def close(self) -> None:
-        """Let go of the log for TensorBoard."""
+        """Stop the watch and let go of the log for TensorBoard."""
+        self.timing.switch(None)
+        self.timing.save()
         if self._tensorboard is not None:
             self._tensorboard.close()
 
@@ -119,6 +134,9 @@ class TrainingRun:
             file.write(json_line({"unit": self.position, **row}))
             file.flush()
             os.fsync(file.fileno())
+        picture = learning_curve(self.config.method, self.rows())
+        if picture is not None:
+            self._replace(CURVE, picture.encode())
         if self._tensorboard is not None:
             for name, value in row.items():
                 self._tensorboard.add_scalar(name, value, self.position)
@@ -129,13 +147,17 @@ class TrainingRun:
 
         self._tensors, self.facts = {name: tensor.contiguous() for name, tensor in tensors.items()}, dict(facts)
         meta = {"position": self.position, "best": self.best, "facts": self.facts}
-        temporary = self.directory / f".{STATE}.{os.getpid()}.tmp"
+        self._replace(STATE, save(self._tensors, {_META: json.dumps(meta)}))
+
+    def _replace(self, name: str, content: bytes) -> None:
+        """Write a file at once."""
+        temporary = self.directory / f".{name}.{os.getpid()}.tmp"
         try:
             with open(temporary, "wb") as file:
-                file.write(save(self._tensors, {_META: json.dumps(meta)}))
+                file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(temporary, self.directory / STATE)
+            os.replace(temporary, self.directory / name)
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -157,12 +179,10 @@ class TrainingRun:
 
     def _cut_log(self) -> None:
         """Forget lines of units whose state was not written any more: they are done again."""
-        kept = [row for row in self.rows() if row["unit"] <= self.position]
         if not (self.directory / LOG).is_file():
             return
-        temporary = self.directory / f".{LOG}.{os.getpid()}.tmp"
-        temporary.write_text("".join(json_line(row) for row in kept), encoding="utf-8")
-        os.replace(temporary, self.directory / LOG)
+        kept = [row for row in self.rows() if row["unit"] <= self.position] if self.position else []
+        self._replace(LOG, "".join(json_line(row) for row in kept).encode())
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
@@ -196,10 +216,13 @@ def _whole(line: str) -> bool:
     return line.endswith("\n") and bool(line.strip())
 
 
-def _tensorboard_writer(directory: Path) -> Any:
-    """TensorBoard's writer, or None where it is not installed: the same numbers stand in the log."""
+def _tensorboard_writer(directory: Path, done: int) -> Any:
+    """TensorBoard's writer, or None where it is not installed: the same numbers stand in the log.
+
+    It is told how many units are ``done``, so that those which are done again do not show twice.
+    """
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         return None
-    return SummaryWriter(str(directory))
+    return SummaryWriter(str(directory), purge_step=done + 1 if done else 0)

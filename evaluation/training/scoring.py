@@ -39,12 +39,14 @@ class Cell:
     scene: str
     seed: int
     group: str  # whose mean it belongs to
+    start: int | None = None  # number of the start, see `start_pose`; None = drawn by the seed
 
     @property
     def file(self) -> str:
         """Where its results are kept."""
         mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # two files may have one label
-        return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}.json"
+        start = "" if self.start is None else f"--start{self.start}"
+        return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}{start}.json"
 
 
 @dataclass(frozen=True)
@@ -56,13 +58,15 @@ class Row:
     episodes: int
     auc: float  # mean coverage over the budget, %
     normalised: Estimate
-    lead: Estimate | None  # normalised, minus the baseline's
+    leads: tuple[Estimate | None, ...] = ()  # normalised, minus each baseline's; None for itself
+    starts: int = 0  # different scenes and start poses among the episodes
 
 
 def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequence[int]) -> list[Cell]:
-    """One episode on each test layout, and one per seed in each of the scenes."""
+    """One episode on each test layout, and one per seed in each of the scenes, the n-th from its n-th start."""
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
-    found += [Cell(absolute_spec(spec), seed, scene_label(spec)) for spec in scenes for seed in seeds]
+    for spec in scenes:
+        found += [Cell(absolute_spec(spec), seed, scene_label(spec), start) for start, seed in enumerate(seeds)]
     if not found:
         raise InputError("a score needs episodes: give --layouts, or --scenes with --seeds")
     return found
@@ -80,6 +84,7 @@ def play_cells(
     """Play what is not in ``directory`` yet; each episode is kept as soon as all have played it."""
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
     conditions["overrides"] = dict(world.overrides)
+    conditions["starts"] = "in turn"
     (directory / _EPISODES).mkdir(parents=True, exist_ok=True)
     record = directory / "score.json"
     if record.is_file() and read_json(record)["conditions"] != _json(conditions):
@@ -90,38 +95,71 @@ def play_cells(
         tell(done, len(todo))
 
 
-def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], baseline: str | None = None) -> list[Row]:
+def start_pose(scene: Scene, number: int) -> np.ndarray:  # [4, 4] world_from_camera
+    """The scene's start poses in turn; after the last all of them again, turned by a quarter to the left, and so on.
+
+    Drawn by seed, 20 episodes would begin at about 12 of a scene's 16 start poses.
+    """
+    poses = scene.free_space.start_poses
+    rounds, index = divmod(number, len(poses))
+    cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[rounds % 4]
+    pose = np.array(poses[index], np.float64)
+    pose[:3, :3] = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ pose[:3, :3]
+    return pose
+
+
+def table(
+    directory: Path, policies: Sequence[str], played: Sequence[Cell], baselines: Sequence[str] = ()
+) -> list[Row]:
     """One row per policy and group, the references among them."""
     rows = []
     for group in dict.fromkeys(cell.group for cell in played):
-        contents = [read_json(directory / _EPISODES / cell.file) for cell in played if cell.group == group]
+        own = [cell for cell in played if cell.group == group]
+        contents = [read_json(directory / _EPISODES / cell.file) for cell in own]
+        starts = len({(cell.scene, json.dumps(one["start"])) for cell, one in zip(own, contents)})
         areas = {name: np.array([one[name]["auc"] for one in contents]) for name in (*policies, RANDOM, ORACLE_GREEDY)}
         draws = stratified_draws((len(contents),), REPEATS, 0)
         resampled = {name: _between(areas, name, draws) for name in areas}
         every = np.arange(len(contents))[None]
         for name in dict.fromkeys((RANDOM, *policies, ORACLE_GREEDY)):
             value = float(_between(areas, name, every)[0])
-            lead = None
-            if baseline is not None and name != baseline:
+            leads: list[Estimate | None] = []
+            for baseline in baselines:
                 other = float(_between(areas, baseline, every)[0])
                 lead = _estimate(value - other, resampled[name] - resampled[baseline], len(contents))
+                leads.append(None if name == baseline else lead)
             rows.append(
                 Row(
                     name, group, len(contents), 100 * float(areas[name].mean()),
-                    _estimate(value, resampled[name], len(contents)), lead,
+                    _estimate(value, resampled[name], len(contents)), tuple(leads), starts,
                 )
             )  # fmt: skip
     return rows
 
 
-def markdown(rows: Sequence[Row], baseline: str | None = None) -> str:
-    """The table for a page."""
-    head = ["episodes on", "policy", "n", "AUC (%)", "normalised"] + ([f"minus {baseline}"] if baseline else [])
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+def headings(rows: Sequence[Row], baselines: Sequence[str] = ()) -> list[str]:
+    """Of the table's columns."""
+    short = short_policies([row.policy for row in rows])
+    names = [short.get(baseline, baseline) for baseline in baselines]
+    return ["episodes on", "policy", "n", "starts", "AUC (%)", "normalised", *(f"minus {name}" for name in names)]
+
+
+def entries(rows: Sequence[Row]) -> list[list[str]]:
+    """The table's lines."""
+    short = short_policies([row.policy for row in rows])
+    lines = []
     for row in rows:
-        entries = [row.group, f"`{short_policy(row.policy)}`", str(row.episodes), f"{row.auc:.1f}"]
-        entries += [words(row.normalised), *([words(row.lead)] if baseline else [])]
-        lines.append("| " + " | ".join(entries) + " |")
+        numbers = [str(row.episodes), str(row.starts), f"{row.auc:.1f}", words(row.normalised)]
+        lines.append([row.group, short[row.policy], *numbers, *map(words, row.leads)])
+    return lines
+
+
+def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
+    """The table for a page."""
+    head = headings(rows, baselines)
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for group, policy, *others in entries(rows):
+        lines.append("| " + " | ".join([group, f"`{policy}`", *others]) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -140,6 +178,16 @@ def short_policy(spec: str) -> str:
     if family != "learned" or not colon:
         return spec
     return f"learned:{'/'.join(Path(place.rpartition('@')[0] or place).with_suffix('').parts[-2:])}"
+
+
+def short_policies(specs: Sequence[str]) -> dict[str, str]:
+    """Short names that differ for different policies: with the digits of the content where places are alike."""
+    short = {spec: short_policy(spec) for spec in specs}
+    names = list(short.values())
+    return {
+        spec: f"{name}@{spec.rpartition('@')[2]}" if names.count(name) > 1 and "@" in spec else name
+        for spec, name in short.items()
+    }
 
 
 def _between(areas: Mapping[str, np.ndarray], name: str, draws: np.ndarray) -> np.ndarray:  # [R, N] -> [R]
@@ -174,11 +222,13 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
         _loaded.clear()
         _loaded[cell.scene] = load_scene(cell.scene)
     scene = _loaded[cell.scene]
+    start = None if cell.start is None else start_pose(scene, cell.start)
+    content["start"] = "drawn" if start is None else start
     for name in missing:
         if name == ORACLE_GREEDY:
-            played = play_oracle(world, scene, cell.seed)
+            played = play_oracle(world, scene, cell.seed, start)
         else:
-            played = play_policy(world, scene, make_policy(name), cell.seed)
+            played = play_policy(world, scene, make_policy(name), cell.seed, start)
         content[name] = {"auc": played.auc, "frames": played.frames, "coverage": played.coverage}
     write_json(file, content)
 

@@ -44,11 +44,16 @@ def single_threaded_children() -> Iterator[None]:
         os.environ.update(before)
 
 
-def follow_parent() -> None:
-    """End this process when its parent does, however that ends: a pool's own pipes stay open among its workers."""
+def one_thread() -> None:
+    """OpenCV reads no environment variable: it is told, in every process."""
     import cv2
 
     cv2.setNumThreads(1)
+
+
+def follow_parent() -> None:
+    """End this process when its parent does, however that ends: a pool's own pipes stay open among its workers."""
+    one_thread()
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

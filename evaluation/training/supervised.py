@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.demonstrations import Demonstrations
+from activestructure_gym.evaluation.training.mirror import mirrored
 from activestructure_gym.evaluation.training.runs import (
     TrainingRun,
     module_tensors,
@@ -58,7 +59,7 @@ def train_supervised(
         model["ranks"] = OrdinalRanks(config.bins)
     network = model["network"]
     assert isinstance(network, CandidateNetwork)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.rate)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
     if run.tensors:
         restore_module(model, run.tensors)
         restore_optimizer(optimizer, run.tensors)
@@ -67,14 +68,17 @@ def train_supervised(
     targets, returns = _targets(config, data), torch.as_tensor(data.returns(config.gamma), dtype=torch.float32)
     best = torch.as_tensor(data.scores).argmax(1)
     batches = -(-len(data) // config.batch)
+    run.timing.switch("updating")
     while not run.ended:
         epoch, sums = run.position, dict.fromkeys(("train/loss", "train/critic_loss", "train/agreement"), 0.0)
-        order = np.random.default_rng([config.seed, epoch]).permutation(len(data))
+        rng = np.random.default_rng([config.seed, epoch])
+        order, in_mirror = rng.permutation(len(data)), torch.as_tensor(rng.random(len(data)) < 0.5)
         for number, chosen in enumerate(np.array_split(order, batches)):
             for group in optimizer.param_groups:
                 group["lr"] = _cosine(config.rate, (epoch + number / batches) / config.epochs)
             rows = torch.as_tensor(chosen)
-            scores, values = network({key: value[rows] for key, value in inputs.items()})
+            states = {key: value[rows] for key, value in inputs.items()}
+            scores, values = network(mirrored(states, in_mirror[rows]) if config.mirror else states)
             valid = inputs["action_mask"][rows] > 0
             if config.method == "rank":
                 loss = model["ranks"](scores[valid], targets[rows][valid])
@@ -89,9 +93,12 @@ def train_supervised(
             sums["train/loss"] += float(loss.detach()) * share
             sums["train/critic_loss"] += float(critic.detach()) * share
             sums["train/agreement"] += float((scores.argmax(1) == best[rows]).float().mean()) * share
+        run.timing.count("updating", len(data))
         row: dict[str, Any] = dict(sums)
         if (epoch + 1) % config.validate_every == 0 or epoch + 1 == config.epochs:
+            run.timing.switch("validating")
             row |= validate(network)
+            run.timing.switch("updating")
         run.finish_unit(row, network, module_tensors(model) | optimizer_tensors(optimizer))
         tell(run.position, row)
     return network

@@ -12,15 +12,14 @@ import torch
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.evaluation.store import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
-from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE
-from activestructure_gym.evaluation.training.world import make_env
+from activestructure_gym.evaluation.training.world import learning_layouts, learning_scene, make_env
 from activestructure_gym.policies import Random
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
-from activestructure_gym.scenes import Scene, load_scene
+from activestructure_gym.scenes import Scene
 
 _SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
 _FILE = "references.json"
@@ -42,7 +41,7 @@ class Validation:
 
     def __init__(self, config: TrainingConfig, directory: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         self._config, self._file, self._tell = config, directory / _FILE, tell
-        self._specs = layout_specs("validation", config.validation_layouts, config.world.rooms)
+        self._specs = learning_layouts(config.world, "validation", config.validation_layouts)
         self._scenes: list[Scene] = []
         self._references: dict[str, list[float]] = {}
 
@@ -63,7 +62,7 @@ class Validation:
             return
         for number, spec in enumerate(self._specs):
             self._tell(f"preparing validation layout {number + 1} of {len(self._specs)}")
-            self._scenes.append(load_scene(spec))
+            self._scenes.append(learning_scene(spec))
         stored: dict[str, Any] = read_json(self._file) if self._file.is_file() else {}
         if stored.get("layouts") != list(self._specs):
             stored = {"layouts": list(self._specs), "random": [], "oracle": []}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import os
@@ -19,20 +20,26 @@ FORMAT = 1
 WEIGHTS = ".safetensors"
 _DIGITS = 8
 _BEST = "best"  # of a training run's directory
+_NO_QUESTION_MARK = "a checkpoint's path may hold no '?', behind which a policy's options begin; rename it"
 
 
 def find_checkpoint(place: str | os.PathLike[str]) -> Path:
     """The weights' file that ``place`` means: the file, its JSON, its name without an ending, or a training run.
 
-    Raises `InputError` where one of the two files is missing.
+    Raises `InputError` where one of the two files is missing, and for a path that a policy's name cannot hold.
     """
     path = Path(place).expanduser()
+    if "?" in str(path.absolute()):
+        raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
     if path.is_dir():
         path = path / _BEST
     weights = path if path.suffix == WEIGHTS else path.with_suffix("") if path.suffix == ".json" else path
     weights = weights if weights.suffix == WEIGHTS else weights.with_name(weights.name + WEIGHTS)
     for file in (weights, weights.with_suffix(".json")):
         if not file.is_file():
+            cut = sorted(path.name for path in path.absolute().parent.glob(f"{glob.escape(path.name)}[?]*"))
+            if cut:
+                raise InputError(f"'{place}' is no checkpoint, but '{cut[0]}' is there: {_NO_QUESTION_MARK}")
             raise InputError(f"'{place}' is no checkpoint of a learned policy: there is no file '{file}'")
     return weights
 

@@ -51,6 +51,8 @@ class CandidateNetwork(nn.Module):
             nn.Linear(width, width),
             nn.ReLU(),
         )
+        with torch.no_grad():
+            self.candidate_in[0].weight[:, list(features.CONSTANT_IF_FAST)] = 0.0
         pooled = 2 * width + 2 * planes + features.GLOBAL_INPUTS + gains
         self.context = nn.Sequential(nn.Linear(pooled, width), nn.ReLU())
         self.scorer = _head(2 * width, width)

@@ -35,10 +35,10 @@ def somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes in place of apartments, which take seconds to build."""
-    from activestructure_gym.evaluation.training import demonstrations, layouts, scoring, validation
+    from activestructure_gym.evaluation.training import scoring, world
 
-    for module in (demonstrations, layouts, scoring, validation):
-        monkeypatch.setattr(module, "layout_specs", lambda use, count, rooms: BOXES[:count])
+    for module in (world, scoring):
+        monkeypatch.setattr(module, "layout_specs", lambda use, count, rooms, lit=True: BOXES[:count])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,34 @@
+"""The picture of a run's log: what it learns from, and how good it is on layouts it was never trained on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.report.charts import Line, line_chart, standalone
+
+_TRAINING = {"ppo": ("rollout/reward_per_episode", "reward per training episode")}
+_LOSS = ("train/loss", "loss")
+_VALIDATION = ("validation/normalised", "validation: 0 = random, 1 = oracle")
+
+
+def learning_curve(method: str, rows: Sequence[Mapping[str, Any]]) -> str | None:
+    """A run's log as an SVG file with two charts, or None where nothing can be drawn yet."""
+    unit = "iteration" if method == "ppo" else "epoch"
+    charts, names = [], []
+    for index, (key, label) in enumerate((_TRAINING.get(method, _LOSS), _VALIDATION)):
+        points = [(row["unit"], row[key]) for row in rows if _is_number(row.get(key))]
+        if not points:
+            continue
+        x, y = np.array(points, np.float64).T
+        name = "validation" if key.startswith("validation/") else "training"
+        charts.append(line_chart([Line(name, index, x, y)], title=f"{method}: {label}", x_label=unit, y_label=label))
+        names.append(name)
+    return standalone([charts], names, title=f"asg train {method}") if charts else None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)

@@ -1,0 +1,32 @@
+"""The world in a mirror: twice as many states to learn from, since no view is worth more for lying to the left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, plane_columns
+
+
+def mirrored(observation: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
+    """The states [B] that ``which`` [B] bool names, reflected in the plane y = 0 of the world; the others as they are.
+
+    A reflected camera is one again if its image's x axis is reflected too: S R diag(-1, 1, 1) with S = diag(1, -1, 1),
+    whose quaternion is (z, y, x, w) of R's (w, x, y, z). In the camera's heading frame every y changes its sign, and
+    nothing else does: who sees what, for how many frames and which gain, is the same.
+    """
+    result, flip = dict(observation), which[:, None]
+    pose = observation["pose"]
+    reflected = torch.cat([pose[:, :3] * pose.new_tensor([1.0, -1.0, 1.0]), pose[:, 3:].flip(-1)], dim=-1)
+    result["pose"] = torch.where(flip, reflected, pose)
+    columns = {
+        "candidates": [CANDIDATE_FEATURES.index(name) for name in ("y", "look_y")],
+        "plane_features": plane_columns("normal_y", "centroid_y"),
+    }
+    for key, chosen in columns.items():
+        signs = torch.ones_like(observation[key][0, 0])
+        signs[chosen] = -1.0
+        result[key] = torch.where(flip[..., None], observation[key] * signs, observation[key])
+    return result

@@ -1,0 +1,56 @@
+"""What a run took: ``timing.json``, beside the files that are equal after resuming and never in one of them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from activestructure_gym.evaluation import machine
+from activestructure_gym.evaluation.processes import processor_seconds
+from activestructure_gym.evaluation.store import read_json, write_json
+
+
+class Timing:
+    """A stopwatch for the parts of a run; goes on adding where an earlier sitting has written the file.
+
+    Processor seconds are those of this process and all its descendants.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        found: dict[str, Any] = {}
+        try:
+            found = read_json(file)
+            self._parts = {name: dict(values) for name, values in found["parts"].items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):  # none yet, or damaged: times are no result
+            found, self._parts = {}, {}
+        self._sittings = int(found.get("sittings", 0)) + 1
+        self._part: str | None = None
+        self._began = (0.0, 0.0)
+
+    def switch(self, part: str | None) -> None:
+        """From here on time counts for ``part``: collecting, updating, validating; None stops the watch."""
+        at = time.monotonic(), processor_seconds()
+        if self._part is not None:
+            values = self._parts.setdefault(self._part, {"wall_s": 0.0, "processor_s": 0.0})
+            values["wall_s"] += at[0] - self._began[0]
+            values["processor_s"] += max(0.0, at[1] - self._began[1])
+        self._part, self._began = part, at
+
+    def count(self, part: str, steps: int) -> None:
+        """``steps`` of an environment were made, or states were learnt from, in ``part``."""
+        values = self._parts.setdefault(part, {"wall_s": 0.0, "processor_s": 0.0})
+        values["steps"] = int(values.get("steps", 0)) + steps
+
+    def save(self) -> None:
+        """Write the file; the watch goes on."""
+        self.switch(self._part)
+        parts = {}
+        for name, values in self._parts.items():
+            parts[name] = {key: round(value, 2) for key, value in values.items() if key != "steps_per_s"}
+            if "steps" in values and values["wall_s"] > 0:
+                parts[name]["steps_per_s"] = round(values["steps"] / values["wall_s"], 2)
+        total = {key: round(sum(values[key] for values in parts.values()), 2) for key in ("wall_s", "processor_s")}
+        hardware = machine.hardware()
+        write_json(self._file, {"sittings": self._sittings, "parts": parts, "total": total, "hardware": hardware})

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import torch
 
 from activestructure_gym.evaluation.training.config import TrainingConfig
-from activestructure_gym.evaluation.training.reinforcement import train_ppo, vector_env
+from activestructure_gym.evaluation.training.reinforcement import on_one_thread, train_ppo, vector_env
 from activestructure_gym.evaluation.training.runs import SCORE, TrainingRun
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import load_network, save_checkpoint
@@ -83,6 +87,64 @@ def test_what_it_begins_from_is_kept_where_it_only_gets_worse(tmp_path: Path) ->
     assert all(torch.equal(best[name], value) for name, value in begun.state_dict().items())
     assert run.best == 0.9
     assert not torch.equal(trained.scorer[0].weight, begun.scorer[0].weight)
+
+
+def test_a_resumed_run_needs_its_beginning_no_more(tmp_path: Path) -> None:
+    """Its state has replaced what it began from, which may be gone or changed by then."""
+    torch.manual_seed(5)
+    save_checkpoint(tmp_path / "start.safetensors", CandidateNetwork(CONFIG.network()), {})
+    config = replace(CONFIG, start=learned_from(str(tmp_path / "start")).spec.removeprefix("learned:"))
+
+    def kill(position: int, row: Mapping[str, float]) -> None:
+        if position == at:
+            raise Killed
+
+    train(config, tmp_path / "whole")
+    for at in (0, 1):  # after the first validation, and after an iteration
+        with pytest.raises(Killed):
+            train(config, tmp_path / "killed", kill)
+    (tmp_path / "start.safetensors").unlink()
+    train(config, tmp_path / "killed")
+    for name in ("last.safetensors", "log.jsonl"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    units = [row["unit"] for row in TrainingRun(tmp_path / "killed", config).rows()]
+    assert units == [0, 1, 2, 3]
+
+
+class Recorded(RandomCandidates):
+    """Notes which layouts it was told to take."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict]:
+        self.taken = [*getattr(self, "taken", []), *([options["layout"]] if options else [])]
+        return super().reset(seed=seed, options=options)
+
+
+def test_all_layouts_come_before_any_comes_again(tmp_path: Path) -> None:
+    config = replace(CONFIG, world=replace(CONFIG.world, layouts=6), iterations=4)
+    envs = vector_env([partial(Recorded, 16, 5)] * config.envs, processes=False)
+    train_ppo(config, envs, TrainingRun(tmp_path, config), no_validation)
+    taken = np.transpose(envs.get_attr("taken")).ravel()  # iteration by iteration
+    assert sorted(taken[:6]) == list(range(6)) and list(taken[6:]) == list(taken[:2])
+    envs.close()
+
+
+def test_an_environment_s_process_has_one_thread() -> None:
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(2)
+        assert isinstance(on_one_thread(partial(RandomCandidates, 16, 5)), RandomCandidates)
+        assert cv2.getNumThreads() == 1
+    finally:
+        cv2.setNumThreads(before)
+
+
+def test_it_is_told_what_took_how_long(tmp_path: Path) -> None:
+    train(replace(CONFIG, iterations=2, validate_every=2), tmp_path)
+    told = json.loads((tmp_path / "timing.json").read_text())
+    assert set(told["parts"]) == {"collecting", "updating", "validating"}
+    assert told["parts"]["collecting"]["steps"] == 2 * CONFIG.envs * CONFIG.steps
+    assert told["parts"]["collecting"]["steps_per_s"] > 0 and told["hardware"]["cores"] >= 1
+    assert "reward per training episode" in (tmp_path / "curve.svg").read_text()
 
 
 def test_at_first_only_the_critic_learns(tmp_path: Path) -> None:

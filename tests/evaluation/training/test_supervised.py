@@ -77,7 +77,7 @@ def weights(place: Path) -> bytes:
     return (place / "last.safetensors").read_bytes() + (place / "best.safetensors").read_bytes()
 
 
-@pytest.mark.parametrize("moment", ["between units", "before the state is written"])
+@pytest.mark.parametrize("moment", ["between units", "before the state is written", "before the last state is written"])
 def test_a_killed_run_that_is_resumed_equals_one_that_was_not(
     moment: str, data, fresh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,23 +86,26 @@ def test_a_killed_run_that_is_resumed_equals_one_that_was_not(
     train_supervised(config, data, TrainingRun(tmp_path / "again", config), validation(fresh))
     assert weights(tmp_path / "again") == weights(tmp_path / "whole")  # deterministic
 
+    last = 4 if "last" in moment else 2
+
     def kill(position: int, row: Mapping[str, float]) -> None:
-        if position == 2:
+        if position == last:
             raise Killed
 
     first = TrainingRun(tmp_path / "killed", config)
     if moment != "between units":
         save = first._save
-        monkeypatch.setattr(first, "_save", lambda *a: save(*a) if first.position < 2 else kill(2, {}))
+        monkeypatch.setattr(first, "_save", lambda *a: save(*a) if first.position < last else kill(last, {}))
     with pytest.raises(Killed):
         train_supervised(config, data, first, validation(fresh), kill)
     with open(tmp_path / "killed" / "log.jsonl", "a") as log:
         log.write('{"unit": 3, "train/lo')  # torn
     second = TrainingRun(tmp_path / "killed", config)
-    assert second.position == (2 if moment == "between units" else 1)
+    assert second.position == (2 if moment == "between units" else last - 1)
     train_supervised(config, data, second, validation(fresh))
     assert weights(tmp_path / "killed") == weights(tmp_path / "whole")
-    assert (tmp_path / "killed" / "log.jsonl").read_bytes() == (tmp_path / "whole" / "log.jsonl").read_bytes()
+    for name in ("log.jsonl", "curve.svg"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 def test_another_seed_is_another_network(data, tmp_path: Path) -> None:

@@ -1,0 +1,148 @@
+"""What stands beside a run's results: the picture of its log, its times, and TensorBoard's copy."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+import xml.etree.ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from activestructure_gym.evaluation.processes import processor_seconds
+from activestructure_gym.evaluation.training import timing
+from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.evaluation.training.curve import learning_curve
+from activestructure_gym.evaluation.training.runs import SCORE, TrainingRun
+from activestructure_gym.policies.learned.network import CandidateNetwork
+
+CONFIG = TrainingConfig(method="bc", epochs=3, planes=8, candidates=16)
+
+
+def finish(run: TrainingRun, loss: float) -> None:
+    torch.manual_seed(0)
+    row = {"train/loss": loss, SCORE: loss, "validation/normalised": 1 - loss}
+    run.finish_unit(row, CandidateNetwork(CONFIG.network()), {"module.x": torch.zeros(1)})
+
+
+def curves(picture: str) -> list[str]:
+    root = xml.etree.ElementTree.fromstring(picture)
+    return [path.get("d", "") for path in root.iter() if path.get("class") == "curve" and "M1 7" not in path.get("d", "")]
+
+
+def test_the_picture_grows_with_the_log(tmp_path: Path) -> None:
+    run = TrainingRun(tmp_path, CONFIG)
+    for number, loss in enumerate((0.9, 0.5, 0.25), start=1):
+        finish(run, loss)
+        picture = (tmp_path / "curve.svg").read_text()
+        drawn = curves(picture)
+        assert len(drawn) == 2 and all(path.count("L") == number - 1 for path in drawn)
+    heights = [[float(point.split()[1]) for point in path[1:].split("L")] for path in drawn]
+    assert heights[0] == sorted(heights[0]) and heights[1] == sorted(heights[1], reverse=True)  # down is larger
+    assert "asg train bc" in picture and "loss" in picture and "validation" in picture
+
+
+def test_a_picture_of_what_is_there() -> None:
+    assert learning_curve("bc", []) is None and learning_curve("bc", [{"unit": 1, "train/loss": None}]) is None
+    only_training = learning_curve("ppo", [{"unit": 1, "rollout/reward_per_episode": 2.0}])
+    assert only_training is not None and len(curves(only_training)) == 1
+    begun = [{"unit": 0, "validation/normalised": 0.5}, {"unit": 1, "rollout/reward_per_episode": 2.0}]
+    assert len(curves(learning_curve("ppo", begun) or "")) == 2
+
+
+def test_times_go_on_adding_and_stand_in_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = {"wall": 0.0, "processor": 0.0}
+    monkeypatch.setattr(timing.time, "monotonic", lambda: clock["wall"])
+    monkeypatch.setattr(timing, "processor_seconds", lambda: clock["processor"])
+
+    def pass_on(wall: float, processor: float) -> None:
+        clock["wall"] += wall
+        clock["processor"] += processor
+
+    for sitting in (1, 2):
+        watch = timing.Timing(tmp_path / "timing.json")
+        watch.switch("collecting")
+        pass_on(10.0, 18.0)
+        watch.switch("updating")
+        pass_on(5.0, 5.0)
+        watch.save()  # the watch goes on
+        pass_on(1.0, 1.0)
+        watch.switch(None)
+        pass_on(100.0, 100.0)
+        watch.count("collecting", 200)
+        watch.save()
+        told = json.loads((tmp_path / "timing.json").read_text())
+        assert told["sittings"] == sitting
+        assert told["parts"]["collecting"] == {
+            "wall_s": 10.0 * sitting, "processor_s": 18.0 * sitting, "steps": 200 * sitting, "steps_per_s": 20.0
+        }  # fmt: skip
+        assert told["parts"]["updating"] == {"wall_s": 6.0 * sitting, "processor_s": 6.0 * sitting}
+        assert told["total"] == {"wall_s": 16.0 * sitting, "processor_s": 24.0 * sitting}
+        assert {"processor", "cores"} <= set(told["hardware"])
+    (tmp_path / "timing.json").write_text("{")  # damaged: begun again
+    timing.Timing(tmp_path / "timing.json").save()
+    assert json.loads((tmp_path / "timing.json").read_text())["sittings"] == 1
+
+
+def test_processor_time_counts_children_that_live() -> None:
+    import subprocess
+
+    before = processor_seconds()
+    code = "import sys, time\nwhile time.process_time() < 0.3: pass\nprint('done', flush=True)\nsys.stdin.read()"
+    child = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None and child.stdout.readline() == "done\n"
+    if Path("/proc/self/stat").is_file():
+        assert processor_seconds() - before >= 0.25
+    child.communicate()
+    assert processor_seconds() - before >= 0.25  # and when it has ended
+
+
+class Writer:
+    """Stands for TensorBoard's."""
+
+    made: list[dict[str, Any]] = []
+
+    def __init__(self, place: str, purge_step: int | None = None) -> None:
+        self.scalars: list[tuple[str, int]] = []
+        Writer.made.append({"purge": purge_step, "scalars": self.scalars})
+
+    def add_scalar(self, name: str, value: float, step: int) -> None:
+        self.scalars.append((name, step))
+
+    def flush(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_a_unit_that_is_done_again_shows_once_in_tensorboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = types.ModuleType("torch.utils.tensorboard")
+    module.SummaryWriter = Writer  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    monkeypatch.setattr(Writer, "made", [])
+    run = TrainingRun(tmp_path, CONFIG)
+    finish(run, 0.9)
+    monkeypatch.setattr(run, "_save", lambda *_: None)  # killed before the second unit's state is written
+    finish(run, 0.8)
+    again = TrainingRun(tmp_path, CONFIG)
+    finish(again, 0.8)
+    assert [one["purge"] for one in Writer.made] == [0, 2]  # steps from 2 on are forgotten
+    assert {step for _, step in Writer.made[1]["scalars"]} == {2}
+
+
+def test_a_unit_that_is_done_again_shows_once_to_tensorboard_s_own_reader(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard", reason="needs the extra `train`")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    for losses in ((0.9, 0.8), (0.7, 0.6)):
+        run = TrainingRun(tmp_path, CONFIG)
+        for number, loss in enumerate(losses):
+            if number:
+                run._save = lambda *_: None  # type: ignore[method-assign]
+            finish(run, loss)
+        run.close()
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    assert [event.step for event in events.Scalars("train/loss")] == [1, 2, 3]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 
 CAMERA = PinholeCamera.from_size(40, 20)
@@ -30,6 +31,13 @@ def test_a_sample_is_seen_where_the_depth_agrees() -> None:
     assert coverage.share == pytest.approx(1 / 6)
     coverage.add(np.full((20, 40), 1.5, np.float32), CAMERA, np.eye(4))
     np.testing.assert_array_equal(coverage.seen, [True, False, True, False, False, False])
+
+
+def test_weights_are_numbers_and_the_noise_is_a_switch() -> None:
+    assert RewardConfig(noise_free=True).noise_free
+    for wrong in ({"noise_free": 1.0}, {"coverage": True}, {"path": float("nan")}):
+        with pytest.raises(InputError):
+            RewardConfig(**wrong)
 
 
 def test_what_was_seen_stays_seen_and_order_does_not_matter(rng: np.random.Generator) -> None:

@@ -11,10 +11,11 @@ import torch
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import comparison
 from activestructure_gym.evaluation.episode import build
-from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.jobs import Job, policy_label
 from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.store import DONE, FORMAT_VERSION, is_done, read_run, write_json
 from activestructure_gym.evaluation.warmup import WarmMark, all_gains, smallest_job
-from activestructure_gym.policies import POLICIES, canonical_policy
+from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
 from activestructure_gym.policies.learned.config import NetworkConfig
@@ -45,6 +46,45 @@ def test_a_job_knows_the_checkpoint_from_anywhere_and_its_content(run: Path, mon
     assert canonical_policy("pixel_only") == "pixel_only"
     with pytest.raises(InputError, match="takes no options"):
         canonical_policy(f"learned:{run}?travel=shared")
+
+
+def test_tables_show_a_short_name_that_tells_contents_apart(run: Path) -> None:
+    spec = canonical_policy("learned:run")
+    digits = spec[-8:]
+    assert policy_label(spec) == f"learned:run@{digits}"
+    assert policy_label(spec.replace("best.", "last.")) == f"learned:last@{digits}"
+    for name in ("pixel_only", "learned", "active_gs?travel=shared", "module:Class"):
+        assert policy_label(name) == name
+    job = Job(scene="box", policy=spec, seed=0)
+    shown = job.shown()
+    assert (shown.policy, shown.hash, shown.name) == (f"learned:run@{digits}", job.hash, job.name)
+    assert job.title == shown.title == f"box · learned:run@{digits} · seed 0"
+    plain = Job(scene="box", policy="random", seed=0)
+    assert plain.shown() is plain
+
+
+def test_a_finished_run_is_read_with_that_name(run: Path, tmp_path: Path) -> None:
+    job = Job(scene="box", policy=canonical_policy("learned:run"), seed=0)
+    place = tmp_path / job.name
+    place.mkdir()
+    write_json(place / "config.json", {"format": FORMAT_VERSION, "job": job.as_dict()})
+    for name in ("metrics", "timing"):
+        write_json(place / f"{name}.json", {})
+    (place / DONE).write_text(job.hash)
+    read = read_run(place)
+    assert read.job.policy == policy_label(job.policy) and read.job.hash == job.hash and is_done(place, read.job)
+
+
+def test_a_question_mark_in_a_path_is_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = run.parent / "what?really"
+    run.rename(asked)
+    with pytest.raises(InputError, match=r"'what\?really' is there: a checkpoint's path may hold no '\?'"):
+        make_policy(f"learned:{asked}")
+    with pytest.raises(InputError, match="may hold no"):
+        learned_from(str(asked))
+    monkeypatch.chdir(asked)  # absolute names are kept, and would not be found again
+    with pytest.raises(InputError, match="may hold no"):
+        canonical_policy("learned:best")
 
 
 def test_a_class_derived_from_a_checkpoint_s_is_another_policy(run: Path, monkeypatch) -> None:

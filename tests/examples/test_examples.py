@@ -49,11 +49,11 @@ def test_twelve_lines_of_stable_baselines3(capsys: pytest.CaptureFixture[str]) -
     assert "20 frames" in capsys.readouterr().out
 
 
-def test_the_page_shows_the_same_lines() -> None:
-    page = (ROOT / "docs" / "learning.md").read_text()
-    shown = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+@pytest.mark.parametrize(("page", "number"), [("docs/learning.md", 0), ("README.md", 1)])
+def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
+    shown = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
     text = (EXAMPLES / "sb3_ppo.py").read_text()
-    assert [line for line in shown[0].splitlines() if line.strip()] == program(text)
+    assert [line for line in shown[number].splitlines() if line.strip()] == program(text)
 
 
 def test_ppo_in_a_single_file(capsys: pytest.CaptureFixture[str]) -> None:

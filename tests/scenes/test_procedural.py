@@ -76,6 +76,17 @@ def test_the_mesh_is_well_formed(flat: Scene) -> None:
     assert flat.source == "make_apartment(seed=2, rooms=3, furnished=True)"
 
 
+def test_unlit_is_the_same_building_in_flat_colours(single_room: Scene) -> None:
+    unlit = make_apartment(seed=0, rooms=1, lit=False)
+    for name in ("vertices", "faces", "uv", "face_texture"):
+        np.testing.assert_array_equal(getattr(unlit.mesh, name), getattr(single_room.mesh, name))
+    assert unlit.labels is not None and single_room.labels is not None
+    assert unlit.labels.names == single_room.labels.names
+    assert [texture.shape for texture in unlit.mesh.textures] == [(1, 1, 3)] * len(single_room.mesh.textures)
+    assert unlit.source == single_room.source.replace(")", ", lit=False)") and unlit.name == "apartment-1-0-unlit"
+    assert np.isfinite(unlit.mesh.colors).all() and 0 <= unlit.mesh.colors.min() <= unlit.mesh.colors.max() < 1.2
+
+
 def test_labels_tell_building_from_furniture(flat: Scene) -> None:
     labels, mesh = flat.labels, flat.mesh
     assert labels is not None and len(labels.face_part) == len(mesh.faces)

@@ -72,6 +72,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_
 def test_options_become_a_configuration() -> None:
     options = Train("rank", seed=3, rooms=(2,), gains=("pixel,structure",), set=("sensor.width=64",), noise=False)
     config = training_config(options)
+    assert training_config(Train("bc", temperature=0.1)).temperature == 0.1 and config.temperature == 0.04
     assert (config.method, config.seed, config.world.rooms, config.world.noise) == ("rank", 3, (2,), False)
     assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
     with pytest.raises(InputError, match="belongs to ppo"):
@@ -101,6 +102,18 @@ def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "oracle-greedy" in said and "learned:bc/best" in said
     assert (tmp_path / "score" / "score.md").read_text().count("`learned:bc/best`") == 1
+    assert main([*score, "--baseline", "pixel_only,learned:bc"]) == 0  # nothing is played again
+    head = (tmp_path / "score" / "score.md").read_text().splitlines()[0]
+    assert head.endswith("| normalised | minus pixel_only | minus learned:bc/best |")
+    capsys.readouterr()
+    assert main([*score, "--baseline", "pixel_only,random,hole_area"]) == 2
+    assert "--baseline is one of" in capsys.readouterr().err
+
+    told = json.loads((tmp_path / "bc" / "timing.json").read_text())
+    assert set(told["parts"]) == {"collecting", "updating", "validating"} and told["sittings"] == 2
+    states = int(told["parts"]["updating"]["steps"]) // 2
+    assert told["parts"]["collecting"]["steps"] == states > 0
+    assert (tmp_path / "bc" / "curve.svg").read_text().startswith("<svg")
 
 
 @pytest.mark.slow

@@ -151,6 +151,27 @@ def test_inputs_stay_small_whatever_the_scene(make_observation) -> None:
         assert torch.isfinite(values).all() and values.abs().max() < 5.0
 
 
+def test_what_never_varies_in_the_fast_preset_counts_nothing_until_it_is_learnt(make_observation) -> None:
+    """Height above the camera and revisit: random weights for them would be noise where they do vary."""
+    torch.manual_seed(0)
+    fresh = CandidateNetwork(NetworkConfig())
+    with torch.no_grad():
+        fresh.scorer[-1].weight.normal_()
+    observation = make_observation()
+    there = observation["action_mask"] > 0
+    changed = observation["candidates"].copy()
+    changed[there, 8] = 1 - changed[there, 8]
+    changed[there, 2] += 3.0
+    scores, value = run(fresh, observation)
+    moved, moved_value = run(fresh, observation | {"candidates": changed})
+    np.testing.assert_array_equal(moved, scores)
+    assert moved_value == value
+    tensors = as_tensors({key: value[None] for key, value in observation.items()})
+    scores = fresh(tensors)[0][0]
+    scores[torch.as_tensor(there)].pow(2).sum().backward()
+    assert (fresh.candidate_in[0].weight.grad[:, list(features.CONSTANT_IF_FAST)].abs().max(0).values > 0).all()
+
+
 def test_a_critic_that_knows_nothing_bends_nothing(network, make_observation) -> None:
     network.zero_grad()
     tensors = as_tensors({key: value[None] for key, value in make_observation().items()})

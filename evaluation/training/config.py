@@ -94,7 +94,8 @@ class TrainingConfig:
         _check_whole("bins", self.bins, least=2)
         _check_whole("critic_first", self.critic_first, least=0)
         for name, low, high in (
-            ("explore", 0, 1), ("gamma", 0, 1), ("gae_lambda", 0, 1), ("temperature", 1e-6, 1e6), ("weight_decay", 0, 1),
+            ("explore", 0, 1), ("gamma", 0, 1), ("gae_lambda", 0, 1), ("temperature", 1e-6, 1e6),
+            ("weight_decay", 0, 1),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise InputError(f"{name} must lie in {low} .. {high}, got {getattr(self, name)}")

@@ -18,7 +18,7 @@ _LARGEST = 100_000  # layouts of a kind
 def layout_specs(use: str, count: int, rooms: Sequence[int], *, lit: bool = True) -> tuple[str, ...]:
     """The first ``count`` layouts for ``use`` ("train", "validation" or "test"), the numbers of rooms in turn.
 
-    Layouts that are not ``lit`` are the same triangles without light and textures, in an eighth to a quarter of the time.
+    Layouts that are not ``lit`` are the same triangles without light and textures; an eighth to a quarter of the time.
     """
     if not 0 <= count <= _LARGEST:
         raise InputError(f"there are at most {_LARGEST} layouts of a kind, got {count}")

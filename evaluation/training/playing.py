@@ -45,9 +45,7 @@ def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | 
     return Played(tuple(frames), tuple(coverage), env.config.frame_budget)
 
 
-def play_policy(
-    world: WorldConfig, scene: Scene, policy: Policy, seed: int, start: np.ndarray | None = None
-) -> Played:
+def play_policy(world: WorldConfig, scene: Scene, policy: Policy, seed: int, start: np.ndarray | None = None) -> Played:
     """One episode of a policy, without sensor noise."""
     env = make_env(world, scene, gains=policy.required_gains)
     policy.bind(env.config.gains)

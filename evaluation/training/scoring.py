@@ -108,9 +108,7 @@ def start_pose(scene: Scene, number: int) -> np.ndarray:  # [4, 4] world_from_ca
     return pose
 
 
-def table(
-    directory: Path, policies: Sequence[str], played: Sequence[Cell], baselines: Sequence[str] = ()
-) -> list[Row]:
+def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], baselines: Sequence[str] = ()) -> list[Row]:
     """One row per policy and group, the references among them."""
     rows = []
     for group in dict.fromkeys(cell.group for cell in played):

@@ -44,9 +44,7 @@ def sees_colour(config: ReconstructionConfig) -> bool:
     return optimised or not set(config.gains) <= set(_COLOUR_BLIND)
 
 
-def learning_layouts(
-    world: WorldConfig, use: str, count: int, gains: Sequence[str] | None = None
-) -> tuple[str, ...]:
+def learning_layouts(world: WorldConfig, use: str, count: int, gains: Sequence[str] | None = None) -> tuple[str, ...]:
     """The layouts for ``use``; without light and textures where nobody would see them."""
     return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, gains)))
 

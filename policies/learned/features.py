@@ -32,8 +32,8 @@ _UNIT_COLUMNS = (
 
 PLANE_INPUTS = 3 + 3 + 1 + 4 + len(_UNIT_COLUMNS)
 CANDIDATE_INPUTS = 3 + 3 + 4 + 3  # and INPUTS_PER_GAIN for every gain
-# Of the candidates' inputs: height above the camera and revisit. In the preset `fast` both are always 0, so weights drawn
-# for them would never be learnt and would only add noise in the presets where they vary.
+# Of the candidates' inputs: height above the camera and revisit. In the preset `fast` both are always 0, so weights
+# drawn for them would never be learnt and would only add noise in the presets where they vary.
 CONSTANT_IF_FAST = (2, 9)
 INPUTS_PER_GAIN = 3
 GLOBAL_INPUTS = 3  # and one for every gain

@@ -45,14 +45,10 @@ class CandidateNetwork(nn.Module):
         planes, width, gains = config.planes, config.candidates, len(config.gains)
         self.plane_in = nn.Linear(features.PLANE_INPUTS, planes)
         self.rounds = nn.ModuleList(nn.Linear(2 * planes, planes) for _ in range(config.rounds))
-        self.candidate_in = nn.Sequential(
-            nn.Linear(features.CANDIDATE_INPUTS + features.INPUTS_PER_GAIN * gains + planes, width),
-            nn.ReLU(),
-            nn.Linear(width, width),
-            nn.ReLU(),
-        )
+        rows_in = nn.Linear(features.CANDIDATE_INPUTS + features.INPUTS_PER_GAIN * gains + planes, width)
         with torch.no_grad():
-            self.candidate_in[0].weight[:, list(features.CONSTANT_IF_FAST)] = 0.0
+            rows_in.weight[:, list(features.CONSTANT_IF_FAST)] = 0.0
+        self.candidate_in = nn.Sequential(rows_in, nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         pooled = 2 * width + 2 * planes + features.GLOBAL_INPUTS + gains
         self.context = nn.Sequential(nn.Linear(pooled, width), nn.ReLU())
         self.scorer = _head(2 * width, width)

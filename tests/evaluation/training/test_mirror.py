@@ -72,9 +72,7 @@ def test_the_labels_of_a_mirrored_layout_are_those_of_the_layout() -> None:
     second.reset(seed=1, options={"start_pose": REFLECTED @ start @ IMAGE})
     # The other env draws candidates and samples of its own: it is given the reflected ones of the first.
     table = first.reconstruction.candidates
-    second.reconstruction.candidates = replace(
-        table, world_from_camera=REFLECTED @ table.world_from_camera @ IMAGE
-    )
+    second.reconstruction.candidates = replace(table, world_from_camera=REFLECTED @ table.world_from_camera @ IMAGE)
     second.coverage._points = first.coverage.points * [1.0, -1.0, 1.0]
     second.coverage.seen = first.coverage.seen.copy()
     one, two = oracle.newly_seen(first), oracle.newly_seen(second)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -95,14 +95,17 @@ def test_a_resumed_run_needs_its_beginning_no_more(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "start.safetensors", CandidateNetwork(CONFIG.network()), {})
     config = replace(CONFIG, start=learned_from(str(tmp_path / "start")).spec.removeprefix("learned:"))
 
-    def kill(position: int, row: Mapping[str, float]) -> None:
-        if position == at:
-            raise Killed
+    def kill_at(last: int) -> Callable[[int, Mapping[str, float]], None]:
+        def kill(position: int, row: Mapping[str, float]) -> None:
+            if position == last:
+                raise Killed
+
+        return kill
 
     train(config, tmp_path / "whole")
-    for at in (0, 1):  # after the first validation, and after an iteration
+    for last in (0, 1):  # after the first validation, and after an iteration
         with pytest.raises(Killed):
-            train(config, tmp_path / "killed", kill)
+            train(config, tmp_path / "killed", kill_at(last))
     (tmp_path / "start.safetensors").unlink()
     train(config, tmp_path / "killed")
     for name in ("last.safetensors", "log.jsonl"):

@@ -42,7 +42,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     ## Rewards
     The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,
-    `reward/path` = -0.01 x metres travelled, `reward/invalid` = -0.05 for a masked action.
+    `reward/path` = -0.01 x metres travelled, `reward/invalid` = -0.05 for a masked action. With
+    `reward={"noise_free": True}` a noisy sensor's surface is counted by the depth without its noise.
 
     ## Starting State
     One of the scene's start poses, drawn from the seed (or `start_pose`); the first frame is mapped.

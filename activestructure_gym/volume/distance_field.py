@@ -17,7 +17,7 @@ def bounding_box(
 ) -> tuple[np.ndarray, np.ndarray]:  # ([3] lower, [3] upper) int64 indices, upper exclusive
     """The smallest box that holds all true voxels."""
     lower, upper = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    columns: np.ndarray = mask.any(axis=2)
+    columns = np.asarray(mask.any(axis=2))
     for axis, some in enumerate((columns.any(axis=1), columns.any(axis=0), mask.any(axis=(0, 1)))):
         present = np.flatnonzero(some)
         lower[axis], upper[axis] = present[0], present[-1] + 1

@@ -121,7 +121,8 @@ def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.Cap
 def test_a_killed_run_goes_on_to_the_same_bytes(method: str, tmp_path: Path) -> None:
     small = ["--layouts", "2", "--rooms", "1", "--frames", "12", "--validation-layouts", "1", "--workers", "2"]
     small += ["--set", "views.max_candidates=12", "sensor.width=48", "sensor.height=27", "mapper.iterations=0"]
-    small += ["--episodes", "10", "--epochs", "40"] if method == "bc" else ["--iterations", "3", "--steps", "32"]
+    ppo = ["--iterations", "3", "--steps", "32", "--envs", "2"]
+    small += ["--episodes", "10", "--epochs", "40"] if method == "bc" else ppo
     small += ["--validate-every", "20"]
     command = [sys.executable, "-m", "activestructure_gym.evaluation.cli", "train", method]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}

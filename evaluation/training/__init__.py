@@ -10,9 +10,12 @@ true surface. What leaves this room is a checkpoint, which `activestructure_gym.
     playing.py         one episode of anybody, and the area under its coverage
     demonstrations.py  episodes of an expert with the labels of every candidate
     targets.py         soft labels, and ordinal bins with equal mass
+    mirror.py          the same states with left and right exchanged
     supervised.py      behaviour cloning and ranking
     reinforcement.py   PPO
     validation.py      scores on layouts never trained on, normalised between random and the oracle
     runs.py            a run's directory: checkpoints, log, resuming
+    curve.py           its log as a picture
+    timing.py          how long what took
     scoring.py         the final table, with intervals
 """

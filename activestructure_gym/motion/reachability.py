@@ -240,9 +240,9 @@ def path_lengths(
 
 def _boxed(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The box around the true voxels with a false border (its first index may be -1), and that index."""
-    if not mask.any():
-        return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
     lower, upper = bounding_box(mask)
+    if not upper[0]:  # nothing is
+        return np.zeros(3, dtype=np.int64), np.zeros((3, 3, 3), dtype=bool)
     border = np.ones(3, dtype=np.int64)
     # Nothing true lies in the border, so what of the mask is cut out there stays false.
     return lower - border, cut_out(mask, lower - border, upper + border)
@@ -253,15 +253,14 @@ def _seeds(
 ) -> np.ndarray:  # [S, 3] indices into the box
     """Open voxels that the start can go straight to: those around it, else the nearest ones within reach."""
     base = np.floor((start - volume.origin) / volume.voxel_size - 0.5).astype(np.int64)
-    around = base + np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3) - corner
+    around = base + _cube(0, 2) - corner
     near = _only_open(around, open_)
     centers = volume.center_of(near + corner)
     near = near[volume.segments_free(start, centers, min_clearance=min_clearance)] if len(near) else near
     if len(near):
         return near
     reach = int(np.ceil(ESCAPE_REACH / volume.voxel_size))
-    span = np.arange(-reach, reach + 2)
-    around = base + np.stack(np.meshgrid(span, span, span, indexing="ij"), axis=-1).reshape(-1, 3) - corner
+    around = base + _cube(-reach, reach + 2) - corner
     near = _only_open(around, open_)
     centers = volume.center_of(near + corner)
     distance = np.linalg.norm(centers - start, axis=1)
@@ -273,6 +272,12 @@ def _seeds(
         if volume.segments_free(start, centers[n], min_clearance=bound)[0]:
             return near[n : n + 1]
     return np.zeros((0, 3), dtype=np.int64)
+
+
+@cache
+def _cube(first: int, end: int) -> np.ndarray:  # [(end - first)^3, 3]
+    span = np.arange(first, end)
+    return np.stack(np.meshgrid(span, span, span, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _only_open(voxels: np.ndarray, open_: np.ndarray) -> np.ndarray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from activestructure_gym.compiling import kernel
+
 # Blocks of the minimum pyramid are at most a sixth of a footprint, which so grows by less than a third.
 READS_PER_SIDE = 6
 # Lost pixels come singly or in bands a few pixels wide; what is without return on this many squared is truly empty.
@@ -62,14 +64,29 @@ def minimum_pyramid(
     depth: np.ndarray,  # [H, W] metres, 0 = proves nothing
 ) -> tuple[np.ndarray, np.ndarray]:  # (all levels flat, [L, 3] int64: start, height, width of each level)
     """Minimum over blocks of 2^l x 2^l pixels; a block with a pixel that proves nothing is 0."""
-    levels = [np.ascontiguousarray(depth, dtype=np.float32)]
-    while min(levels[-1].shape) > 2 * READS_PER_SIDE:
-        last = levels[-1]
-        if last.shape[0] % 2 or last.shape[1] % 2:
-            last = np.pad(last, ((0, last.shape[0] % 2), (0, last.shape[1] % 2)), mode="edge")
-        rows = np.minimum(last[0::2], last[1::2])
-        levels.append(np.minimum(rows[:, 0::2], rows[:, 1::2]))
-    sizes = [level.size for level in levels]
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    table = np.array([[start, *level.shape] for start, level in zip(starts, levels)], dtype=np.int64)
-    return np.concatenate([level.ravel() for level in levels]), table
+    height, width = depth.shape
+    levels, size = [(0, height, width)], height * width
+    while min(height, width) > 2 * READS_PER_SIDE:
+        height, width = (height + 1) // 2, (width + 1) // 2
+        levels.append((size, height, width))
+        size += height * width
+    table, pyramid = np.array(levels, dtype=np.int64), np.empty(size, np.float32)
+    pyramid[: depth.size] = depth.ravel()
+    _fill_pyramid(pyramid, table)
+    return pyramid, table
+
+
+@kernel
+def _fill_pyramid(
+    pyramid: np.ndarray,  # in place: level 0 is there
+    levels: np.ndarray,  # [L, 3] start, height, width
+) -> None:
+    for level in range(1, len(levels)):
+        below, rows, columns = levels[level - 1]
+        start, height, width = levels[level]
+        for v in range(height):
+            top, bottom = below + 2 * v * columns, below + min(2 * v + 1, rows - 1) * columns
+            for u in range(width):
+                left, right = 2 * u, min(2 * u + 1, columns - 1)
+                upper = min(pyramid[top + left], pyramid[top + right])
+                pyramid[start + v * width + u] = min(upper, min(pyramid[bottom + left], pyramid[bottom + right]))

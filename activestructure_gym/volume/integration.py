@@ -13,6 +13,8 @@ What makes the free space safe to move in:
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
@@ -118,10 +120,13 @@ def frustum_planes(
     return planes, reach, sides, 0.5 * voxel_size * np.abs(rotation).sum(axis=1)
 
 
-def part_centers() -> np.ndarray:  # [64, 3] in voxels
+@cache
+def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
     """Centre of each part of a voxel from the voxel's centre, in the order of the bits."""
     steps = (np.arange(PARTS_PER_SIDE) + 0.5) / PARTS_PER_SIDE - 0.5
-    return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    centers = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    centers.setflags(write=False)
+    return centers
 
 
 @kernel

@@ -124,7 +124,9 @@ class VoxelVolume:
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
             raise ValueError(f"depth is {frame.depth.shape}, its camera {(camera.height, camera.width)}")
-        depth = np.nan_to_num(frame.depth.astype(np.float32, copy=False), nan=0.0, posinf=0.0, neginf=0.0)
+        depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
+        if not np.isfinite(depth).all():
+            depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         fresh = self._last_view is None or bool(
             np.linalg.norm(view[:3, 3] - self._last_view[:3, 3]) > 0.02
@@ -177,9 +179,10 @@ class VoxelVolume:
         """Voxel box [lower, upper) around the view frustum, cut where nothing can change any more."""
         camera = frame.camera
         deepest = min(farthest + self.truncation, self.config.max_range)
-        u, v = np.meshgrid([0.0, camera.width], [0.0, camera.height])
-        corners = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones((2, 2))], axis=-1)
-        world = np.vstack([np.zeros((1, 3)), corners.reshape(4, 3) * deepest])
+        world = np.array([[0.0, 0.0, 0.0]] + [
+            [(u - camera.cx) / camera.fx * deepest, (v - camera.cy) / camera.fy * deepest, deepest]
+            for v in (0.0, camera.height) for u in (0.0, camera.width)
+        ])  # fmt: skip
         world = world @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
         lower = np.clip(self.voxel_of(world.min(axis=0)), 0, self.shape)
         upper = np.clip(self.voxel_of(world.max(axis=0)) + 1, 0, self.shape)
@@ -248,11 +251,11 @@ class VoxelVolume:
                 box = tuple(slice(a, b) for a, b in zip(lower, upper))
                 state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
                 inner = (slice(border, -border),) * 3
-                any_kind = distance_field.distance_to_cubes(state != FREE)[inner]
-                farthest = float(any_kind.max()) + slack
-                occupied = distance_field.distance_to_cubes(state == OCCUPIED, at_most=farthest)[inner]
-                voxels = np.where(any_kind > 0, np.minimum(any_kind + np.float32(slack), occupied), 0)
-                self._clearance[box] = voxels * np.float32(self.voxel_size)
+                any_kind = distance_field.distance_to_cubes(state != FREE)
+                farthest = float(any_kind[inner].max()) + slack
+                occupied = distance_field.distance_to_cubes(state == OCCUPIED, at_most=farthest)
+                scale = np.float32(slack), np.float32(self.voxel_size)
+                distance_field.join_distances(any_kind[inner], occupied[inner], *scale, self._clearance[box])
         return self._clearance
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres

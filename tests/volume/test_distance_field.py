@@ -31,6 +31,15 @@ def test_without_obstacles_the_distance_is_infinite():
     assert np.isinf(distance_field.distance_to_cubes(np.zeros((3, 4, 5), bool))).all()
 
 
+@pytest.mark.parametrize("most", [0.3, 2.0, 3.7])
+def test_cutting_large_distances_changes_no_small_one(most):
+    obstacle = np.random.default_rng(3).random((12, 10, 17)) < 0.004
+    whole = distance_field.distance_to_cubes(obstacle)
+    assert (whole > most).any()
+    cut = distance_field.distance_to_cubes(obstacle, at_most=most)
+    np.testing.assert_array_equal(cut, np.minimum(whole, np.float32(most)))
+
+
 def test_a_box_that_reaches_out_of_the_array_is_zero_there():
     array = np.random.default_rng(0).integers(1, 9, (4, 5, 6))
     for lower, upper in (((-2, 1, 0), (3, 5, 9)), ((1, 2, 3), (2, 4, 6)), ((-1, -1, -1), (5, 6, 7))):
@@ -39,6 +48,7 @@ def test_a_box_that_reaches_out_of_the_array_is_zero_there():
     mask = np.zeros((4, 5, 6), dtype=bool)
     mask[1, 2:4, 5] = mask[3, 0, 0] = True
     assert [side.tolist() for side in distance_field.bounding_box(mask)] == [[1, 0, 0], [4, 4, 6]]
+    assert not distance_field.bounding_box(np.zeros((2, 3, 4), bool))[1].any()
 
 
 def test_sampling_equals_scipy_and_is_zero_far_outside():

@@ -244,64 +244,18 @@ def _merge_coplanar(
     config: PlaneDetectionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:  # moments [T, 10], new label of every old one [S]
     """Join segments of one plane, closest pair first, refitting after every join."""
-    label = np.arange(len(moments))
+    limits = (
+        config.merge_sigma, config.merge_tolerance, config.merge_back, _cosine(config.merge_angle_deg),
+        config.merge_wide_sigma, config.merge_wide_tolerance, _cosine(config.merge_wide_angle_deg), config.merge_reach,
+    )  # fmt: skip
     moments = moments.copy()
-    alive = moments[:, 0] >= 3
-    if not alive.any():
-        return moments[alive], np.full(len(moments), -1)
-    planes, mean = kernels.fit_planes(moments)
-    gaps = _coplanar_gaps(np.arange(len(moments)), moments, planes, mean, config)
-    gaps[~alive] = gaps[:, ~alive] = np.inf
-    np.fill_diagonal(gaps, np.inf)
-    while True:
-        i, j = divmod(int(np.argmin(gaps)), len(gaps))
-        if gaps[i, j] == np.inf:
-            break
-        moments[i] += moments[j]
-        alive[j] = False
-        label[label == j] = i
-        gaps[j] = gaps[:, j] = np.inf
-        planes[i : i + 1], mean[i : i + 1] = kernels.fit_planes(moments[i : i + 1])
-        row = _coplanar_gaps(np.array([i]), moments, planes, mean, config)[0]
-        row[~alive] = np.inf
-        row[i] = np.inf
-        gaps[i] = gaps[:, i] = row
+    alive, label = kernels.merge_coplanar(moments, config.depth_noise_scale, limits)
     table = np.cumsum(alive) - 1
     return moments[alive], np.where(alive[label], table[label], -1)
 
 
-def _coplanar_gaps(
-    rows: np.ndarray,  # [R] indices
-    moments: np.ndarray,  # [S, 10]
-    planes: np.ndarray,  # [S, 5]
-    mean: np.ndarray,  # [S, 3]
-    config: PlaneDetectionConfig,
-) -> np.ndarray:  # [R, S] metres
-    """How far the smaller one's centroid is from the larger one's plane; inf where two are not one plane."""
-    scale = config.depth_noise_scale
-    count, normal, d = moments[:, 0], planes[:, :3], planes[:, 3]
-    out = np.abs(normal[rows] @ mean.T + d[rows, None])  # centroid of the column to the plane of the row
-    back = np.abs(mean[rows] @ normal.T + d[None])
-    larger = count[rows, None] >= count[None]
-    gap = np.maximum(np.where(larger, out, back), np.where(larger, back, out) / config.merge_back)
-    turn = normal[rows] @ normal.T
-    z = mean[:, 2]
-    limit = config.merge_tolerance + config.merge_sigma * _noise(np.maximum(z[rows, None], z[None]), scale)
-    able = (turn > np.cos(np.radians(config.merge_angle_deg))) & (gap < limit)
-    # Root mean square distance of all points of the smaller one to the larger one's plane, from the moments.
-    second = moments[:, 4:] / np.maximum(count, 1.0)[:, None]
-    x, y, w = normal.T
-    forms = np.stack([x * x, 2 * x * y, 2 * x * w, y * y, 2 * y * w, w * w], axis=1)
-    square = np.where(
-        larger,
-        forms[rows] @ second.T + d[rows, None] * (2.0 * (normal[rows] @ mean.T) + d[rows, None]),
-        second[rows] @ forms.T + d[None] * (2.0 * (mean[rows] @ normal.T) + d[None]),
-    )
-    smaller_z = np.where(larger, z[None], z[rows, None])
-    limit = config.merge_wide_tolerance + config.merge_wide_sigma * _noise(smaller_z, scale)
-    able |= (turn > np.cos(np.radians(config.merge_wide_angle_deg))) & (square < limit**2)
-    able &= np.linalg.norm(mean[rows, None] - mean[None], axis=2) < config.merge_reach
-    return np.where(able, gap, np.inf)
+def _cosine(degrees: float) -> float:
+    return float(np.cos(np.radians(degrees)))
 
 
 def _keep_large(moments: np.ndarray, min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
@@ -328,16 +282,14 @@ def _lift(
     normals = planes[:, :3] @ rotation.T
     centroids = transform_points(frame.world_from_camera, mean)
     offsets = -np.einsum("ij,ij->i", normals, centroids)
-    # One stable sort groups the pixels by label in row order.
-    flat = labels.ravel()
-    order = np.argsort(flat, kind="stable")
-    ends = np.searchsorted(flat[order], np.arange(len(moments) + 1))
+    # Every how many pixels one is kept, and where those of each segment begin.
+    pixels = np.bincount(labels.ravel() + 1, minlength=len(moments) + 1)[1:]
+    steps = -(-pixels // config.max_points)
+    ends = np.cumsum(-(-pixels // np.maximum(steps, 1)))
+    points = kernels.spread_points(depth, *lens, labels, steps, ends)
+    points = transform_points(frame.world_from_camera, points)
     segments = []
-    for k, (first, last) in enumerate(zip(ends[:-1], ends[1:])):
-        step = -(-(last - first) // config.max_points)
-        v, u = np.divmod(order[first:last:step], depth.shape[1])
-        z = depth[v, u].astype(np.float64)
-        points = np.column_stack([(u + 0.5 - lens[2]) / lens[0] * z, (v + 0.5 - lens[3]) / lens[1] * z, z])
+    for k, end in enumerate(ends):
         segments.append(
             PlaneSegment(
                 normal=normals[k],
@@ -345,8 +297,8 @@ def _lift(
                 centroid=centroids[k],
                 area=float(areas[k]),
                 rms=float(planes[k, 4]),
-                pixels=int(last - first),
-                points=transform_points(frame.world_from_camera, points),
+                pixels=int(pixels[k]),
+                points=points[ends[k - 1] if k else 0 : end],
                 label=k,
             )
         )

@@ -304,3 +304,104 @@ def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
                 cosine = abs(p[0] * (u + 0.5 - cx) / fx + p[1] * y1 + p[2])
                 areas[label] += z * z / (fx * fy * max(cosine, min_cosine))
     return areas
+
+
+@kernel
+def _noise(z, scale):
+    """`detection._noise`: metres of axial noise at depth z."""
+    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+
+
+@kernel
+def _square_distance(second, count, mean, plane):
+    """Mean square distance of a set of points to a plane, from the points' moments."""
+    x, y, w, d = plane[0], plane[1], plane[2], plane[3]
+    n = max(count, 1.0)
+    form = x * x * second[4] + 2 * x * y * second[5] + 2 * x * w * second[6]
+    form += y * y * second[7] + 2 * y * w * second[8] + w * w * second[9]
+    return form / n + d * (2.0 * (x * mean[0] + y * mean[1] + w * mean[2]) + d)
+
+
+@kernel
+def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
+    """How far the smaller one's centroid is from the larger one's plane, metres; inf where two are not one plane."""
+    sigma, tolerance, merge_back, cosine, wide_sigma, wide_tolerance, wide_cosine, reach = limits
+    p, q, m, n = planes[i], planes[j], mean[i], mean[j]
+    turn = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    if not (turn > cosine or turn > wide_cosine):
+        return np.inf
+    if not np.sqrt((m[0] - n[0]) ** 2 + (m[1] - n[1]) ** 2 + (m[2] - n[2]) ** 2) < reach:
+        return np.inf
+    out = abs(p[0] * n[0] + p[1] * n[1] + p[2] * n[2] + p[3])  # centroid of the second to the plane of the first
+    back = abs(q[0] * m[0] + q[1] * m[1] + q[2] * m[2] + q[3])
+    larger = moments[i, 0] >= moments[j, 0]
+    gap = max(out, back / merge_back) if larger else max(back, out / merge_back)
+    if turn > cosine and gap < tolerance + sigma * _noise(max(m[2], n[2]), scale):
+        return gap
+    # Root mean square distance of all points of the smaller one to the larger one's plane.
+    if larger:
+        square, z = _square_distance(moments[j], moments[j, 0], n, p), n[2]
+    else:
+        square, z = _square_distance(moments[i], moments[i, 0], m, q), m[2]
+    if turn > wide_cosine and square < (wide_tolerance + wide_sigma * _noise(z, scale)) ** 2:
+        return gap
+    return np.inf
+
+
+@kernel
+def merge_coplanar(moments, scale, limits):
+    """Add up the moments [S, 10] of segments of one plane, closest pair first, refitting after every join.
+
+    Returns which rows are left [S] bool, and the row that each one went to [S].
+    """
+    count = len(moments)
+    label, alive = np.arange(count), moments[:, 0] >= 3
+    planes, mean = fit_planes(moments)
+    gaps = np.full((count, count), np.inf)
+    for i in range(count):
+        for j in range(count):
+            if i != j and alive[i] and alive[j]:
+                gaps[i, j] = _coplanar_gap(i, j, moments, planes, mean, scale, limits)
+    while True:
+        least, i, j = np.inf, -1, -1
+        for a in range(count):
+            for b in range(count):
+                if gaps[a, b] < least:
+                    least, i, j = gaps[a, b], a, b
+        if i < 0:
+            return alive, label
+        alive[j] = False
+        for m in range(MOMENTS):
+            moments[i, m] += moments[j, m]
+        plane, middle = fit_planes(moments[i : i + 1])
+        planes[i, :], mean[i, :] = plane[0], middle[0]
+        for a in range(count):
+            if label[a] == j:
+                label[a] = i
+            gaps[a, j] = gaps[j, a] = np.inf
+            gap = _coplanar_gap(i, a, moments, planes, mean, scale, limits) if alive[a] and a != i else np.inf
+            gaps[a, i] = gaps[i, a] = gap
+
+
+@kernel
+def spread_points(depth, fx, fy, cx, cy, labels, steps, ends):
+    """Every so many pixels (``steps`` [S]) of each label, in row order: their points, those of label k up to ends[k].
+
+    Camera frame [ends[-1], 3] float64.
+    """
+    points = np.empty((ends[-1], 3))
+    found, place = np.zeros(len(ends), np.int64), np.zeros(len(ends), np.int64)
+    place[1:] = ends[:-1]
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            k = labels[v, u]
+            if k < 0:
+                continue
+            if found[k] % steps[k] == 0:
+                z = np.float64(depth[v, u])
+                points[place[k], 0] = (u + 0.5 - cx) / fx * z
+                points[place[k], 1] = (v + 0.5 - cy) / fy * z
+                points[place[k], 2] = z
+                place[k] += 1
+            found[k] += 1
+    return points

@@ -22,7 +22,7 @@ from activestructure_gym.planes.quality import (
     find_deficiencies,
 )
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches
-from activestructure_gym.planes.surface import cross, observe
+from activestructure_gym.planes.surface import cross, length, observe
 from activestructure_gym.planes.surprise import Surprise, SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.topology import (
     TopologyConfig,
@@ -169,7 +169,7 @@ class PlaneSceneGraph:
             detection,
             np.array([row[node_id] for node_id in owner]),
             [node.surface for node in nodes],
-            np.stack([node.anchor for node in nodes]),
+            np.array([node.anchor for node in nodes]),
             reach=self.config.quality.boundary_reach,
         )
         for k, node in enumerate(nodes):
@@ -180,18 +180,18 @@ class PlaneSceneGraph:
         """Unite nodes that have come to satisfy the coplanar mode; the older id stays."""
         merged: list[tuple[int, int]] = []
         queue = list(touched)
-        planes = stack_planes(self.nodes)
+        near = may_be_same(self.nodes, self.config.matching)
         while queue:
             node_id = queue.pop(0)
-            node = next((n for n in self.nodes if n.id == node_id), None)
+            node = next((n for n in self.nodes if n.id == node_id and n.id in near), None)
             if node is None:
                 continue
-            for other in [self.nodes[k] for k in may_be_same(node, planes, self.config.matching).tolist()]:
-                if other is not node and same_surface(node, other, self.config.matching):
+            for other in [self.nodes[k] for k in near[node_id]]:
+                if same_surface(node, other, self.config.matching):
                     kept, gone = sorted((node, other), key=lambda n: n.id)
                     kept.absorb(gone)
                     self.nodes.remove(gone)
-                    planes = stack_planes(self.nodes)
+                    near = may_be_same(self.nodes, self.config.matching)
                     merged.append((kept.id, gone.id))
                     queue.append(kept.id)  # what it has become may reach further
                     break
@@ -305,15 +305,15 @@ def tangent_axes(segment: PlaneSegment, camera_right: np.ndarray) -> np.ndarray:
     """
     normal = segment.normal
     centred = segment.points - segment.points.mean(axis=0)
-    centred = centred - np.outer(centred @ normal, normal)
+    centred = centred - (centred @ normal)[:, None] * normal
     _, spread, directions = np.linalg.svd(centred, full_matrices=False)
     sideways = camera_right - (camera_right @ normal) * normal
     if len(spread) > 1 and spread[0] > 1.02 * spread[1] and spread[0] > 1e-9:
         u = directions[0] - (directions[0] @ normal) * normal
         u = u if u @ sideways >= 0 else -u
-    elif np.linalg.norm(sideways) > 1e-6:
+    elif length(sideways) > 1e-6:
         u = sideways
     else:  # looking along the plane: nothing but the world's axes is left
         u = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    u = u / np.linalg.norm(u)
-    return np.stack([u, cross(normal, u), normal])
+    u = u / length(u)
+    return np.array([u, cross(normal, u), normal])

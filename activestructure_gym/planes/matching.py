@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
+from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.nodes import PlaneNode
+from activestructure_gym.planes.surface import distance
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class MatchingConfig:
 
 def stack_planes(nodes: Sequence[PlaneNode]) -> np.ndarray:  # [N, 7]
     """Normal, offset and centroid of every node, the table that `match_segment` looks through."""
-    return np.array([[*node.normal, node.offset, *node.centroid] for node in nodes]).reshape(-1, 7)
+    return np.array([node.row for node in nodes]).reshape(-1, 7)
 
 
 def match_segment(
@@ -44,46 +47,44 @@ def match_segment(
     config: MatchingConfig,
 ) -> int | None:
     """Index of the node that the segment continues (closest plane of those that qualify), or None."""
-    normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
-    # Normals face the viewer, so the sign counts: the other face of a thin wall is another plane.
-    cosine = normals @ segment.normal
-    to_node = np.abs(normals @ segment.centroid + offsets)
-    to_segment = np.abs(centroids @ segment.normal + segment.offset)
-    reach = np.linalg.norm(centroids - segment.centroid, axis=1)
-    coplanar = _coplanar(cosine, to_node, to_segment, reach, config)
-    near = (cosine > np.cos(np.radians(config.near_angle_deg))) & (to_node < config.near_distance)
-    near &= reach < config.near_reach
-    gap = np.maximum(to_node, to_segment)
-    able = np.flatnonzero(coplanar | near)
-    for index in able[np.argsort(gap[able], kind="stable")]:
-        node = nodes[index]
-        if not near[index] and reach[index] > config.coplanar_reach and not _touches(segment.points, node, config):
+    limits = (
+        _cosine(config.coplanar_angle_deg), config.coplanar_distance, config.lever, config.coplanar_reach,
+        _cosine(config.near_angle_deg), config.near_distance, config.near_reach,
+    )  # fmt: skip
+    able = kernels.qualifying(planes, segment.normal, segment.offset, segment.centroid, limits)
+    for _, index, far in sorted(able.tolist()):
+        node = nodes[int(index)]
+        if far and not _touches(segment.points, node, config):
             continue
         if not _depth_jumps(segment, camera_position, node, config):
             return int(index)
     return None
 
 
-def may_be_same(
-    node: PlaneNode,
-    planes: np.ndarray,  # [N, 7], see `stack_planes`
-    config: MatchingConfig,
-) -> np.ndarray:  # indices, the node's own among them
-    """Nodes that may be the same surface as this one: a look at all planes before `same_surface` looks at each."""
+def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int, list[int]]:
+    """Per id of a node the indices of others that may be the same surface, if there are any.
+
+    A look at all pairs of planes before `same_surface` looks at each.
+    """
+    planes = stack_planes(nodes)
     normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
-    away = np.abs(normals @ node.centroid + offsets)
-    back = np.abs(centroids @ node.normal + node.offset)
-    near = normals @ node.normal > np.cos(np.radians(config.coplanar_angle_deg)) - 1e-9
-    return np.flatnonzero(near & (np.minimum(away, back) < config.coplanar_distance + 1e-9))
+    away = np.abs(centroids @ normals.T + offsets)  # [N, N] centroid of the row to the plane of the column
+    near = normals @ normals.T > _cosine(config.coplanar_angle_deg) - 1e-9
+    near &= np.minimum(away, away.T) < config.coplanar_distance + 1e-9
+    np.fill_diagonal(near, False)
+    pairs: dict[int, list[int]] = {}
+    for row, column in zip(*(side.tolist() for side in np.nonzero(near))):
+        pairs.setdefault(nodes[row].id, []).append(column)
+    return pairs
 
 
 def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) -> bool:
     """Whether two nodes have come to satisfy the coplanar mode."""
-    cosine = np.array(first.normal @ second.normal)
-    reach = np.array(np.linalg.norm(first.centroid - second.centroid))
-    across = np.array(abs(first.normal @ second.centroid + first.offset))
-    back = np.array(abs(second.normal @ first.centroid + second.offset))
-    if not _coplanar(cosine, np.minimum(across, back), np.maximum(across, back), reach, config):
+    cosine = float(first.normal @ second.normal)
+    reach = distance(first.centroid, second.centroid)
+    across = abs(float(first.normal @ second.centroid + first.offset))
+    back = abs(float(second.normal @ first.centroid + second.offset))
+    if not _coplanar(cosine, min(across, back), max(across, back), reach, config):
         return False
     if reach <= config.coplanar_reach:
         return True
@@ -91,15 +92,17 @@ def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) ->
     return _touches(small.surface.points(256), large, config)
 
 
-def _coplanar(
-    cosine: np.ndarray, to_node: np.ndarray, to_segment: np.ndarray, reach: np.ndarray, config: MatchingConfig
-) -> np.ndarray:
-    far = config.coplanar_distance + config.lever * reach
+def _coplanar(cosine: float, to_node: float, to_segment: float, reach: float, config: MatchingConfig) -> bool:
     return (
-        (cosine > np.cos(np.radians(config.coplanar_angle_deg)))
-        & (to_node < config.coplanar_distance)
-        & (to_segment < far)
+        cosine > _cosine(config.coplanar_angle_deg)
+        and to_node < config.coplanar_distance
+        and to_segment < config.coplanar_distance + config.lever * reach
     )
+
+
+@cache
+def _cosine(degrees: float) -> float:
+    return float(np.cos(np.radians(degrees)))
 
 
 def _touches(points: np.ndarray, node: PlaneNode, config: MatchingConfig) -> bool:
@@ -112,21 +115,10 @@ def _depth_jumps(segment: PlaneSegment, camera_position: np.ndarray, node: Plane
 
     Only rays that meet the node's seen surface count (the overlap); without overlap there is nothing to contradict.
     """
-    rays = segment.points - camera_position
-    facing = rays @ node.normal
-    height = camera_position @ node.normal + node.offset
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = -height / facing  # 1 where the node's plane meets the ray at the segment's own depth
-    ahead = np.isfinite(along) & (along > 0)
-    meets = camera_position + np.where(ahead, along, 1.0)[:, None] * rays
-    overlap = ahead & node.surface.contains(meets)
-    if not overlap.any():
-        return False
-    length = np.linalg.norm(rays, axis=1)
-    gap = np.abs(along - 1.0) * length
-    # Seen at a slant a plane's own noise moves the meeting point along the ray; 0.2 = 78 deg from the normal.
-    slant = np.clip(np.abs(facing) / np.maximum(length, 1e-9), 0.2, 1.0)
-    return _median((gap * slant)[overlap]) > config.depth_gap
+    surface = node.surface
+    grid = surface.frame, surface.low, surface.seen, surface.cell
+    gaps = kernels.depth_gaps(segment.points, camera_position, node.normal, node.offset, *grid)
+    return len(gaps) > 0 and _median(gaps) > config.depth_gap
 
 
 def _median(values: np.ndarray) -> float:

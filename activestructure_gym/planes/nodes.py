@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.detection_kernels import MOMENTS
-from activestructure_gym.planes.surface import Patch, SurfaceGrid
+from activestructure_gym.planes.surface import Patch, SurfaceGrid, distance, length
+
+_SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # where the moments hold the matrix of the second ones
 
 
 class PlaneNode:
@@ -47,9 +50,22 @@ class PlaneNode:
         return self.surface.centroid
 
     @property
+    def row(self) -> np.ndarray:  # [7]
+        """Normal, offset and centroid in one, for tables of many nodes."""
+        known = self.surface.memo.get("row")  # normal and offset never change without the surface
+        if not isinstance(known, np.ndarray):
+            known = np.array([*self.normal.tolist(), self.offset, *self.centroid.tolist()])
+            self.surface.memo["row"] = known
+        return known
+
+    @property
     def points(self) -> np.ndarray:  # [K, 3] world
         """P_i: measured points, thinned to one per cell of the tangent grid."""
         return self.surface.points()
+
+    def spread(self, count: int) -> np.ndarray:  # [count, 3] world
+        """So many of the points from the first to the last, evenly; some are there twice if there are fewer."""
+        return self.surface.spread(count)
 
     @property
     def point_count(self) -> int:
@@ -63,10 +79,10 @@ class PlaneNode:
         if count < 1:
             return 0.0
         mean = self.moments[1:4] / count
-        second = self.moments[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3) / count
+        second = self.moments[_SECOND] / count
         height = self.normal @ self.anchor + self.offset
         square = self.normal @ second @ self.normal + 2.0 * height * (self.normal @ mean) + height**2
-        return float(np.sqrt(max(square, 0.0)))
+        return math.sqrt(max(square, 0.0))
 
     def fuse(
         self,
@@ -86,12 +102,12 @@ class PlaneNode:
                 share = rate * min(1.0, segment.area / max(self.area, 1e-9))
                 normal = (1.0 - share) * self.normal + share * segment.normal
                 offset = (1.0 - share) * self.offset + share * segment.offset
-                length = np.linalg.norm(normal)
-                self.normal, self.offset = normal / length, float(offset / length)
-        weights = np.array([segment.area for segment in segments])[:, None] + 1e-12
-        normals = np.array([segment.normal for segment in segments])
-        seen_normal = (normals * weights).sum(axis=0) / weights.sum(axis=0)
-        self.normals = [*self.normals, seen_normal / np.linalg.norm(seen_normal)][-self._window :]
+                size = length(normal)
+                self.normal, self.offset = normal / size, float(offset / size)
+        weights = np.array([segment.area for segment in segments]) + 1e-12
+        total = sum(segment.normal * weight for segment, weight in zip(segments, weights))
+        seen_normal = total / np.add.reduce(weights)
+        self.normals = [*self.normals, seen_normal / length(seen_normal)][-self._window :]
         self.moments += moments
         self.keyframes |= 1 << keyframe
         self.surface.seat(self.normal, self.offset)
@@ -104,9 +120,9 @@ class PlaneNode:
         before = (self.centroid, self.area)
         share = other.area / max(self.area + other.area, 1e-9)
         normal = (1.0 - share) * self.normal + share * other.normal
-        length = np.linalg.norm(normal)
-        self.offset = float(((1.0 - share) * self.offset + share * other.offset) / length)
-        self.normal = normal / length
+        size = length(normal)
+        self.offset = float(((1.0 - share) * self.offset + share * other.offset) / size)
+        self.normal = normal / size
         self.moments += _moved(other.moments, other.anchor - self.anchor)
         self.keyframes |= other.keyframes
         self.normals = (other.normals + self.normals)[-self._window :]
@@ -115,13 +131,13 @@ class PlaneNode:
         self._note_change(*before)
 
     def _note_change(self, centroid: np.ndarray, area: float) -> None:
-        self.shift = float(np.linalg.norm(self.centroid - centroid))
+        self.shift = distance(self.centroid, centroid)
         self.area_change = abs(self.area - area) / max(area, 1e-9)
 
 
 def _moved(moments: np.ndarray, by: np.ndarray) -> np.ndarray:
     """Moments of the same points about an anchor such that every point's coordinates grow by ``by`` [3]."""
     count, first = moments[0], moments[1:4]
-    second = moments[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
+    second = moments[_SECOND]
     second = second + np.outer(first, by) + np.outer(by, first) + count * np.outer(by, by)
     return np.concatenate([[count], first + count * by, second[np.triu_indices(3)]])

@@ -6,9 +6,10 @@ carried with the plane, not with the world's axes, so a rigid motion of everythi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
@@ -65,8 +66,8 @@ class SurfaceGrid:
         # The shortest rotation from the old normal to the new one, applied to a vector of the old plane.
         u = u - (u @ normal) / (1.0 + old @ normal) * (old + normal)
         u = u - (u @ normal) * normal
-        u = u / np.sqrt(u @ u)
-        self.axes = np.stack([u, cross(normal, u), normal])
+        u = u / length(u)
+        self.axes = np.array([u, cross(normal, u), normal])
         self.origin = self.origin - (normal @ self.origin + offset) * normal
         self._forget()
 
@@ -74,17 +75,12 @@ class SurfaceGrid:
         """Join what one image showed."""
         if not patch.shown.size:
             return
-        self._cover(patch.low, patch.low + patch.shown.shape)
-        r, c = patch.low - self.low
-        window = (slice(r, r + patch.shown.shape[0]), slice(c, c + patch.shown.shape[1]))
-        self.shown[window] += patch.shown
-        self.denied[window] += patch.denied
-        self.hits[window] += patch.hits
-        np.copyto(self.beside[window], patch.beside, where=patch.beside > 0)
-        # Votes: where two planes meet, noise gives a pixel to the wrong one now and then, and without a vote every
-        # plane would grow over its edge with time.
-        self.seen[window] = (self.shown[window] > 0) & (self.shown[window] >= self.denied[window])
-        if not self.seen.any():
+        row, column = self._cover(patch.low, *patch.shown.shape)
+        kernels.join(
+            self.shown, self.denied, self.hits, self.beside, patch.shown, patch.denied, patch.hits, patch.beside,
+            row, column, self.seen,
+        )  # fmt: skip
+        if not cv2.countNonZero(self.seen):
             self.seen[:] = self.hits > 0  # a sliver between all cell centres still has a place
         self._forget()
 
@@ -95,20 +91,18 @@ class SurfaceGrid:
         corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
         ours = np.floor(self._to_cells(corners)).astype(np.int64)
         low, high = ours.min(axis=0), ours.max(axis=0) + 1
-        rows, columns = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]), indexing="ij")
-        centres = self._to_world(np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5)
-        index = np.floor(other._to_cells(centres)).astype(np.int64) - other.low
-        inside = ((index >= 0) & (index < other.seen.shape)).all(axis=1)
-        index = np.where(inside[:, None], index, 0)
+        asked = other.shown, other.denied, other.hits, other.beside
+        answers = tuple(np.zeros(tuple(high - low), array.dtype) for array in asked)
+        kernels.ask_cells(self.frame, self.cell, low, other.frame, other.cell, other.low, asked, answers)
+        self.add(Patch(low, *answers))
 
-        def ask(array: np.ndarray) -> np.ndarray:
-            return np.where(inside, array[index[:, 0], index[:, 1]], 0).astype(array.dtype).reshape(rows.shape)
-
-        self.add(Patch(low, ask(other.shown), ask(other.denied), ask(other.hits), ask(other.beside)))
-
-    def _cover(self, low: np.ndarray, high: np.ndarray) -> None:
-        if self.seen.size and (low >= self.low).all() and (high <= self.low + self.seen.shape).all():
-            return
+    def _cover(self, low: np.ndarray, height: int, width: int) -> tuple[int, int]:
+        """Grow the arrays over a rectangle from cell ``low`` on; returns the array cell it then begins at."""
+        row, column = (low - self.low).tolist()
+        rows, columns = self.seen.shape
+        if rows and row >= 0 and column >= 0 and row + height <= rows and column + width <= columns:
+            return row, column
+        first, high = low, low + (height, width)
         if self.seen.size:
             low, high = np.minimum(low, self.low), np.maximum(high, self.low + self.seen.shape)
             grown_low = np.where(low < self.low, low - _MARGIN, low)
@@ -123,6 +117,8 @@ class SurfaceGrid:
                 new[r : r + old.shape[0], c : c + old.shape[1]] = old
             setattr(self, name, new)
         self.low = np.array(grown_low, np.int64)
+        row, column = (first - self.low).tolist()
+        return row, column
 
     def _forget(self) -> None:
         for name in ("frame", "_cells", "_measured", "_points", "area", "centroid", "near"):
@@ -137,7 +133,9 @@ class SurfaceGrid:
 
     def cell_centres(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:  # [K, 3] world
         """Centres of array cells, on the plane."""
-        return self._to_world(np.stack([rows, columns], axis=1) + self.low + 0.5)
+        cells = np.empty((len(rows), 2))
+        cells[:, 0], cells[:, 1] = rows, columns
+        return self._to_world(cells + self.low + 0.5)
 
     @cached_property
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
@@ -149,10 +147,13 @@ class SurfaceGrid:
 
     @cached_property
     def _points(self) -> np.ndarray:  # [K, 3] world
-        rows, columns = self._measured if self.measured_count else self._cells
-        points = self.cell_centres(rows, columns)
+        points = self.cell_centres(*self._shown_cells)
         points.setflags(write=False)  # everybody gets this one
         return points
+
+    @property
+    def _shown_cells(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._measured if self.measured_count else self._cells
 
     @property
     def measured_count(self) -> int:
@@ -162,7 +163,7 @@ class SurfaceGrid:
     @cached_property
     def area(self) -> float:
         """Square metres: seen cells times the area of a cell."""
-        return int(np.count_nonzero(self.seen)) * self.cell**2
+        return (cv2.countNonZero(self.seen) if self.seen.size else 0) * self.cell**2
 
     @cached_property
     def centroid(self) -> np.ndarray:  # [3] world
@@ -188,18 +189,19 @@ class SurfaceGrid:
             return points[((np.arange(count) + 0.5) * len(points) / count).astype(np.int64)]
         return points
 
+    def spread(self, count: int) -> np.ndarray:  # [count, 3] world
+        """``count`` >= 2 of the points from the first to the last, kept until the grid changes."""
+        known = self.memo.get(("spread", count))
+        if not isinstance(known, np.ndarray):
+            rows, columns = self._shown_cells
+            at = np.arange(count) * (len(rows) - 1) // (count - 1)
+            known = self.memo["spread", count] = self.cell_centres(rows[at], columns[at])
+        return known
+
     def contains(self, points: np.ndarray, *, reach: int = 0) -> np.ndarray:  # [K, 3] world -> [K] bool
         """Whether the points' feet on the plane fall on seen cells, or within ``reach`` cells of one."""
-        if not self.seen.size:
-            return np.zeros(len(points), bool)
-        mask, low = self.seen, self.low
-        if reach:
-            mask = np.asarray(cv2.dilate(np.pad(mask, reach), _disc(reach)), dtype=np.uint8)
-            low = low - reach
-        index = np.floor(self._to_cells(points)).astype(np.int64) - low
-        inside = ((index >= 0) & (index < mask.shape)).all(axis=1)
-        index = np.where(inside[:, None], index, 0)
-        return inside & (mask[index[:, 0], index[:, 1]] > 0)
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        return np.asarray(kernels.near_seen(points, self.frame, self.low, self.seen, self.cell, disc(reach)))
 
 
 @dataclass(frozen=True)
@@ -223,9 +225,20 @@ def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
     )
 
 
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of two points [3]; `numpy.linalg.norm` gives the same digits in four times as long."""
+    return length(a - b)
+
+
+def length(a: np.ndarray) -> float:
+    """Length of a vector [3]."""
+    return math.sqrt(a.dot(a))
+
+
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product of two vectors [3]; numpy's own takes 30 times as long for one pair."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] uint8 -> rows [K], columns [K]
@@ -237,7 +250,9 @@ def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] uint8 
     return rows, columns
 
 
-def _disc(radius: int) -> np.ndarray:
+@cache
+def disc(radius: int) -> np.ndarray:
+    """A disc of so many cells around its middle, for OpenCV's morphology."""
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 

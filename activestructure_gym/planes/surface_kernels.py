@@ -164,6 +164,106 @@ def look_up_cells(
 
 
 @kernel
+def qualifying(planes, normal, offset, centroid, limits):
+    """Which planes [N, 7] a segment may continue: the larger of the two distances, the index, 1 = too far apart [M, 3].
+
+    Planes are normal, offset and centroid, ``limits`` those of the coplanar and the near mode of
+    `matching.MatchingConfig`. Normals face the viewer, so the sign counts: the other face of a thin wall is another
+    plane. What is too far apart must touch.
+    """
+    flat_cosine, flat_distance, lever, flat_reach, near_cosine, near_distance, near_reach = limits
+    found, total = np.empty((len(planes), 3)), 0
+    for n in range(len(planes)):
+        p = planes[n]
+        cosine = p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2]
+        if not (cosine > flat_cosine or cosine > near_cosine):
+            continue
+        to_node = abs(p[0] * centroid[0] + p[1] * centroid[1] + p[2] * centroid[2] + p[3])
+        to_segment = abs(p[4] * normal[0] + p[5] * normal[1] + p[6] * normal[2] + offset)
+        reach = np.sqrt((p[4] - centroid[0]) ** 2 + (p[5] - centroid[1]) ** 2 + (p[6] - centroid[2]) ** 2)
+        near = cosine > near_cosine and to_node < near_distance and reach < near_reach
+        flat = cosine > flat_cosine and to_node < flat_distance and to_segment < flat_distance + lever * reach
+        if near or flat:
+            found[total, 0], found[total, 1] = max(to_node, to_segment), n
+            found[total, 2] = 0.0 if near or reach <= flat_reach else 1.0
+            total += 1
+    return found[:total]
+
+
+@kernel
+def depth_gaps(points, eye, normal, offset, grid, low, seen, cell):
+    """How far the points [P, 3] lie from a plane along their rays from ``eye``, times the ray's slant: metres [M].
+
+    Only of rays that meet the plane in front of the eye, in a seen cell of its grid. Seen at a slant a plane's own
+    noise moves the meeting point along the ray, hence the slant; 0.2 = 78 degrees from the normal.
+    """
+    gaps, total = np.empty(len(points)), 0
+    height = eye[0] * normal[0] + eye[1] * normal[1] + eye[2] * normal[2] + offset
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
+        facing = x * normal[0] + y * normal[1] + z * normal[2]
+        along = -height / facing  # 1 where the plane meets the ray at the point's own depth
+        if not 0.0 < along < np.inf:
+            continue
+        r, c = _cell_of(eye[0] + along * x, eye[1] + along * y, eye[2] + along * z, grid, cell)
+        r, c = r - low[0], c - low[1]
+        if 0 <= r < seen.shape[0] and 0 <= c < seen.shape[1] and seen[r, c]:
+            length = np.sqrt(x * x + y * y + z * z)
+            slant = min(max(abs(facing) / max(length, 1e-9), 0.2), 1.0)
+            gaps[total] = abs(along - 1.0) * length * slant
+            total += 1
+    return gaps[:total]
+
+
+@kernel
+def near_seen(points, grid, low, seen, cell, disc):
+    """Whether the points' feet [P, 3] on a grid's plane lie on seen cells, or a ``disc`` [D, D] of cells from one."""
+    near, reach = np.zeros(len(points), np.bool_), len(disc) // 2
+    for n in range(len(points)):
+        r, c = _cell_of(points[n, 0], points[n, 1], points[n, 2], grid, cell)
+        r, c = r - low[0] - reach, c - low[1] - reach
+        for a in range(max(-r, 0), min(len(disc), seen.shape[0] - r)):
+            for b in range(max(-c, 0), min(len(disc), seen.shape[1] - c)):
+                if disc[a, b] and seen[r + a, c + b]:
+                    near[n] = True
+    return near
+
+
+@kernel
+def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
+    """What the arrays of another grid hold at the centres of a rectangle of cells, from ``low`` on; 0 beyond it."""
+    shown, denied, hits, beside = asked
+    for r in range(answers[0].shape[0]):
+        a = (low[0] + r + 0.5) * cell
+        for c in range(answers[0].shape[1]):
+            b = (low[1] + c + 0.5) * cell
+            px, py = grid[0] + (a * grid[3] + b * grid[6]), grid[1] + (a * grid[4] + b * grid[7])
+            i, j = _cell_of(px, py, grid[2] + (a * grid[5] + b * grid[8]), other, other_cell)
+            i, j = i - other_low[0], j - other_low[1]
+            if 0 <= i < shown.shape[0] and 0 <= j < shown.shape[1]:
+                answers[0][r, c], answers[1][r, c] = shown[i, j], denied[i, j]
+                answers[2][r, c], answers[3][r, c] = hits[i, j], beside[i, j]
+
+
+@kernel
+def join(shown, denied, hits, beside, patch_shown, patch_denied, patch_hits, patch_beside, row, column, seen):
+    """Add what one image showed to the arrays of a grid, from (row, column) on; see `surface.SurfaceGrid`.
+
+    Votes: where two planes meet, noise gives a pixel to the wrong one now and then, and without a vote every plane
+    would grow over its edge with time.
+    """
+    for r in range(patch_shown.shape[0]):
+        for c in range(patch_shown.shape[1]):
+            at = row + r, column + c
+            shown[at] += patch_shown[r, c]
+            denied[at] += patch_denied[r, c]
+            hits[at] += patch_hits[r, c]
+            if patch_beside[r, c] > 0:
+                beside[at] = patch_beside[r, c]
+            seen[at] = shown[at] > 0 and shown[at] >= denied[at]
+
+
+@kernel
 def _may_touch(index, other, shapes, lows, grids, cell, reach):
     """Whether a grid's rectangle and a cell around it come within ``reach`` of the plane of another, over its cells.
 

@@ -37,8 +37,8 @@ def visible_planes(
     """
     if not len(planes) or not len(world_from_camera):
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
-    points = np.stack([_spread(plane.points) for plane in planes])  # [P, S, 3]
-    normals = np.stack([plane.normal for plane in planes])  # [P, 3]
+    points = np.array([plane.spread(SAMPLES) for plane in planes])  # [P, S, 3]
+    normals = np.array([plane.normal for plane in planes])  # [P, 3]
     enough = int(np.ceil(LEAST_SHARE * SAMPLES))
     return cosines_in_sight(points, normals, camera, world_from_camera, volume, enough=enough)[1] == enough
 
@@ -143,7 +143,3 @@ def _make_cosines_in_sight(stamp: int) -> Any:
 
 
 _cosines_in_sight = _make_cosines_in_sight(stamp_of(distance_field, kernels))
-
-
-def _spread(points: np.ndarray) -> np.ndarray:  # [N, 3] -> [SAMPLES, 3]
-    return points[np.arange(SAMPLES) * (len(points) - 1) // (SAMPLES - 1)]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from activestructure_gym.planes.surface import Patch, SurfaceGrid
+from activestructure_gym.planes.surface import Patch, SurfaceGrid, disc
 
 
 def patch(low, mask):
@@ -93,3 +94,15 @@ def test_fewer_points_are_spread_over_all():
     points = grid.points(50)
     assert len(points) == 50
     assert (np.ptp(points, axis=0)[:2] > 1.5).all()
+
+
+def test_near_a_seen_cell_is_what_a_dilated_mask_holds():
+    rng = np.random.default_rng(0)
+    grid = SurfaceGrid(np.array([1.0, 2.0, 3.0]), np.eye(3)[[1, 2, 0]], 0.05)
+    grid.add(patch((-3, 4), rng.random((12, 20)) < 0.05))
+    cells = rng.integers([-10, -3], [16, 31], (400, 2))
+    points = grid.origin + (cells + rng.uniform(0.1, 0.9, (400, 2))) * 0.05 @ grid.axes[:2]
+    for reach in (0, 1, 3):
+        mask = cv2.dilate(np.pad(grid.seen, 20), disc(reach))
+        index = cells - grid.low + 20
+        np.testing.assert_array_equal(grid.contains(points, reach=reach), mask[index[:, 0], index[:, 1]] > 0)

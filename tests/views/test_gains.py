@@ -67,6 +67,9 @@ def test_hidden_distance_against_the_box() -> None:
     # Marching stops at most its step of half a voxel before the end.
     assert (distance <= expected + 1e-9).all()
     assert (distance >= expected - 0.05 - 1e-9).all()
+    enough = hidden_distances(unknown.volume, CAMERA, pose, 100.0, wanted, stride=1, enough=2.2)[0]
+    assert (distance > 2.2).any()
+    np.testing.assert_array_equal(np.minimum(enough, 2.2), np.minimum(distance, 2.2))
     wanted[0, ::2] = False
     assert not hidden_distances(unknown.volume, CAMERA, pose, 100.0, wanted, stride=1)[0, ::2].any()
 

@@ -195,9 +195,9 @@ def test_hole_area_is_a_share(rng: np.random.Generator) -> None:
 
 
 def test_structure_is_the_deficit_of_the_planes_in_view() -> None:
-    spread = np.stack(np.meshgrid([-0.1, 0.0, 0.1], [-0.1, 0.0, 0.1]), axis=-1).reshape(-1, 2)
+    corners = np.insert(np.stack(np.meshgrid(*2 * [np.linspace(-0.1, 0.1, 4)]), axis=-1).reshape(-1, 2), 0, 0.0, axis=1)
     facing = [
-        SimpleNamespace(points=np.array([x, 2.0, 2.0]) + np.insert(spread, 0, 0.0, axis=1), normal=np.array(n, float))
+        SimpleNamespace(spread=lambda count, x=x: np.array([x, 2.0, 2.0]) + corners[:count], normal=np.array(n, float))
         for x, n in ((3.0, (-1, 0, 0)), (3.2, (-1, 0, 0)), (0.2, (1, 0, 0)), (3.0, (1, 0, 0)))
     ]
     graph = SimpleNamespace(nodes=facing, deficit=np.array([0.1, 0.2, 0.4, 0.8]), deficiencies=holes([]))

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.views import visibility, visible_planes
-from activestructure_gym.views.visibility import cosines_in_sight
+from activestructure_gym.views.visibility import SAMPLES, cosines_in_sight
 from activestructure_gym.volume import OCCUPIED, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)
@@ -19,11 +19,16 @@ def patch(center: tuple[float, float, float], normal_axis: int) -> np.ndarray:  
     return np.asarray(center) + np.insert(grid, normal_axis, 0.0, axis=1)
 
 
+def plane_of(points: np.ndarray, normal: np.ndarray) -> SimpleNamespace:
+    at = np.arange(SAMPLES) * (len(points) - 1) // (SAMPLES - 1)
+    return SimpleNamespace(spread=lambda count: points[at][:count], normal=normal)
+
+
 def test_frustum_distance_and_angle() -> None:
     here = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))
     back = look_along(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
     planes = [
-        SimpleNamespace(points=points, normal=np.asarray(normal, float))
+        plane_of(points, np.asarray(normal, float))
         for points, normal in [
             (patch((2.0, 0.0, 0.0), 0), (-1, 0, 0)),  # ahead, frontal
             (patch((2.0, 0.0, 0.0), 0), (1, 0, 0)),  # ahead, but its face looks away
@@ -39,7 +44,7 @@ def test_frustum_distance_and_angle() -> None:
 
 def test_what_is_occupied_hides_what_is_behind() -> None:
     volume = VoxelVolume(np.array([[-1.0, -1, -1], [3.0, 1, 1]]), VolumeConfig())
-    plane = SimpleNamespace(points=patch((2.0, 0.0, 0.0), 0), normal=np.array([-1.0, 0, 0]))
+    plane = plane_of(patch((2.0, 0.0, 0.0), 0), np.array([-1.0, 0, 0]))
     here = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))[None]
     assert visible_planes([plane], CAMERA, here, volume).all()
     wall = (volume.center_of(np.indices(volume.shape).transpose(1, 2, 3, 0))[..., 0] - 1.0) ** 2 < 0.05**2
@@ -86,7 +91,7 @@ def test_nothing_beyond_the_farthest_depth_counts() -> None:
 
 
 def test_empty_inputs() -> None:
-    plane = SimpleNamespace(points=patch((2.0, 0.0, 0.0), 0), normal=np.array([-1.0, 0, 0]))
+    plane = plane_of(patch((2.0, 0.0, 0.0), 0), np.array([-1.0, 0, 0]))
     assert visible_planes([], CAMERA, np.eye(4)[None]).shape == (1, 0)
     assert visible_planes([plane] * 2, CAMERA, np.zeros((0, 4, 4))).shape == (0, 2)
 
@@ -94,7 +99,7 @@ def test_empty_inputs() -> None:
 def test_compiled_view_test_agrees_with_the_formula(rng: np.random.Generator) -> None:
     points, normals = rng.uniform(-4, 4, (30, 16, 3)), rng.normal(size=(30, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    planes = [SimpleNamespace(points=p, normal=n) for p, n in zip(points, normals)]
+    planes = [plane_of(p, n) for p, n in zip(points, normals)]
     poses = np.stack([look_along(rng.uniform(-1, 1, 3), rng.normal(size=3)) for _ in range(20)])
     expected = np.zeros((20, 30), dtype=bool)
     for k, pose in enumerate(poses):

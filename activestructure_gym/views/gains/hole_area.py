@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
@@ -31,16 +33,19 @@ def hole_area(context: GainContext) -> np.ndarray:  # [K] in 0..1
     camera = context.camera
     alpha = context.alpha[:, ::_STRIDE, ::_STRIDE]
     distance = hidden_distances(
-        context.volume, camera, context.world_from_camera, context.max_range, alpha < 0.99, stride=_STRIDE
+        context.volume, camera, context.world_from_camera, context.max_range, alpha < 0.99, stride=_STRIDE, enough=REACH
     )
     angle = solid_angles(camera)[::_STRIDE, ::_STRIDE] * _STRIDE**2
     area = (1.0 - alpha) * angle * np.minimum(distance, REACH) ** 2
     return np.minimum(area.sum(axis=(1, 2)) / largest_area(camera), 1.0)
 
 
-def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian
+@lru_cache(maxsize=4)
+def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian, read-only
     """Solid angle of every pixel: (1 / (fx fy)) cos^3 of the angle to the optical axis."""
-    return 1.0 / (camera.fx * camera.fy) / np.linalg.norm(camera.rays(), axis=-1) ** 3
+    angles = 1.0 / (camera.fx * camera.fy) / np.linalg.norm(camera.rays(), axis=-1) ** 3
+    angles.setflags(write=False)
+    return np.asarray(angles)
 
 
 def largest_area(camera: PinholeCamera) -> float:  # m^2
@@ -56,6 +61,7 @@ def hidden_distances(
     wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
     *,
     stride: int,  # pixels between neighbours in ``wanted``
+    enough: float = np.inf,  # metres; of larger distances only that they are larger is found out
 ) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted or where the volume knows that nothing is there
     """How far the ray of each pixel may go at most until it must have met a surface that the map lacks."""
     return _march(
@@ -65,6 +71,7 @@ def hidden_distances(
         np.ascontiguousarray(world_from_camera, dtype=np.float64),
         camera.rays()[::stride, ::stride].astype(np.float64),
         float(max_range),
+        float(enough),
         np.ascontiguousarray(wanted),
     )
 
@@ -77,6 +84,7 @@ def _march(
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
     max_range: float,  # metres of depth
+    enough: float,  # metres
     wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
 ) -> np.ndarray:  # [K, h, w] metres along the ray
     """Distance to the first occupied voxel, or, of rays that meet the unknown, to where volume or range end; else 0.
@@ -113,6 +121,8 @@ def _march(
                         break
                     unknown = 0 if here == FREE else unknown + 1
                     meets = meets or unknown == 2
+                    if meets and 0.5 * voxel_size * steps >= enough:
+                        break
                 if meets:
                     result[k, row, column] = 0.5 * voxel_size * steps
     return result

@@ -40,7 +40,7 @@ try:
 except ImportError:  # Windows: every process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
-EPISODE_KERNELS = 46  # that an episode uses, about: gains and scene decide about a few
+EPISODE_KERNELS = 54  # that an episode uses, about: gains and scene decide about a few
 _PATIENCE = 120.0  # seconds, for one kernel of another process: many times the slowest
 _UNREMARKED = 0.5  # seconds of waiting: another process may only be loading
 

@@ -7,6 +7,7 @@ keyframe, which is rendered, integrated and mapped (method.md, section 1).
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -168,7 +169,8 @@ class Reconstruction:
         keyframes: list[Frame] = []
         index, end = 0, len(poses)  # poses[:end] is free as far as the volume knows
         while index < end and not self.exhausted:
-            self.metres += float(np.linalg.norm(poses[index][:3, 3] - self.pose[:3, 3]))
+            step = poses[index][:3, 3] - self.pose[:3, 3]
+            self.metres += math.sqrt(step @ step)
             self.pose = poses[index]
             self.trajectory.append(self.pose)
             self.frames += 1

@@ -101,9 +101,19 @@ def least_frames(pose: np.ndarray, table: CandidateTable, motion: MotionConfig) 
     return np.clip(np.ceil(np.maximum(steps, turns) - 1e-6), 1, 10 * FARTHEST_M)
 
 
+def _quantile(values: np.ndarray, share: float) -> float:
+    """`numpy.quantile` of one or more finite numbers, to the last digit, in a tenth of its time."""
+    ordered = np.sort(values).tolist()
+    at = share * (len(ordered) - 1)
+    low = int(at)
+    first, second, rest = ordered[low], ordered[min(low + 1, len(ordered) - 1)], at - low
+    step = second - first
+    return float(first + step * rest if rest < 0.5 else second - step * (1.0 - rest))
+
+
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
     """The observation of the current state. Every array is new: nothing is shared with another observation."""
-    from scipy.spatial.transform import Rotation  # policies take names from this module without loading scipy
+    from activestructure_gym.geometry.quaternions import quaternions  # policies take names from here without scipy
 
     config, table = reconstruction.config, reconstruction.candidates
     size, count = config.views.max_candidates, len(table)
@@ -124,7 +134,7 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     seen[:count, : len(planes.nodes)] = reconstruction.visible[:, planes.nodes]
 
     fidelity = reconstruction.mapper.keyframe_psnr(renders=0)
-    quaternion = Rotation.from_matrix(frame.world_from_camera[:3, :3]).as_quat(scalar_first=True, canonical=True)
+    quaternion = quaternions(frame.world_from_camera[None, :3, :3], canonical=True)[0]
     pose = np.concatenate([np.clip(frame.world_from_camera[:3, 3], -FARTHEST_M, FARTHEST_M), quaternion])
     left = max(0, config.frame_budget - reconstruction.frames) / config.frame_budget
     return {
@@ -135,7 +145,7 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
         "candidates": candidates,
         "candidate_gains": gains,
         "action_mask": mask,
-        "fidelity": np.clip(np.quantile(fidelity, [0.1, 0.5]), 0.0, 200.0).astype(np.float32),
+        "fidelity": np.clip([_quantile(fidelity, 0.1), _quantile(fidelity, 0.5)], 0.0, 200.0).astype(np.float32),
         "plane_features": planes.features,
         "plane_mask": planes.mask,
         "plane_edges": planes.edge_weights,

@@ -10,9 +10,9 @@ way for finer ones (numbers: `MapperConfig`). SplaTAM's balls are here for the r
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import invert_rigid, transform_points
+from activestructure_gym.geometry.quaternions import quaternions
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.mapping.scans import larger_in_view
 from activestructure_gym.sensors.frame import Frame
@@ -42,8 +42,15 @@ def missing_pixels(
     else:
         behind = np.where(measured, rendered_depth - depth, 0.0)
         errors = np.abs(behind)
-    tolerance = max(error_factor * float(np.median(errors)), error_floor) if errors.size else error_floor
+    tolerance = max(error_factor * _median(errors), error_floor) if errors.size else error_floor
     return measured & (~covered | (behind > tolerance))
+
+
+def _median(values: np.ndarray) -> float:
+    """`numpy.median` of one or more finite numbers, without its checks, which take longer."""
+    low, high = (values.size - 1) // 2, values.size // 2
+    ordered = np.partition(values, (low, high), axis=None)
+    return float((ordered[low] + ordered[high]) / 2.0)
 
 
 def too_coarse(
@@ -105,7 +112,7 @@ def surface_steps(
     center = points[rows, columns]
     per_column, column_found = _one_sided_difference(points, rows, columns, center, 0, 1)
     per_row, row_found = _one_sided_difference(points, rows, columns, center, 1, 0)
-    normals = np.cross(per_row, per_column)
+    normals = _cross(per_row, per_column)
     cosine = np.einsum("ij,ij->i", normals, -center)
     least = min_cosine * np.linalg.norm(normals, axis=1) * np.linalg.norm(center, axis=1)
     return per_column, per_row, column_found & row_found & (cosine > 0) & (cosine >= least)
@@ -153,7 +160,7 @@ def seed_disks(
     block = _balls(frame, rows, columns, center, sigma, opacity)
     if defined.any():
         world_axes = frame.world_from_camera[:3, :3] @ axes
-        block[QUATERNION, defined] = Rotation.from_matrix(world_axes).as_quat(scalar_first=True).T
+        block[QUATERNION, defined] = quaternions(world_axes).T
     block[7, defined] += np.log(np.minimum(stretch, elongation))
     block[9, defined] += np.log(thickness)
     return block
@@ -206,8 +213,17 @@ def _disk_axes(
     angle = 0.5 * np.arctan2(2.0 * b, a - d)
     long = np.cos(angle)[:, None] * per_column + np.sin(angle)[:, None] * per_row
     long /= np.linalg.norm(long, axis=1, keepdims=True)
-    normal = np.cross(per_row, per_column)  # y x x = -z: towards the camera
+    normal = _cross(per_row, per_column)  # y x x = -z: towards the camera
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     # mean - spread written as determinant / (mean + spread): no cancellation for long ellipses.
     ratio = (mean + spread) / np.sqrt(np.maximum(a * d - b * b, 1e-30))
-    return np.stack([long, np.cross(normal, long), normal], axis=-1), ratio
+    return np.stack([long, _cross(normal, long), normal], axis=-1), ratio
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 3]
+    """`numpy.cross` without what it takes for arrays of other shapes."""
+    result = np.empty_like(a)
+    for k in range(3):
+        m, n = (k + 1) % 3, (k + 2) % 3
+        result[:, k] = a[:, m] * b[:, n] - a[:, n] * b[:, m]
+    return result

@@ -255,6 +255,8 @@ def test_beside_a_spinner_the_line_is_a_plain_one(tmp_path, monkeypatch) -> None
 
     # rich puts an object of its own in the place of sys.stderr while a spinner turns.
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiling._LOCKS, "take", lambda name: True)  # another process may be the one that tells
+    monkeypatch.setattr(compiling._LOCKS, "drop", lambda name: None)
     monkeypatch.setattr(compiling, "_VOICE", voice := compiling._Voice())
     monkeypatch.setattr(sys, "stderr", Terminal())
 

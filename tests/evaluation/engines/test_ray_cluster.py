@@ -159,6 +159,9 @@ def test_jobs_outlive_the_machine_that_ran_them(cluster, tmp_path):
     (machine,) = cluster.worker_nodes
 
     def kill(mark):
+        deadline = time.monotonic() + 60  # what has not begun would wait on the next machine, and nothing kill it there
+        while not (tmp_path / "marks" / "lost-too.0").is_file() and time.monotonic() < deadline:
+            time.sleep(0.05)
         cluster.remove_node(machine, allow_graceful=False)
         cluster.add_node(num_cpus=1)
 

@@ -57,6 +57,7 @@ def run_ray(
     ours, ray = _connect()
     threads = _threads(len(jobs), limits)
     board: Any = ray.remote(num_cpus=0)(_Board).options(scheduling_strategy=_here(ray)).remote()
+    news = _News(ray, board)
     task: Any = ray.remote(num_cpus=threads, max_retries=max(_LOSSES, limits.retries))(_attempt)
     variables = {name: value for name, value in os.environ.items() if name.startswith("ASG_")}
     variables["PYTHONPATH"] = os.pathsep.join(search_path())
@@ -72,7 +73,7 @@ def run_ray(
                 )
                 running[task.remote(order, board)] = job, attempt
             ready, _ = ray.wait(list(running), timeout=_TICK)
-            _pass_on(ray, board, {job.name: job for job, _ in running.values()}, listener)
+            _pass_on(news.lines(), {job.name: job for job, _ in running.values()}, listener)
             for reference in ready:
                 job, attempt = running.pop(reference)
                 ended = _result(ray, reference, job, directory)
@@ -161,12 +162,28 @@ def _result(ray: Any, reference: Any, job: Job, directory: Path) -> Ended:
     return ended
 
 
-def _pass_on(ray: Any, board: Any, jobs: Mapping[str, Job], listener: Listener) -> None:
-    """Tell the listener what the board has heard. Without the board, jobs go on in silence."""
-    try:
-        lines = ray.get(board.take.remote(), timeout=10 * _TICK)
-    except (ray.exceptions.RayError, TimeoutError):
-        return
+class _News:
+    """What the board has heard. One question at a time: lines leave the board with an answer, which may come late."""
+
+    def __init__(self, ray: Any, board: Any) -> None:
+        self._ray, self._board = ray, board
+        self._asked: Any = None
+
+    def lines(self) -> list[tuple[str, str]]:
+        """The lines since the last answer; none while the answer is on its way, or without the board."""
+        if self._asked is None:
+            self._asked = self._board.take.remote()
+        if not self._ray.wait([self._asked], timeout=10 * _TICK)[0]:
+            return []
+        asked, self._asked = self._asked, None
+        try:
+            lines: list[tuple[str, str]] = self._ray.get(asked)
+        except self._ray.exceptions.RayError:
+            return []
+        return lines
+
+
+def _pass_on(lines: Sequence[tuple[str, str]], jobs: Mapping[str, Job], listener: Listener) -> None:
     for name, line in lines:
         progress = read_progress(line)
         if progress and name in jobs:

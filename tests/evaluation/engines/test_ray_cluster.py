@@ -11,7 +11,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import episode
-from activestructure_gym.evaluation.engines import get_engine
+from activestructure_gym.evaluation.engines import get_engine, ray_cluster
 from activestructure_gym.evaluation.engines.base import LOGS, Limits, run_directory
 from activestructure_gym.evaluation.engines.ray_cluster import run_ray
 from activestructure_gym.evaluation.jobs import Job
@@ -152,6 +152,23 @@ def test_a_real_job_gives_the_bits_of_engine_inline(cluster, tmp_path, monkeypat
     again = episode.run_job(job, tmp_path / "again")
     for name in ("metrics.json", "steps.jsonl", "config.json"):
         assert (again.directory / name).read_bytes() == (run_directory(tmp_path / "out", job) / name).read_bytes()
+
+
+def test_an_answer_that_comes_late_is_not_lost(cluster, monkeypatch):
+    import ray
+
+    class Slow(ray_cluster._Board):
+        def take(self):
+            time.sleep(0.5)
+            return super().take()
+
+    monkeypatch.setattr(ray_cluster, "_TICK", 0.01)  # of ten such the answer is waited for
+    board = ray.remote(num_cpus=0)(Slow).remote()
+    board.tell.remote("job", "line")
+    news, looks, heard = ray_cluster._News(ray, board), 0, []
+    while not heard and looks < 600:
+        heard, looks = news.lines(), looks + 1
+    assert heard == [("job", "line")] and looks > 1
 
 
 def test_jobs_outlive_the_machine_that_ran_them(cluster, tmp_path):

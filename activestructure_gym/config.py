@@ -56,8 +56,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "frame_budget": 100,
         "keyframe_every": 20,
         "sensor": {"width": 96, "height": 54, "supersample": 1},
-        "mapper": {"iterations": 0, "psnr_refresh": 0, "seed_stride": 3},
-        "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 1 / 3},
+        "mapper": {"iterations": 0, "psnr_refresh": 0, "seed_stride": 4},
+        "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 0.25},
     },
     # What comparisons on a CPU use.
     "default": {},

@@ -25,16 +25,22 @@ def _pixel_rays(rotation, fx, fy, cx, cy, width, first_row, last_row, supersampl
     Each pixel has supersample x supersample rays through its subpixel centres. An even number has none through the
     pixel's centre; there it follows as one more ray.
     """
+    rays = supersample * supersample + 1 - supersample % 2
+    across, down = np.empty((width, rays)), np.empty(rays)
+    beside, below = np.full(rays, 0.5), np.full(rays, 0.5)  # from the pixel's corner
+    for sub in range(supersample * supersample):
+        beside[sub] = (sub % supersample + 0.5) / supersample
+        below[sub] = (sub // supersample + 0.5) / supersample
+    for column in range(width):
+        for sub in range(rays):
+            across[column, sub] = (column + beside[sub] - cx) / fx
     ray = 0
     for row in range(first_row, last_row):
+        for sub in range(rays):
+            down[sub] = (row + below[sub] - cy) / fy
         for column in range(width):
-            for sub in range(supersample * supersample + 1 - supersample % 2):
-                if sub < supersample * supersample:
-                    u = column + (sub % supersample + 0.5) / supersample
-                    v = row + (sub // supersample + 0.5) / supersample
-                else:
-                    u, v = column + 0.5, row + 0.5
-                x, y = (u - cx) / fx, (v - cy) / fy
+            for sub in range(rays):
+                x, y = across[column, sub], down[sub]
                 for axis in range(3):
                     directions[ray, axis] = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2]
                 ray += 1

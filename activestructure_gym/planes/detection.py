@@ -7,6 +7,7 @@ the image, join blocks that lie on one plane, then let every pixel choose. Only 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -245,8 +246,9 @@ def _merge_coplanar(
 ) -> tuple[np.ndarray, np.ndarray]:  # moments [T, 10], new label of every old one [S]
     """Join segments of one plane, closest pair first, refitting after every join."""
     limits = (
-        config.merge_sigma, config.merge_tolerance, config.merge_back, _cosine(config.merge_angle_deg),
-        config.merge_wide_sigma, config.merge_wide_tolerance, _cosine(config.merge_wide_angle_deg), config.merge_reach,
+        config.merge_sigma, config.merge_tolerance, config.merge_back, cosine_deg(config.merge_angle_deg),
+        config.merge_wide_sigma, config.merge_wide_tolerance, cosine_deg(config.merge_wide_angle_deg),
+        config.merge_reach,
     )  # fmt: skip
     moments = moments.copy()
     alive, label = kernels.merge_coplanar(moments, config.depth_noise_scale, limits)
@@ -254,7 +256,9 @@ def _merge_coplanar(
     return moments[alive], np.where(alive[label], table[label], -1)
 
 
-def _cosine(degrees: float) -> float:
+@cache
+def cosine_deg(degrees: float) -> float:
+    """Cosine of an angle in degrees, kept: thresholds are asked for again and again."""
     return float(np.cos(np.radians(degrees)))
 
 

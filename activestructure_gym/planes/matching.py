@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
-from activestructure_gym.planes.detection import PlaneSegment
+from activestructure_gym.planes.detection import PlaneSegment, cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import distance
 
@@ -48,8 +47,8 @@ def match_segment(
 ) -> int | None:
     """Index of the node that the segment continues (closest plane of those that qualify), or None."""
     limits = (
-        _cosine(config.coplanar_angle_deg), config.coplanar_distance, config.lever, config.coplanar_reach,
-        _cosine(config.near_angle_deg), config.near_distance, config.near_reach,
+        cosine_deg(config.coplanar_angle_deg), config.coplanar_distance, config.lever, config.coplanar_reach,
+        cosine_deg(config.near_angle_deg), config.near_distance, config.near_reach,
     )  # fmt: skip
     able = kernels.qualifying(planes, segment.normal, segment.offset, segment.centroid, limits)
     for _, index, far in sorted(able.tolist()):
@@ -69,7 +68,7 @@ def may_be_same(nodes: Sequence[PlaneNode], config: MatchingConfig) -> dict[int,
     planes = stack_planes(nodes)
     normals, offsets, centroids = planes[:, :3], planes[:, 3], planes[:, 4:]
     away = np.abs(centroids @ normals.T + offsets)  # [N, N] centroid of the row to the plane of the column
-    near = normals @ normals.T > _cosine(config.coplanar_angle_deg) - 1e-9
+    near = normals @ normals.T > cosine_deg(config.coplanar_angle_deg) - 1e-9
     near &= np.minimum(away, away.T) < config.coplanar_distance + 1e-9
     np.fill_diagonal(near, False)
     pairs: dict[int, list[int]] = {}
@@ -94,15 +93,10 @@ def same_surface(first: PlaneNode, second: PlaneNode, config: MatchingConfig) ->
 
 def _coplanar(cosine: float, to_node: float, to_segment: float, reach: float, config: MatchingConfig) -> bool:
     return (
-        cosine > _cosine(config.coplanar_angle_deg)
+        cosine > cosine_deg(config.coplanar_angle_deg)
         and to_node < config.coplanar_distance
         and to_segment < config.coplanar_distance + config.lever * reach
     )
-
-
-@cache
-def _cosine(degrees: float) -> float:
-    return float(np.cos(np.radians(degrees)))
 
 
 def _touches(points: np.ndarray, node: PlaneNode, config: MatchingConfig) -> bool:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import numpy as np
 
 from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes.detection import cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches, sparse_patches
 from activestructure_gym.planes.surface import SurfaceGrid, disc, length, stack_grids
@@ -221,13 +221,8 @@ def normal_consistency(normals: Sequence[np.ndarray], max_angle_deg: float) -> f
     if not size > 1e-9:
         return 0.0
     alignment = float(np.add.reduce(np.abs(stack @ (mean / size)))) / len(stack)
-    floor = _cosine(max_angle_deg)
+    floor = cosine_deg(max_angle_deg)
     return min(max((alignment - floor) / (1.0 - floor), 0.0), 1.0)
-
-
-@cache
-def _cosine(degrees: float) -> float:
-    return float(np.cos(np.radians(degrees)))
 
 
 def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]

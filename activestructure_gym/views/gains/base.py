@@ -68,6 +68,22 @@ class GainContext:
         return {}
 
 
+def grid_rays(
+    volume: VoxelVolume,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [K, 4, 4]
+    stride: int,  # pixels between rays
+) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """What every kernel takes that walks pixels' rays through the grid.
+
+    The corner of voxel (0, 0, 0) [3], the size of a voxel, the poses [K, 4, 4], and the rays [h, w, 3] in the camera's
+    frame with depth 1.
+    """
+    poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+    rays = camera.rays()[::stride, ::stride].astype(np.float64)
+    return volume.origin.astype(np.float64), float(volume.config.voxel_size), poses, rays
+
+
 Gain = Callable[[GainContext], np.ndarray]
 GAINS: Registry[Gain] = Registry("gain", "gains")
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.sensors import Frame
-from activestructure_gym.views.gains.base import GAINS, GainContext
+from activestructure_gym.views.gains.base import GAINS, GainContext, grid_rays
 
 STRIDE = 2  # pixels between rays
 COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error that a full error of colour is worth
@@ -38,7 +38,7 @@ def gs_planner_loss(context: GainContext) -> np.ndarray:  # [K] >= 0, metres
 
 
 def _walked(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
-    camera, volume = context.camera, context.volume
+    volume = context.volume
     alpha = context.alpha[:, ::STRIDE, ::STRIDE]
     shown = context.depth[:, ::STRIDE, ::STRIDE] / np.maximum(alpha, 1e-6)
     farthest = min(context.max_range, volume.config.max_range)
@@ -46,10 +46,7 @@ def _walked(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
         volume.unobserved,
         volume.occupied,
         voxel_losses(context),
-        volume.origin.astype(np.float64),
-        float(volume.voxel_size),
-        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
-        camera.rays()[::STRIDE, ::STRIDE].astype(np.float64),
+        *grid_rays(volume, context.camera, context.world_from_camera, STRIDE),
         float(farthest),
         np.ascontiguousarray(shown, dtype=np.float32),
         np.ascontiguousarray(alpha, dtype=np.float32),

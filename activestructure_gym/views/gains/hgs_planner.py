@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.views.gains.base import GAINS, GainContext
+from activestructure_gym.views.gains.base import GAINS, GainContext, grid_rays
 from activestructure_gym.views.gains.fisherrf import fisherrf
 from activestructure_gym.views.gains.information import adaptive
 
@@ -34,10 +34,7 @@ def hgs_coverage(context: GainContext) -> np.ndarray:  # [K] in 0..1
     volume, reach = context.volume, min(RANGE, context.max_range)
     return _transmitted_unknown(
         volume.unobserved,
-        volume.origin.astype(np.float64),
-        float(volume.config.voxel_size),
-        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
-        context.camera.rays()[::_STRIDE, ::_STRIDE].astype(np.float64),
+        *grid_rays(volume, context.camera, context.world_from_camera, _STRIDE),
         np.ascontiguousarray(depth / np.maximum(alpha, 1e-6)),
         np.ascontiguousarray(alpha),
         reach,

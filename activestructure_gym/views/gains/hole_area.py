@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.views.gains.base import GAINS, GainContext
+from activestructure_gym.views.gains.base import GAINS, GainContext, grid_rays
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 # Only every second pixel in both directions is marched: neighbours see the same hole.
@@ -66,10 +66,7 @@ def hidden_distances(
     """How far the ray of each pixel may go at most until it must have met a surface that the map lacks."""
     return _march(
         volume.state,
-        volume.origin.astype(np.float64),
-        float(volume.config.voxel_size),
-        np.ascontiguousarray(world_from_camera, dtype=np.float64),
-        camera.rays()[::stride, ::stride].astype(np.float64),
+        *grid_rays(volume, camera, world_from_camera, stride),
         float(max_range),
         float(enough),
         np.ascontiguousarray(wanted),

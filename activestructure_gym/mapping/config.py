@@ -64,7 +64,7 @@ class MapperConfig:
     isotropic: bool = False  # balls, and one scale per Gaussian, instead of disks on the surface (True: SplaTAM)
 
     # Seeding
-    seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode, 3 the fast one (ablation B8, C16)
+    seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode (ablation B8, C16)
     seed_footprint: float = 0.6  # in-plane sigma / (stride * depth / focal length) (ablation B1)
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (ablation B18, B19: irrelevant in .02 .. .3)
     seed_elongation: float = 2.0  # largest ratio of a disk's in-plane axes on slanted surfaces, 1 = circles (measured)

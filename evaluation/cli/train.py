@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 
 _SCORE_LAYOUTS = 24
+_BASELINE = "pixel_only"
 _MANNER = ("what", "out", "resume", "workers", "data")  # how and where a run is made, and not what is learnt
 _SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
 
@@ -89,10 +90,15 @@ def training_config(options: Train) -> TrainingConfig:
     from activestructure_gym.evaluation.training.config import TrainingConfig
     from activestructure_gym.policies.learned import learned_from
 
+    if options.data is not None and options.what == "ppo":
+        raise InputError("--data holds an expert's episodes, for bc and rank; ppo plays its own")
     gains = split_list(options.gains)
     start = None
     if options.start is not None:
         chosen = learned_from(options.start.removeprefix("learned:"))
+        if options.gains != Train(what="ppo").gains and gains != chosen.required_gains:
+            told = ", ".join(chosen.required_gains)
+            raise InputError(f"the checkpoint to begin from is told {told}, not {', '.join(gains)}: leave --gains out")
         start, gains = chosen.spec.removeprefix("learned:"), chosen.required_gains
     same = (
         "seed", "teacher", "episodes", "temperature", "epochs", "iterations", "steps", "envs", "gamma",
@@ -192,12 +198,13 @@ def _score(options: Train, console: Console, workers: int) -> int:
     from activestructure_gym.policies import canonical_policy, make_policy
 
     policies = [canonical_policy(name) for name in split_policies(options.policies)]
-    baselines = [canonical_policy(name) for name in split_policies(options.baseline)]
+    asked = options.baseline or tuple(name for name in policies if name == _BASELINE)
+    baselines = [canonical_policy(name) for name in split_policies(asked)]
     for baseline in baselines:
         if baseline not in (*policies, scoring.RANDOM):
             raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{baseline}'")
     layouts = _SCORE_LAYOUTS if options.layouts is None else options.layouts
-    world = _world(dataclasses.replace(options, layouts=None), split_list(options.gains))
+    world = _world(dataclasses.replace(options, layouts=None, noise=False), split_list(options.gains))
     for name in policies:
         world_config(world, tuple(make_policy(name).required_gains))
     cells = scoring.cells(layouts, world.rooms, split_scenes(options.scenes), parse_seeds(options.seeds))

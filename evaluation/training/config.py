@@ -33,7 +33,9 @@ class WorldConfig:
     def __post_init__(self) -> None:
         for name in ("rooms", "gains"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
+        object.__setattr__(
+            self, "overrides", tuple(sorted((str(k), _fixed(v)) for k, v in dict(self.overrides).items()))
+        )
         for name in ("layouts", "max_planes", "episodes_per_layout"):
             _check_whole(name, getattr(self, name))
         if not self.rooms or not all(isinstance(n, int) and 1 <= n <= 7 for n in self.rooms):
@@ -135,10 +137,15 @@ class TrainingConfig:
         try:
             values = dict(content)
             world = dict(values.pop("world"))
-            overrides = {k: tuple(v) if isinstance(v, list) else v for k, v in world.pop("overrides").items()}
-            return cls(**values, world=WorldConfig(**world, overrides=tuple(overrides.items())))
+            overrides = tuple(world.pop("overrides").items())
+            return cls(**values, world=WorldConfig(**world, overrides=overrides))
         except (KeyError, TypeError, AttributeError) as error:
             raise InputError(f"this is no description of a training run ({type(error).__name__}: {error})") from error
+
+
+def _fixed(value: Any) -> Any:
+    """Lists as tuples, as JSON does not tell them apart."""
+    return tuple(map(_fixed, value)) if isinstance(value, list | tuple) else value
 
 
 def _check_whole(name: str, value: Any, *, least: int = 1) -> None:

@@ -22,6 +22,7 @@ from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain
 from activestructure_gym.evaluation.training.spreading import spread
 from activestructure_gym.evaluation.training.world import (
+    STARTS,
     draw_noise,
     learning_layouts,
     learning_reward,
@@ -122,11 +123,19 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
             for key, value in state.items():
                 columns[key].append(value)
         env.close()
+    if not columns["ends"]:
+        raise InputError(
+            f"'{scene.name}' offers no view from any of {STARTS} starts: leave it out with other --layouts"
+        )
     return {key: np.stack(values) for key, values in columns.items()}
 
 
 def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     observation, info = env.reset(seed=int(rng.integers(2**31)))
+    for _ in range(STARTS):
+        if observation["action_mask"].any():
+            break
+        observation, info = env.reset(seed=int(rng.integers(2**31)))
     ended = not observation["action_mask"].any()
     while not ended:
         gain = teacher_gain(config.teacher, env, observation)
@@ -136,14 +145,14 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         action = drawn if explores else expert_choice(gain, observation)
         state = {key: observation[key] for key in USED_KEYS}
         state["candidate_gains"] = state["candidate_gains"][:, : len(config.world.gains)]
-        before = info["frames"]
+        before, left = info["frames"], float(observation["budget"][0])
         observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated
         earned = learning_reward(
             config.world.reward,
             share=info["reward/coverage"] / env.reward_config.coverage,
             frames=info["frames"] - before,
-            left=float(observation["budget"][0]),
+            left=0.5 * (left + float(observation["budget"][0])),
             env_reward=reward,
         )
         yield state | {"scores": scores.astype(np.float32), "rewards": earned, "ends": ended}

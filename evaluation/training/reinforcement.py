@@ -145,6 +145,17 @@ def _row(model: PPO) -> dict[str, float]:
     model.logger.name_to_value.clear()
     rewards, starts = model.rollout_buffer.rewards, model.rollout_buffer.episode_starts
     row["rollout/reward_per_step"] = float(rewards.mean())
-    row["rollout/reward_per_episode"] = float(rewards.sum() / max(1.0, starts.sum()))
-    row["rollout/steps_per_episode"] = float(rewards.size / max(1.0, starts.sum()))
+    whole = whole_episodes(rewards, starts)
+    if whole is not None:
+        row["rollout/reward_per_episode"], row["rollout/steps_per_episode"] = whole
     return row
+
+
+def whole_episodes(rewards: np.ndarray, starts: np.ndarray) -> tuple[float, float] | None:  # both [steps, envs]
+    """Mean reward and steps of the episodes that ended before the iteration did, or None if none has."""
+    totals, lengths = list[float](), list[int]()
+    for earned, begins in zip(rewards.T, starts.T):
+        bounds = np.flatnonzero(begins)
+        totals += [float(earned[first:last].sum()) for first, last in zip(bounds[:-1], bounds[1:])]
+        lengths += np.diff(bounds).tolist()
+    return (float(np.mean(totals)), float(np.mean(lengths))) if totals else None

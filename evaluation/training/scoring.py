@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.jobs import absolute_spec, scene_label, slug
+from activestructure_gym.evaluation.jobs import absolute_spec, scene_label, scene_labels, slug
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
 from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
 from activestructure_gym.evaluation.store import plain, read_json, write_json
@@ -65,8 +66,9 @@ class Row:
 def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequence[int]) -> list[Cell]:
     """One episode on each test layout, and one per seed in each of the scenes, the n-th from its n-th start."""
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
+    labels = scene_labels(scenes)
     for spec in scenes:
-        found += [Cell(absolute_spec(spec), seed, scene_label(spec), start) for start, seed in enumerate(seeds)]
+        found += [Cell(absolute_spec(spec), seed, labels[spec], start) for start, seed in enumerate(seeds)]
     if not found:
         raise InputError("a score needs episodes: give --layouts, or --scenes with --seeds")
     return found
@@ -84,7 +86,7 @@ def play_cells(
     """Play what is not in ``directory`` yet; each episode is kept as soon as all have played it."""
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
     conditions["overrides"] = dict(world.overrides)
-    conditions["starts"] = "in turn"
+    conditions |= {"starts": "in turn", "version": __version__}
     (directory / _EPISODES).mkdir(parents=True, exist_ok=True)
     record = directory / "score.json"
     if record.is_file() and read_json(record)["conditions"] != _json(conditions):
@@ -220,6 +222,8 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
         _loaded.clear()
         _loaded[cell.scene] = load_scene(cell.scene)
     scene = _loaded[cell.scene]
+    if content.setdefault("scene_hash", scene.content_hash) != scene.content_hash:
+        raise InputError(f"'{file}' was played in another scene than '{cell.scene}' is today: choose another --out")
     start = None if cell.start is None else start_pose(scene, cell.start)
     content["start"] = "drawn" if start is None else start
     for name in missing:

@@ -13,22 +13,31 @@ from gymnasium import spaces
 from activestructure_gym.config import ReconstructionConfig, configure, replaced
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.observation import observation_space
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.scenes import Scene, load_scene, observable_surface_of
 
 _PERFECT_SHARE = 0.3  # of the episodes have a sensor without noise, as the comparisons do
+_DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")
 _NOISE_RANGE = (0.5, 2.0)  # times the noise of a Kinect
 _RATE_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
 _COLOUR_BLIND = ("pixel", "hole_area", "structure")  # gains that depend on no colour
 _SURFACE_SAMPLES = 12_000  # of a layout's surface, a quarter of the usual: they are found in a quarter of the time
-_STARTS = 16  # without a candidate, then another layout
+STARTS = 16  # without a candidate, then another layout
 
 
 def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> ReconstructionConfig:
     """The configuration of its episodes without noise, with these gains or the world's own."""
     changes: dict[str, Any] = {"gains": tuple(world.gains if gains is None else gains)}
+    drawn = [name for name, _ in world.overrides if name in _DRAWN]
+    if world.noise and drawn:
+        raise InputError(
+            f"{', '.join(drawn)}: every training episode draws its own noise; --no-noise keeps one for all"
+        )
+    if "gains" in dict(world.overrides):
+        raise InputError("what the policy is told is said by --gains, not by --set gains=...")
     if world.frames is not None:
         changes["frame_budget"] = world.frames
     return configure(world.preset, dict(world.overrides) | changes)
@@ -83,9 +92,10 @@ def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
 def learning_reward(kind: str, *, share: float, frames: int, left: float, env_reward: float) -> float:
     """What a step is worth to PPO.
 
-    ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left (0..1).
+    ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left on average on the
+    way (0..1).
     "rate": 20 share / (1 + frames / 5), the gain per frame that greedy planners go by, right for a short horizon.
-    "auc": 20 share left, whose sum over an episode is 20 times the area under the coverage after the first frame.
+    "auc": 20 share left, whose sum over an episode is 20 times the area under the coverage that was gained.
     "env": the environment's own, which counts metres and not frames.
     """
     if kind == "rate":
@@ -125,14 +135,14 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         if seed is not None or self._scene is None:
             self._scene = learning_scene(self.layouts[(options or {}).get("layout", drawn)])
         while not observation or not observation["action_mask"].any():  # nowhere to go: another start
-            if attempts and attempts % _STARTS == 0:
+            if attempts and attempts % STARTS == 0:
                 self._scene = learning_scene(self.layouts[int(self.np_random.integers(len(self.layouts)))])
             attempts += 1
             self.close()
             noise = draw_noise(self.np_random) if self.world.noise else None
             self.env = make_env(self.world, self._scene, noise=noise)
             observation, info = self.env.reset(seed=int(self.np_random.integers(2**31)))
-        self._frames = info["frames"]
+        self._frames, self._left = info["frames"], float(observation["budget"][0])
         return self._used(observation), {"action_mask": info["action_mask"]}
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -140,11 +150,12 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         assert self.env is not None, "reset() comes first"
         observation, reward, terminated, truncated, info = self.env.step(action)
         frames, self._frames = info["frames"] - self._frames, info["frames"]
+        before, self._left = self._left, float(observation["budget"][0])
         earned = learning_reward(
             self.world.reward,
             share=info["reward/coverage"] / self.env.reward_config.coverage,
             frames=frames,
-            left=float(observation["budget"][0]),
+            left=0.5 * (before + self._left),
             env_reward=reward,
         )
         return self._used(observation), earned, terminated or truncated, False, {"action_mask": info["action_mask"]}

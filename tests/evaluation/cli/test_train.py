@@ -56,6 +56,9 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["score", "--policies", "learned:nowhere"], ["no checkpoint", "nowhere"]),
         (["score", "--baseline", "hole_are"], ["unknown policy 'hole_are'"]),
         (["score", "--policies", "pixel_only", "--baseline", "hole_area"], ["--baseline is one of"]),
+        (["bc", "--set", "sensor.depth_noise=redwood"], ["sensor.depth_noise", "--no-noise"]),
+        (["bc", "--set", "gains=pixel"], ["--gains"]),
+        (["ppo", "--data", "elsewhere"], ["--data", "bc and rank"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
     ],
 )
@@ -75,6 +78,8 @@ def test_options_become_a_configuration() -> None:
     assert training_config(Train("bc", temperature=0.1)).temperature == 0.1 and config.temperature == 0.04
     assert (config.method, config.seed, config.world.rooms, config.world.noise) == ("rank", 3, (2,), False)
     assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
+    listed = training_config(Train("bc", set=("views.heights_m=[0.0,0.4]",)))
+    assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
     with pytest.raises(InputError, match="belongs to ppo"):
         TrainingConfig(method="bc", start="x")
 

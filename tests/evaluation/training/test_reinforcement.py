@@ -15,7 +15,12 @@ import pytest
 import torch
 
 from activestructure_gym.evaluation.training.config import TrainingConfig
-from activestructure_gym.evaluation.training.reinforcement import on_one_thread, train_ppo, vector_env
+from activestructure_gym.evaluation.training.reinforcement import (
+    on_one_thread,
+    train_ppo,
+    vector_env,
+    whole_episodes,
+)
 from activestructure_gym.evaluation.training.runs import SCORE, TrainingRun
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import load_network, save_checkpoint
@@ -34,6 +39,13 @@ class Killed(Exception):
 
 def no_validation(network: CandidateNetwork) -> dict[str, float]:
     return {SCORE: 0.0}
+
+
+def test_episodes_that_are_cut_do_not_count() -> None:
+    rewards = np.array([[1.0, 10.0], [2.0, 20.0], [4.0, 40.0], [8.0, 80.0]])  # [steps, envs]
+    starts = np.array([[1, 1], [0, 0], [1, 0], [0, 1]], bool)
+    assert whole_episodes(rewards, starts) == pytest.approx(((3 + 70) / 2, 2.5))
+    assert whole_episodes(rewards[:2], starts[:2]) is None
 
 
 def train(config: TrainingConfig, place: Path, tell=lambda *_: None, validate=no_validation, processes=False):

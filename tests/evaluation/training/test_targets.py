@@ -60,6 +60,16 @@ def test_rewards_by_hand() -> None:
     assert learning_reward("env", **given) == 1.5
 
 
+def test_rewards_auc_sum_to_the_area_that_is_scored() -> None:
+    frames, coverage, budget = (1, 4, 6, 11), (0.2, 0.4, 0.5, 0.9), 11
+    earned = 0.0
+    for n in range(1, len(frames)):
+        left = 0.5 * sum((budget - frames[k]) / budget for k in (n - 1, n))
+        earned += learning_reward("auc", share=coverage[n] - coverage[n - 1], frames=1, left=left, env_reward=0.0)
+    area = Played(frames=frames, coverage=coverage, budget=budget).auc - 0.2
+    assert earned == pytest.approx(20 * area)
+
+
 def test_area_and_normalisation_by_hand() -> None:
     played = Played(frames=(1, 6, 11), coverage=(0.2, 0.4, 0.8), budget=10)
     # 0.2 to frame 1; 0.2..0.4 over 5 frames; 0.4..0.72 over 4 frames, of 10

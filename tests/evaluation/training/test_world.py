@@ -287,8 +287,17 @@ def test_the_table_is_between_random_and_the_oracle(tiny_layouts: None, tmp_path
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*seed*.json")}
     scoring.play_cells(SMALL, ["pixel_only"], played, tmp_path)  # nothing is played again
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*seed*.json")} == before
+    file = tmp_path / "episodes" / played[0].file
+    file.write_text(file.read_text().replace('"scene_hash": "', '"scene_hash": "0'))
+    with pytest.raises(InputError, match="another scene"):
+        scoring.play_cells(SMALL, ["hole_area"], played[:1], tmp_path)
     with pytest.raises(InputError, match="other conditions"):
         scoring.play_cells(replace(SMALL, frames=30), ["pixel_only"], played, tmp_path)
+
+
+def test_scenes_of_one_name_are_two_groups(tmp_path: Path) -> None:
+    played = scoring.cells(0, (1,), [str(tmp_path / "a" / "mesh.ply"), str(tmp_path / "b" / "mesh.ply")], [0])
+    assert len({cell.group for cell in played}) == len({cell.file for cell in played}) == 2
 
 
 def test_a_checkpoint_is_shown_by_its_last_names() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.threads import capped_environment
 
 SCENES = ("apartment?rooms=3",)
@@ -111,7 +112,9 @@ class _Player:
         theirs.close()
 
     def __enter__(self) -> _Player:
-        self._pipe.recv()  # it has played an episode: kernels and scene are loaded
+        answer = self._pipe.recv()  # once it has played an episode: kernels and scene are loaded
+        if isinstance(answer, InputError):
+            raise answer
         return self
 
     def begin(self, seconds: float) -> None:
@@ -130,8 +133,12 @@ class _Player:
 
 
 def _serve(pipe: Connection, scene: str, preset: str, overrides: dict[str, Any], seed: int) -> None:
-    play = Episodes(scene, preset, overrides, seed)
-    play.episode()
+    try:
+        play = Episodes(scene, preset, overrides, seed)
+        play.episode()
+    except InputError as error:
+        pipe.send(error)
+        return
     pipe.send("ready")
     while True:
         try:

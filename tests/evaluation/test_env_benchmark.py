@@ -2,7 +2,8 @@
 
 import pytest
 
-from activestructure_gym.evaluation.env_benchmark import STAGES, Episodes, _profile
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.env_benchmark import STAGES, Episodes, _profile, run_env_benchmark
 
 
 def test_an_episode_is_counted_whole_and_stages_add_up():
@@ -14,3 +15,8 @@ def test_an_episode_is_counted_whole_and_stages_add_up():
     *stages, step = _profile("box", [whole])
     assert sum(row["ms_per_step"] for row in stages) == pytest.approx(step["ms_per_step"])
     assert len(episodes.during(0.0).wall) == 1  # never nothing
+
+
+def test_what_the_process_could_not_begin_with_is_one_error():
+    with pytest.raises(InputError, match="nowhere"):
+        run_env_benchmark(("nowhere.glb",))

@@ -58,8 +58,8 @@ def _train(options: Train, console: Console, workers: int) -> int:
     begun = (directory / CONFIG).is_file()
     if begun and not options.resume:
         raise InputError(f"'{directory}' holds a training run already; add --resume to go on, or choose another --out")
-    if directory.exists() and not begun and any(path.name != ".lock" for path in directory.iterdir()):
-        raise InputError(f"'{directory}' holds other files: choose another --out")
+    if not begun:
+        _check_empty(directory)
     bare = options.resume and options == Train(**{name: getattr(options, name) for name in _MANNER})
     config = read_config(directory) if bare else training_config(options)
     if config.method != options.what:
@@ -83,6 +83,11 @@ def _train(options: Train, console: Console, workers: int) -> int:
     )
     console.print(f"Compare it: [bold]asg compare --policies learned:{escape(str(directory))},pixel_only[/]")
     return 0 if validated else 1
+
+
+def _check_empty(directory: Path) -> None:
+    if directory.exists() and any(path.name != ".lock" for path in directory.iterdir()):
+        raise InputError(f"'{directory}' holds other files: choose another --out")
 
 
 def training_config(options: Train) -> TrainingConfig:
@@ -209,6 +214,8 @@ def _score(options: Train, console: Console, workers: int) -> int:
         world_config(world, tuple(make_policy(name).required_gains))
     cells = scoring.cells(layouts, world.rooms, split_scenes(options.scenes), parse_seeds(options.seeds))
     directory = Path(options.out or time.strftime("runs/score-%Y%m%d-%H%M%S"))
+    if not (directory / scoring.RECORD).is_file():
+        _check_empty(directory)
     with hold(directory), Live(console) as live:
         live.begin("episodes", len(cells), 0)
         live.say(f"{len(policies) + 2} policies each, {workers} at a time")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 RANDOM, ORACLE_GREEDY = "random", "oracle-greedy"  # the references: 0 and 1 of the normalised area
 LAYOUTS = "held-out layouts"
 _EPISODES = "episodes"
+RECORD = "score.json"
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def play_cells(
     conditions["overrides"] = dict(world.overrides)
     conditions |= {"starts": "in turn", "version": __version__}
     (directory / _EPISODES).mkdir(parents=True, exist_ok=True)
-    record = directory / "score.json"
+    record = directory / RECORD
     if record.is_file() and read_json(record)["conditions"] != _json(conditions):
         raise InputError(f"'{directory}' was scored under other conditions: choose another --out")
     write_json(record, {"conditions": conditions})

@@ -60,6 +60,7 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["bc", "--set", "gains=pixel"], ["--gains"]),
         (["ppo", "--data", "elsewhere"], ["--data", "bc and rank"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
+        (["score", "--out", "foreign"], ["holds other files"]),
     ],
 )
 def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_path, capsys) -> None:

@@ -40,7 +40,7 @@ _MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline
 def compare(options: Compare) -> int:
     """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
     # Before the slow imports: a directory that cannot be used is known at once.
-    from activestructure_gym.evaluation.store import COMPARISON
+    from activestructure_gym.evaluation.store import COMPARISON, read_json
 
     console = Console(highlight=False)
     if options.resume and not options.out:
@@ -69,10 +69,13 @@ def compare(options: Compare) -> int:
 
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
-    if options.baseline is not None and options.baseline not in policies:
+    record = directory / COMPARISON
+    before = read_json(record)["jobs"].values() if options.resume and record.is_file() else ()
+    known = list(dict.fromkeys((*policies, *(job["policy"] for job in before))))
+    if options.baseline is not None and options.baseline not in known:
         options = dataclasses.replace(options, baseline=canonical_policy(options.baseline))
-        if options.baseline not in policies:
-            raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{options.baseline}'")
+        if options.baseline not in known:
+            raise InputError(f"--baseline is one of the policies, {', '.join(known)}; got '{options.baseline}'")
     if comparison:
         _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
 

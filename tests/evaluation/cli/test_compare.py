@@ -1,3 +1,5 @@
+import json
+
 import pytest
 
 from activestructure_gym.evaluation import comparison
@@ -119,3 +121,10 @@ def test_the_baseline_must_take_part(asked, capsys):
     assert main("compare --scenes box --policies random --baseline pixel_only --out here".split()) == 2
     assert "--baseline is one of the policies, random; got 'pixel_only'" in capsys.readouterr().err
     assert len(asked) == 1  # prepared, and not run
+
+
+def test_the_baseline_may_be_of_an_earlier_sitting(asked, tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "compare.json").write_text(json.dumps({"jobs": {"one": {"policy": "pixel_only"}}}))
+    words = "compare --scenes box --policies random --baseline pixel_only --out here --resume"
+    assert main(words.split()) == 0 and len(asked) == 2  # prepared and run

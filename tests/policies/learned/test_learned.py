@@ -14,7 +14,7 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import POLICIES
-from activestructure_gym.policies.learned import Learned
+from activestructure_gym.policies.learned import SHIPPED, Learned
 from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
@@ -50,11 +50,14 @@ def test_found_by_every_form_of_its_name(checkpoint: Path) -> None:
     assert POLICIES.get(kinds[0].spec).spec == kinds[0].spec
     with pytest.raises(InputError, match="no file"):
         POLICIES.get(f"learned:{folder / 'other'}")
-    with pytest.raises(InputError, match="unknown policy 'learned'"):
-        if "learned" not in POLICIES:
-            POLICIES.get("learned")
-        else:  # our own ships with the package
-            raise InputError("unknown policy 'learned'")
+
+
+def test_our_own_ships_with_the_package() -> None:
+    kind = POLICIES.get("learned")
+    assert kind.spec == "learned" and kind.checkpoint == SHIPPED and kind.required_gains == ("pixel", "hole_area")
+    assert sum(path.stat().st_size for path in SHIPPED.parent.iterdir()) < 2_000_000
+    told = json.loads(SHIPPED.with_suffix(".json").read_text())["trained"]
+    assert told["configuration"]["seed"] == 0 and "validation/normalised" in told["log"]
 
 
 def test_a_changed_checkpoint_is_another_policy(checkpoint: Path, tmp_path: Path) -> None:

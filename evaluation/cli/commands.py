@@ -207,16 +207,16 @@ class Train:
     """bc, rank."""
     start: str | None = None
     """ppo: the checkpoint to begin from (a run's directory or a file)."""
-    iterations: int = 150
+    iterations: int = 40
     """ppo: of --envs times --steps steps each."""
-    steps: int = 64
+    steps: int = 128
     """ppo: per environment and iteration."""
-    envs: int = 4
+    envs: int = 8
     """ppo: environments at a time; changes results, unlike --workers."""
-    gamma: float = 0.3
+    gamma: float = 0.1
     """ppo: discount per decision."""
     learning_rate: float | None = None
-    """1e-3; of ppo 3e-4, from a checkpoint 1e-4."""
+    """1e-3; of ppo 3e-4, from a checkpoint 5e-5."""
     validate_every: int = 10
     """Epochs or iterations between validations."""
     validation_layouts: int = 36

@@ -69,18 +69,18 @@ class TrainingConfig:
     epochs: int = 60
     batch: int = 64  # states
     # PPO; constants of dossier peers_info_rl C1 where nothing else is said.
-    iterations: int = 150
-    envs: int = 4  # twice as many as cores: none waits long while another builds its layout
-    steps: int = 64  # per env and iteration
+    iterations: int = 40
+    envs: int = 8  # as many layouts per iteration; none waits long while another builds its own
+    steps: int = 128  # per env and iteration
     ppo_epochs: int = 4
-    ppo_batch: int = 64
-    gamma: float = 0.3  # close-greedy (Hestia): far rewards are credited to the wrong view
+    ppo_batch: int = 256  # small ones are mostly noise
+    gamma: float = 0.1  # close-greedy (Hestia): far rewards are credited to the wrong view
     gae_lambda: float = 0.95
     clip: float = 0.2
     entropy: float = 0.003
     target_kl: float = 0.05
-    critic_first: int = 5  # iterations in which only the critic learns, where a checkpoint is begun from
-    learning_rate: float | None = None  # None: 1e-3; 1e-4 for PPO from a checkpoint, 3e-4 from nothing
+    critic_first: int = 2  # iterations in which only the critic learns, where a checkpoint is begun from
+    learning_rate: float | None = None  # None: 1e-3; 5e-5 for PPO from a checkpoint, 3e-4 from nothing
     start: str | None = None  # checkpoint to begin from, with its content: FILE@1a2b3c4d
 
     def __post_init__(self) -> None:
@@ -118,7 +118,7 @@ class TrainingConfig:
         """The learning rate in use."""
         if self.learning_rate is not None:
             return self.learning_rate
-        return 1e-3 if self.method != "ppo" else 1e-4 if self.start else 3e-4
+        return 1e-3 if self.method != "ppo" else 5e-5 if self.start else 3e-4
 
     @property
     def units(self) -> int:

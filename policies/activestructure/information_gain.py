@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.envs.observation import plane_columns
+from activestructure_gym.policies.base import Observation
+
 
 @dataclass(frozen=True)
 class PlaneView:
@@ -20,6 +23,21 @@ class PlaneView:
     deficit: np.ndarray  # [P] gamma_i = (1 - q_i) Phi_i, Eq. 10
     structural: np.ndarray  # [P] bool, V_S, Eq. 5
     area: np.ndarray  # [P] m^2
+
+
+def plane_view(observation: Observation) -> PlaneView:
+    """The planes of an observation; rows without a plane are invisible and have no area."""
+    mask = observation["plane_mask"].astype(bool)
+    columns = plane_columns("quality", "surprise", "deficit", "structural", "area")
+    quality, surprise, deficit, structural, area = observation["plane_features"][:, columns].astype(np.float64).T
+    return PlaneView(
+        visible=observation["candidate_planes"].astype(bool) & mask,
+        quality=np.where(mask, quality, 1.0),
+        surprise=np.where(mask, surprise, 0.0),
+        deficit=np.where(mask, deficit, 0.0),
+        structural=(structural > 0) & mask,
+        area=np.where(mask, area, 0.0),
+    )
 
 
 @dataclass(frozen=True)

@@ -6,28 +6,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, plane_columns
-from activestructure_gym.policies.activestructure.information_gain import PlaneView, Terms, Weights, information_gain
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.policies.activestructure.information_gain import (
+    PlaneView,
+    Terms,
+    Weights,
+    information_gain,
+    plane_view,
+)
 from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, in_pool
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
 from activestructure_gym.policies.pixel_only import PixelOnly
 
 _REVISIT = CANDIDATE_FEATURES.index("revisit")
-
-
-def plane_view(observation: Observation) -> PlaneView:
-    """The planes of an observation; rows without a plane are invisible and have no area."""
-    mask = observation["plane_mask"].astype(bool)
-    columns = plane_columns("quality", "surprise", "deficit", "structural", "area")
-    quality, surprise, deficit, structural, area = observation["plane_features"][:, columns].astype(np.float64).T
-    return PlaneView(
-        visible=observation["candidate_planes"].astype(bool) & mask,
-        quality=np.where(mask, quality, 1.0),
-        surprise=np.where(mask, surprise, 0.0),
-        deficit=np.where(mask, deficit, 0.0),
-        structural=(structural > 0) & mask,
-        area=np.where(mask, area, 0.0),
-    )
 
 
 def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]

@@ -330,7 +330,7 @@ def test_the_episodes_of_a_scene_begin_at_every_start_pose_in_turn(box: Scene) -
 def test_configurations_are_checked_and_return_from_json() -> None:
     config = TrainingConfig(method="ppo", world=SMALL, gamma=0.5, start="a.safetensors@01234567")
     assert TrainingConfig.from_dict(config.as_dict()) == config
-    assert config.rate == 1e-4 and TrainingConfig(method="ppo").rate == 3e-4 and TrainingConfig().rate == 1e-3
+    assert config.rate == 5e-5 and TrainingConfig(method="ppo").rate == 3e-4 and TrainingConfig().rate == 1e-3
     for wrong in ({"method": "dqn"}, {"seed": -1}, {"gamma": 1.5}, {"epochs": 0}, {"start": "a"}, {"bins": 1}):
         with pytest.raises(InputError):
             TrainingConfig(**wrong)

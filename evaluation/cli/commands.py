@@ -213,7 +213,7 @@ class Train:
     """ppo: per environment and iteration."""
     envs: int = 8
     """ppo: environments at a time; changes results, unlike --workers."""
-    gamma: float = 0.1
+    gamma: float = 0.3
     """ppo: discount per decision."""
     learning_rate: float | None = None
     """1e-3; of ppo 3e-4, from a checkpoint 5e-5."""

@@ -74,7 +74,7 @@ class TrainingConfig:
     steps: int = 128  # per env and iteration
     ppo_epochs: int = 4
     ppo_batch: int = 256  # small ones are mostly noise
-    gamma: float = 0.1  # close-greedy (Hestia): far rewards are credited to the wrong view
+    gamma: float = 0.3  # close-greedy (Hestia): far rewards are credited to the wrong view
     gae_lambda: float = 0.95
     clip: float = 0.2
     entropy: float = 0.003

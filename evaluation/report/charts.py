@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGH
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 10, 44
+_LABEL, _DIGIT = 24, 8  # to the left of a tick's text stands the axis' label
 _PANEL = (184, 104)  # of one policy among many
 _LETTERS = 27  # of a name beside or above a curve
 _BETWEEN = (12, 30)  # panels, to the right and downwards
@@ -49,33 +50,37 @@ class Bar:
     tone: str = ""  # "good" or "bad": the interval excludes 0
 
 
-def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str) -> Html:
-    """Curves with bands over an axis from 0."""
+def line_chart(
+    lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()
+) -> Html:
+    """Curves with bands over an axis from 0; the vertical axis reaches what it ``holds``, wherever the curves are."""
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
     everything = np.concatenate(
         [values for line in lines for values in (line.y, line.low, line.high) if values is not None] or [np.zeros(1)]
     )
+    everything = np.concatenate([everything, np.asarray(holds, np.float64)])
     x_ticks = [tick for tick in ticks(0.0, right) if tick <= right * (1 + 1e-9)]
     y_ticks = ticks(float(everything.min()), float(everything.max()))
+    left = max(_LEFT, _LABEL + _DIGIT * max(len(tick_text(tick, y_ticks)) for tick in y_ticks))
     x_range = (0.0, right)
     y_range = (min(y_ticks[0], float(everything.min())), max(y_ticks[-1], float(everything.max())))
 
     def x_of(value: float) -> float:
-        return _LEFT + (value - x_range[0]) / (x_range[1] - x_range[0]) * (width - _LEFT - _RIGHT)
+        return left + (value - x_range[0]) / (x_range[1] - x_range[0]) * (width - left - _RIGHT)
 
     def y_of(value: float) -> float:
         return height - _BOTTOM - (value - y_range[0]) / (y_range[1] - y_range[0]) * (height - _TOP - _BOTTOM)
 
     parts: list[Html] = [element("title", title)]
     for tick in y_ticks:
-        parts.append(_stroke("grid", _LEFT, y_of(tick), width - _RIGHT, y_of(tick)))
-        parts.append(_words(tick_text(tick, y_ticks), _LEFT - 7, y_of(tick) + 4, "end"))
+        parts.append(_stroke("grid", left, y_of(tick), width - _RIGHT, y_of(tick)))
+        parts.append(_words(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
     for tick in x_ticks:
         parts.append(_stroke("tick", x_of(tick), height - _BOTTOM, x_of(tick), height - _BOTTOM + 4))
         parts.append(_words(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
-    parts.append(_stroke("axis", _LEFT, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
-    parts.append(_words(x_label, (_LEFT + width - _RIGHT) / 2, height - 8, "middle", "label"))
+    parts.append(_stroke("axis", left, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
+    parts.append(_words(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
     middle = (_TOP + height - _BOTTOM) / 2
     parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
     for line in lines:
@@ -92,7 +97,7 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str)
         )
         kind = f"series s{line.index} p{line.index % len(COLOURS)}"
         parts.append(element("g", *own, class_=kind, data_name=line.name))
-    frame = f"{_LEFT} {_TOP} {width - _RIGHT} {height - _BOTTOM}"
+    frame = f"{left} {_TOP} {width - _RIGHT} {height - _BOTTOM}"
     return element(
         "svg", *parts, class_="chart", viewBox=f"0 0 {width} {height}", role="img", aria_label=title,
         data_frame=frame, data_x=f"{x_range[0]:g} {x_range[1]:g}", data_y=f"{y_range[0]:g} {y_range[1]:g}",

@@ -25,7 +25,9 @@ def learning_curve(method: str, rows: Sequence[Mapping[str, Any]]) -> str | None
             continue
         x, y = np.array(points, np.float64).T
         name = "validation" if key.startswith("validation/") else "training"
-        charts.append(line_chart([Line(name, index, x, y)], title=f"{method}: {label}", x_label=unit, y_label=label))
+        holds = (0.0, 1.0) if name == "validation" else ()  # or a hundredth looks like a cliff
+        line = Line(name, index, x, y)
+        charts.append(line_chart([line], title=f"{method}: {label}", x_label=unit, y_label=label, holds=holds))
         names.append(name)
     return standalone([charts], names, title=f"asg train {method}") if charts else None
 

@@ -125,7 +125,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
         env.close()
     if not columns["ends"]:
         raise InputError(
-            f"'{scene.name}' offers no view from any of {STARTS} starts: leave it out with other --layouts"
+            f"'{scene.name}' offers no view from any of {STARTS} starts: use other --rooms, or fewer --layouts"
         )
     return {key: np.stack(values) for key, values in columns.items()}
 

@@ -17,6 +17,7 @@ from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.commands import Train
 from activestructure_gym.evaluation.cli.train import training_config
 from activestructure_gym.evaluation.training.config import TrainingConfig
+from activestructure_gym.policies.learned import SHIPPED
 
 TINY = [
     "--layouts", "2", "--frames", "20", "--validation-layouts", "2",
@@ -81,6 +82,9 @@ def test_options_become_a_configuration() -> None:
     assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
     listed = training_config(Train("bc", set=("views.heights_m=[0.0,0.4]",)))
     assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
+    with pytest.raises(InputError, match="is told pixel, hole_area, not pixel, structure"):
+        training_config(Train("ppo", start=str(SHIPPED), gains=("pixel,structure",)))
+    assert training_config(Train("ppo", start=str(SHIPPED))).world.gains == ("pixel", "hole_area")
     with pytest.raises(InputError, match="belongs to ppo"):
         TrainingConfig(method="bc", start="x")
 
@@ -108,6 +112,9 @@ def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "oracle-greedy" in said and "learned:bc/best" in said
     assert (tmp_path / "score" / "score.md").read_text().count("`learned:bc/best`") == 1
+    alone = ["learned:bc" if word == "pixel_only,learned:bc" else word for word in score]
+    assert main(alone) == 0  # pixel_only does not play: no column for it
+    assert (tmp_path / "score" / "score.md").read_text().splitlines()[0].endswith("| normalised |")
     assert main([*score, "--baseline", "pixel_only,learned:bc"]) == 0  # nothing is played again
     head = (tmp_path / "score" / "score.md").read_text().splitlines()[0]
     assert head.endswith("| normalised | minus pixel_only | minus learned:bc/best |")

@@ -54,6 +54,22 @@ def test_a_curve_lies_where_its_values_are():
     assert svg.get("role") == "img" and svg.find("title").text == "t"
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.0, 80.0), (0.936, 0.954), (10_000.0, 50_000.0)])
+def test_numbers_have_room_beside_the_label(low, high):
+    curve = Line("a", 0, np.array([1.0, 2.0]), np.array([low, high]))
+    svg = ElementTree.fromstring(line_chart([curve], title="t", x_label="x", y_label="y"))
+    numbers = [text for text in svg.findall("text") if text.get("text-anchor") == "end"]
+    starts = [float(text.get("x")) - 7.5 * len(text.text) for text in numbers]  # 13 px digits are that wide
+    assert numbers and min(starts) >= 15.0  # where the letters of the label end
+    assert float(svg.get("data-frame").split()[0]) > max(float(text.get("x")) for text in numbers)
+
+
+def test_the_axis_reaches_what_it_is_to_hold():
+    curve = Line("a", 0, np.array([1.0, 2.0]), np.array([0.93, 0.95]))
+    chart = line_chart([curve], title="t", x_label="x", y_label="y", holds=(0.0, 1.0))
+    assert ElementTree.fromstring(chart).get("data-y") == "0 1"
+
+
 def test_every_policy_has_a_panel_with_its_own_curve_before_all_others():
     lines = [line(f"policy {k}", k, band=k != 1) for k in range(12)]
     svg = ElementTree.fromstring(panel_chart(lines, title="t", x_label="frames", y_label="C.R.", columns=5))

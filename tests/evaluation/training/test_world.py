@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.training import demonstrations, oracle, scoring
 from activestructure_gym.evaluation.training import world as world_module
@@ -251,6 +253,24 @@ def test_demonstrations_are_collected_once_and_go_on(tiny_layouts: None, tmp_pat
     np.testing.assert_array_equal(again.scores, data.scores)
     with pytest.raises(InputError, match="another teacher"):
         demonstrations.collect(replace(config, teacher="pixel"), tmp_path / "a")
+
+
+def test_a_start_without_a_candidate_is_drawn_again(tiny_layouts: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    config, reset, closed = TrainingConfig(world=replace(SMALL, layouts=1), episodes=1), ReconstructionEnv.reset, []
+
+    def boxed_in(self: ReconstructionEnv, **options: Any) -> Any:
+        observation, info = reset(self, **options)
+        if len(closed) < limit:
+            closed.append(options["seed"])
+            observation["action_mask"][:] = 0
+        return observation, info
+
+    monkeypatch.setattr(ReconstructionEnv, "reset", boxed_in)
+    limit = 2
+    assert demonstrations.record(config, 0)["ends"].sum() == 1 and len(set(closed)) == 2
+    closed, limit = [], 100
+    with pytest.raises(InputError, match="offers no view from any of 16 starts"):
+        demonstrations.record(config, 0)
 
 
 def test_a_greedy_expert_s_labels_are_its_gain(tiny_layouts: None, tmp_path: Path) -> None:

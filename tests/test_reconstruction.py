@@ -178,9 +178,22 @@ def test_tracking_replaces_the_reported_pose_everywhere(box: Scene, monkeypatch:
     for kept, in_volume, in_planes in zip(run.mapper.keyframes, seen[::2], seen[1::2], strict=True):
         assert np.array_equal(in_volume.world_from_camera, kept.world_from_camera)
         assert np.array_equal(in_planes.world_from_camera, kept.world_from_camera)
-    metres, degrees = keyframe_errors(run)
-    assert 0 < metres.mean() < 0.0064 and 0 < degrees.mean() < 0.32  # a fifth of what the noise is on average
+    assert 0 < keyframe_errors(run)[0].max() < 0.05
     assert run.seconds["tracking"] > 0
+
+
+def test_tracked_poses_are_a_fifth_as_wrong_as_the_reported_ones() -> None:
+    # Furnished, since beside a single bare wall a pose may slide; several starts, since one slide decides one episode.
+    scene = load_scene("room?seed=2")
+    errors = []
+    for seed in range(4):
+        run = Reconstruction(configure("fast", {"sensor": {**SMALL["sensor"], **NOISY_POSES}, "frame_budget": 40,
+                                                "keyframe_every": 5, "mapper.tracking.iterations": 20}))  # fmt: skip
+        run.start(scene, seed)
+        wander(run)
+        errors.append(keyframe_errors(run))
+    metres, degrees = (np.concatenate(parts) for parts in zip(*errors))
+    assert 0 < metres.mean() < 0.0064 and 0 < degrees.mean() < 0.32
 
 
 def test_without_noise_or_without_iterations_the_reported_pose_is_used(box: Scene) -> None:

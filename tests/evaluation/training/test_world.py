@@ -117,7 +117,7 @@ def test_a_noisy_sensor_is_paid_for_what_is_there_and_not_for_looking_again(box:
 
 
 def test_without_light_nothing_that_is_learnt_from_changes() -> None:
-    world = replace(SMALL, gains=("pixel", "hole_area", "structure"))
+    world = replace(SMALL, frames=80, gains=("pixel", "hole_area", "structure"))
     lit, unlit = learning_scene("apartment?rooms=1&seed=300000"), load_scene("apartment?rooms=1&seed=300000&lit=false")
     np.testing.assert_array_equal(lit.mesh.vertices, unlit.mesh.vertices)
     np.testing.assert_array_equal(lit.mesh.faces, unlit.mesh.faces)

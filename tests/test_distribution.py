@@ -1,0 +1,78 @@
+"""What a package index and a stranger without the repository get: metadata, long description, source distribution."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+from email.message import Message
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+import yaml
+
+from activestructure_gym._version import __version__
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def tracked() -> list[str]:
+    """The repository's files; skips where this is no repository."""
+    listed = subprocess.run(["git", "ls-files"], capture_output=True, text=True, cwd=ROOT)
+    if listed.returncode:
+        pytest.skip("not a git checkout")
+    return listed.stdout.split("\n")[:-1]
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The source distribution by name, built from the tracked files alone."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("sdist")
+    for name in tracked():
+        if (ROOT / name).is_file():  # a file may be deleted and not committed yet
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / name, source / name)
+    build = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", build, str(out)], cwd=source, check=True, capture_output=True)
+    (archive,) = out.glob("*.tar.gz")
+    with tarfile.open(archive) as files:
+        return {
+            member.name.partition("/")[2]: files.extractfile(member).read()  # type: ignore[union-attr]
+            for member in files.getmembers()
+            if member.isfile()
+        }
+
+
+@pytest.fixture(scope="module")
+def metadata(sdist: dict[str, bytes]) -> Message:
+    return Parser().parsestr(sdist["PKG-INFO"].decode())
+
+
+def test_the_source_distribution_is_the_repository(sdist: dict[str, bytes]) -> None:
+    missing = {name for name in tracked() if (ROOT / name).is_file()} - sdist.keys() - {".gitignore"}
+    assert not missing, f"say so in MANIFEST.in: {sorted(missing)[:5]}"
+    assert not [name for name in sdist if "__pycache__" in name]
+
+
+def test_an_index_can_show_the_description(metadata: Message) -> None:
+    text = str(metadata.get_payload())
+    assert metadata["Description-Content-Type"] == "text/markdown" and "asg compare" in text
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        assert target.startswith("https://"), f"an index has no file {target}"
+
+
+def test_the_metadata_says_who_what_and_where(metadata: Message) -> None:
+    assert metadata["Version"] == __version__ and metadata["Author"] and metadata["Summary"] and metadata["Keywords"]
+    assert metadata["License-Expression"] == "MIT" or metadata["License"] == "MIT"
+    classifiers = metadata.get_all("Classifier", [])
+    assert {"Typing :: Typed", "Programming Language :: Python :: 3.13"} <= set(classifiers)
+
+
+def test_the_citation_names_this_version_and_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == __version__ and citation["cff-version"] == "1.2.0" and citation["authors"]
+    (paper,) = citation["references"]
+    assert paper["title"] in (ROOT / "README.md").read_text(encoding="utf-8")

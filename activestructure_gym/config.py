@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
@@ -18,6 +18,8 @@ from activestructure_gym.views import GAINS, ViewConfig
 from activestructure_gym.volume import VolumeConfig
 
 T = TypeVar("T")
+
+MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class ReconstructionConfig:
             raise InputError(
                 f"the frame budget must be at least 1, got {self.frame_budget}: every frame the camera moves costs one"
             )
+        if self.frame_budget > MOST_FRAMES:
+            raise InputError(f"the frame budget must be at most {MOST_FRAMES}, got {shown(self.frame_budget)}")
         if self.keyframe_every < 1:
             raise InputError(f"keyframe_every must be at least 1, got {self.keyframe_every}")
         if self.revisit_rounds < 1:

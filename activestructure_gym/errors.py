@@ -14,9 +14,18 @@ class InputError(ValueError):
     """
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
+def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     """The error for a mistyped name, e.g. ``unknown policy 'frontire'; did you mean 'frontier'? Known: ...``."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1)
+    close = difflib.get_close_matches(name, names, n=1) if isinstance(name, str) else []
     hint = f"; did you mean '{close[0]}'?" if close else "."
-    return InputError(f"unknown {kind} '{name}'{hint} Known: {', '.join(names) or 'none'}")
+    return InputError(f"unknown {kind} {shown(name)}{hint} Known: {', '.join(names) or 'none'}")
+
+
+def shown(value: object) -> str:
+    """What came, as a message can hold it: in one line, and shortened where it is long."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # whole numbers of thousands of digits, and whatever the objects of others raise
+        return f"something of the kind {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:160]}... ({len(text)} characters)"

@@ -13,18 +13,24 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_name
 
 T = TypeVar("T")
 Maker = TypeVar("Maker", bound=Callable[[str], Any])
 
 
 class Registry(Generic[T]):
-    """A mapping from name to object of one ``kind``; ``plural`` names the group of entry points."""
+    """A mapping from name to object of one ``kind``; ``plural`` names the group of entry points.
 
-    def __init__(self, kind: str, plural: str) -> None:
+    An entry that does not ``fit`` is refused when it is asked for, with ``wanted``, what it should have been.
+    """
+
+    def __init__(
+        self, kind: str, plural: str, *, fits: Callable[[Any], bool] = lambda _: True, wanted: str = "anything"
+    ) -> None:
         self.kind = kind
         self.group = f"activestructure_gym.{plural}"
+        self._fits, self._wanted = fits, wanted
         self._entries: dict[str, T] = {}
         self._families: dict[str, Callable[[str], T]] = {}
 
@@ -54,6 +60,14 @@ class Registry(Generic[T]):
 
     def get(self, name: str) -> T:
         """The object called ``name``; raises `InputError` naming the nearest known name."""
+        if not isinstance(name, str):
+            raise InputError(f"a {self.kind} is given by its name, as a text, got {shown(name)}")
+        entry = self._find(name)
+        if not self._fits(entry):
+            raise InputError(f"{self.kind} '{name}' must be {self._wanted}, got {shown(entry)}")
+        return entry
+
+    def _find(self, name: str) -> T:
         if name in self._entries:
             return self._entries[name]
         family, colon, rest = name.partition(":")

@@ -5,11 +5,14 @@ Light to import (numpy and gymnasium only): policies take the names of features 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
+
+from activestructure_gym.errors import InputError, shown
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
@@ -21,6 +24,9 @@ if TYPE_CHECKING:
 CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
 FARTHEST_M = 1000.0  # bound of every position and length in the observation
 LARGEST_GAIN = 1e6  # bound of every gain
+LARGEST_BYTES = (
+    1 << 27
+)  # of one observation; its space, which holds both bounds of every number, takes three times that
 
 
 def plane_columns(*names: str) -> list[int]:
@@ -40,6 +46,11 @@ class Key:
     high: Any
     unit: str
     meaning: str
+
+    @property
+    def size(self) -> int:
+        """Bytes of one array; a number of Python, which knows no overflow."""
+        return math.prod(int(length) for length in self.shape) * np.dtype(self.dtype).itemsize
 
     def space(self) -> spaces.Box:
         """The Box of this entry."""
@@ -61,9 +72,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     return {
         "rgb": Key((height, width, 3), u8, 0, 255, "sRGB", "colour image of the last keyframe"),
         "depth": Key((height, width), f32, 0, config.sensor.max_range, "m", "its depth along the axis; 0 = no return"),
-        "pose": Key(
-            (7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"
-        ),
+        "pose": Key((7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"),
         "budget": Key((1,), f32, 0, 1, "share", "frames left of the budget"),
         "candidates": Key((K, len(columns_low)), f32, columns_low, columns_high, "m", ", ".join(CANDIDATE_FEATURES)),
         "candidate_gains": Key((K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for"),
@@ -80,8 +89,15 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
 
 
 def observation_space(config: ReconstructionConfig, max_planes: int) -> spaces.Dict:
-    """One flat Dict of fixed-size arrays, as stable-baselines3 wants it."""
-    return spaces.Dict({name: key.space() for name, key in observation_keys(config, max_planes).items()})
+    """One flat Dict of fixed-size arrays, as stable-baselines3 wants it. Raises `InputError` if it would be huge."""
+    keys = observation_keys(config, max_planes)
+    if sum(key.size for key in keys.values()) > LARGEST_BYTES:
+        raise InputError(
+            f"one observation would take more than {LARGEST_BYTES >> 20} MiB with views.max_candidates "
+            f"{shown(config.views.max_candidates)}, max_planes {shown(max_planes)}, sensor.width "
+            f"{shown(config.sensor.width)} and sensor.height {shown(config.sensor.height)}; lower the largest of them"
+        )
+    return spaces.Dict({name: key.space() for name, key in keys.items()})
 
 
 def observation_table(config: ReconstructionConfig, max_planes: int) -> str:

@@ -14,7 +14,7 @@ from activestructure_gym.config import ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import look_along
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
@@ -104,33 +104,42 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode must be one of {self.metadata['render_modes']} or None, got {render_mode!r}")
+            modes = self.metadata["render_modes"]
+            raise InputError(f"render_mode must be one of {modes} or None, got {shown(render_mode)}")
         if coverage_target is not None and not (
-            isinstance(coverage_target, int | float | np.number) and 0 < coverage_target <= 1
+            isinstance(coverage_target, int | float | np.number)
+            and not isinstance(coverage_target, bool)
+            and 0 < coverage_target <= 1
         ):
-            raise InputError(f"coverage_target is a share in (0, 1] or None, got {coverage_target!r}")
-        if not isinstance(max_planes, int | np.integer) or max_planes < 1:
-            raise InputError(f"max_planes must be a whole number of at least 1, got {max_planes!r}")
+            raise InputError(f"coverage_target is a share in (0, 1] or None, got {shown(coverage_target)}")
+        if isinstance(max_planes, bool) or not isinstance(max_planes, int | np.integer) or max_planes < 1:
+            raise InputError(f"max_planes must be a whole number of at least 1, got {shown(max_planes)}")
+        if not isinstance(preset, str):
+            raise InputError(f"preset must be a name, got {shown(preset)}")
         if not isinstance(config, ReconstructionConfig):
-            config = configure(preset, config)
+            config = configure(preset, _fields("config", config))
         changes: dict[str, Any] = {}
         if frame_budget is not None:
             changes["frame_budget"] = frame_budget
         if gains is not None:
-            changes["gains"] = gains if isinstance(gains, str) else tuple(gains)
+            if isinstance(gains, str) or not isinstance(gains, Sequence | np.ndarray):
+                raise InputError(f"gains must be a list of names, got {shown(gains)}")
+            changes["gains"] = tuple(gains)
         self.config = replaced(config, changes)
-        self.reward_config = reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), reward or {})
+        self.reward_config = (
+            reward if isinstance(reward, RewardConfig) else replaced(RewardConfig(), _fields("reward", reward))
+        )
         self.render_mode = render_mode
         self.coverage_target = coverage_target
         self.max_planes = max_planes
         self.reconstruction = Reconstruction(self.config)
         self.observation_space = observation_space(self.config, max_planes)
         self.action_space = spaces.Discrete(self.config.views.max_candidates)
-        if not isinstance(scene, str | PathLike | Scene | Sequence):
-            raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {scene!r}")
-        self._scenes = [scene] if isinstance(scene, str | PathLike | Scene) else list(scene)
+        self._scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
         if not self._scenes:
             raise InputError("scene must name at least one scene, got an empty sequence")
+        if not all(isinstance(one, str | PathLike | Scene) for one in self._scenes):
+            raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {shown(scene)}")
         self._start_pose = None if start_pose is None else as_pose(start_pose)
         self._loaded: dict[int, Scene] = {}
         self._frame: Frame | None = None
@@ -141,7 +150,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode. ``options`` may hold ``scene`` and ``start_pose`` for this episode only."""
         super().reset(seed=seed)
-        options = options or {}
+        options = dict(_fields("options", options))
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:
             raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
@@ -249,13 +258,22 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
     """A ``world_from_camera`` matrix from one, or from (x, y, z, yaw in degrees) looking horizontally (0 = +x)."""
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {value!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {shown(value)}") from error
     if not np.isfinite(array).all():
-        raise InputError(f"a start pose must be finite numbers, got {value}")
+        raise InputError(f"a start pose must be finite numbers, got {shown(value)}")
     if array.shape == (4, 4):
         return array
     if array.shape == (4,):
         yaw = np.radians(array[3])
         return look_along(array[:3], np.array([np.cos(yaw), np.sin(yaw), 0.0]))
     raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got shape {array.shape}")
+
+
+def _fields(what: str, value: Any) -> Mapping[str, Any]:
+    """A mapping by names, or nothing."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InputError(f"{what} must be a dictionary with names as keys, got {shown(value)}")
+    return value

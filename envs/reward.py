@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+
+LARGEST = 1e9  # of a weight: sums of rewards stay far from the end of the numbers
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,14 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         if not isinstance(self.noise_free, bool | np.bool_):
-            raise InputError(f"reward noise_free must be True or False, got {self.noise_free!r}")
+            raise InputError(f"reward noise_free must be True or False, got {shown(self.noise_free)}")
         for name, value in vars(self).items():
             if name == "noise_free":
                 continue
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
-                raise InputError(f"reward {name} must be a finite number, got {value!r}")
+            if isinstance(value, bool) or not isinstance(value, numbers.Real) or not abs(value) < LARGEST:
+                raise InputError(f"reward {name} must be a number between -1e9 and 1e9, got {shown(value)}")
+            if name.startswith("tolerance_") and value < 0:
+                raise InputError(f"reward {name} must be at least 0, got {value}")
 
 
 class SurfaceCoverage:
@@ -100,9 +105,7 @@ def _mark_seen(
             seen[n] = True
 
 
-def reward_terms(
-    config: RewardConfig, *, share_gained: float, metres: float, invalid: bool
-) -> dict[str, float]:
+def reward_terms(config: RewardConfig, *, share_gained: float, metres: float, invalid: bool) -> dict[str, float]:
     """The terms by name; their sum is the reward."""
     return {
         "reward/coverage": config.coverage * share_gained,

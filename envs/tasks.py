@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from activestructure_gym.envs.reconstruction_env import ReconstructionEnv
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.scenes.library import with_options
 
 
 def _page(task: str) -> str:
@@ -17,17 +20,17 @@ def _page(task: str) -> str:
 class RoomEnv(ReconstructionEnv):
     __doc__ = _page("**Room-v0**: one furnished procedural room; `scene_seed` picks the layout.")
 
-    def __init__(self, *, scene_seed: int = 0, **options: Any) -> None:
-        options.setdefault("scene", f"room?seed={scene_seed}")
-        super().__init__(**options)
+    def __init__(self, *, scene: Any = "room", scene_seed: int | None = None, **options: Any) -> None:
+        super().__init__(_with_numbers(scene, scene_seed=scene_seed), **options)
 
 
 class ApartmentEnv(ReconstructionEnv):
     __doc__ = _page("**Apartment-v0**: a furnished procedural apartment of `rooms` (1 to 7); `scene_seed` picks it.")
 
-    def __init__(self, *, rooms: int = 3, scene_seed: int = 0, **options: Any) -> None:
-        options.setdefault("scene", f"apartment?rooms={rooms}&seed={scene_seed}")
-        super().__init__(**options)
+    def __init__(
+        self, *, scene: Any = "apartment", rooms: int | None = None, scene_seed: int | None = None, **options: Any
+    ) -> None:
+        super().__init__(_with_numbers(scene, rooms=rooms, scene_seed=scene_seed), **options)
 
 
 class MeshEnv(ReconstructionEnv):
@@ -63,3 +66,19 @@ def _with_loader(scene: Any, loader: str, task: str, example: str) -> Any:
     if isinstance(scene, list | tuple):
         return [_with_loader(one, loader, task, example) for one in scene]
     return scene
+
+
+def _with_numbers(scene: Any, **numbers: int | None) -> Any:
+    """The scene with the options that were given: ``scene_seed`` is its ``seed``. Refuses what the scene cannot use."""
+    given = {name: number for name, number in numbers.items() if number is not None}
+    for name, number in given.items():
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < 2**63:
+            raise InputError(f"{name} must be a whole number from 0 to 2^63 - 1, got {shown(number)}")
+    options = {name.removeprefix("scene_"): int(number) for name, number in given.items()}
+    return _with_options(scene, options) if options else scene
+
+
+def _with_options(scene: Any, options: dict[str, int]) -> Any:
+    if isinstance(scene, list | tuple):
+        return [_with_options(one, options) for one in scene]
+    return with_options(scene, options)

@@ -59,7 +59,16 @@ class Policy(ABC):
         return observation["candidate_gains"][:, self._columns[name]]
 
 
-POLICIES: Registry[type[Policy]] = Registry("policy", "policies")
+def _is_policy(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Policy) and not inspect.isabstract(kind)
+
+
+POLICIES: Registry[type[Policy]] = Registry(
+    "policy",
+    "policies",
+    fits=_is_policy,
+    wanted="a class derived from activestructure_gym.policies.Policy that defines act()",
+)
 
 
 def make_policy(spec: str) -> Policy:
@@ -90,10 +99,8 @@ def canonical_policy(spec: str) -> str:
 
 
 def _class_and_options(spec: str) -> tuple[type[Policy], dict[str, Any]]:
-    name, _, query = spec.partition("?")
+    name, _, query = spec.partition("?") if isinstance(spec, str) else (spec, "", "")
     kind = POLICIES.get(name)
-    if not (isinstance(kind, type) and issubclass(kind, Policy)):
-        raise InputError(f"policy '{name}' is not a class derived from activestructure_gym.policies.Policy")
     return kind, typed_options(f"policy '{name}'", kind, parse_options(query, f"policy '{spec}'"))
 
 

@@ -59,3 +59,20 @@ def test_a_family_makes_entries_from_their_names() -> None:
     assert list(things) == ["made:known"]
     with pytest.raises(InputError, match="unknown thing 'made'"):
         things.get("made")
+
+
+@pytest.mark.parametrize("name", [1, None, ["mine"], b"mine"])
+def test_a_name_is_a_text(name: object) -> None:
+    with pytest.raises(InputError, match="a thing is given by its name, as a text, got"):
+        Registry("thing", "things").get(name)  # type: ignore[arg-type]
+
+
+def test_an_entry_of_another_kind_is_refused_however_it_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    things: Registry[object] = Registry("thing", "things", fits=callable, wanted="a function")
+    things.register("mine")("a text")
+    things.register_family("made")(str.upper)
+    point = importlib.metadata.EntryPoint("installed", "math:e", "activestructure_gym.things")
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    for name in ("mine", "made:of wood", "math:pi", "installed"):
+        with pytest.raises(InputError, match=f"thing '{name}' must be a function, got"):
+            things.get(name)

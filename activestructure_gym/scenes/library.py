@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.matterport3d import is_matterport3d, load_matterport3d_scene
 from activestructure_gym.scenes.mesh_loader import MESH_SUFFIXES, load_mesh_scene
@@ -17,9 +17,20 @@ from activestructure_gym.scenes.replica import is_replica, load_replica_scene
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.specs import parse_options, typed_options
 
+
+def _is_factory(entry: Any) -> bool:
+    try:
+        inspect.signature(entry)
+    except (TypeError, ValueError):  # nothing to call, or a builtin that does not say what it takes
+        return False
+    return True
+
+
 # Factories of generated scenes take keyword options only. A factory whose first parameter is called `path` reads
 # files: its name becomes a prefix, as in "mesh:house.obj?units=cm".
-SCENES: Registry[Callable[..., Scene]] = Registry("scene", "scenes")
+SCENES: Registry[Callable[..., Scene]] = Registry(
+    "scene", "scenes", fits=_is_factory, wanted="a function with named options that returns a Scene"
+)
 
 SCENES.register("mesh")(load_mesh_scene)
 SCENES.register("replica")(load_replica_scene)
@@ -69,32 +80,67 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
         if options:
             raise InputError(f"options ({', '.join(options)}) were given with a scene that is loaded already")
         return spec
+    name, factory, path, said = _resolved(spec)
+    return _build(name, factory, path, {**said, **options})
+
+
+def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any]) -> str:
+    """The text of a scene with more options in it.
+
+    Raises `InputError` for a scene that does not take one of them, or that says it already.
+    """
+    if isinstance(spec, Scene):
+        raise InputError(f"the scene '{spec.name}' is loaded already and takes no {' and no '.join(options)}")
+    _, factory, _, said = _resolved(spec)
+    parameters = inspect.signature(factory).parameters
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    for key in options:
+        if key in said:
+            raise InputError(f"the scene '{spec}' says its own {key}; say it in one place")
+        if key not in parameters and not takes_any:
+            raise InputError(f"the scene '{spec}' takes no {key}; leave it away")
+    more = "&".join(f"{key}={value}" for key, value in options.items())
+    return f"{spec}{'&' if said else '?'}{more}"
+
+
+def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], str | None, dict[str, str]]:
+    """What makes the scene: its name in messages, its factory, the path if it reads files, the options in the text."""
+    if not isinstance(spec, str | os.PathLike):
+        raise InputError(f"a scene is a name, a path or a Scene, got {shown(spec)}")
     if not isinstance(spec, str):
-        return _build("", *_file_factory(Path(spec)), options)
-    target, text_options = _split_options(spec)
+        return "", *_file_factory(Path(spec)), {}
+    target, said = _split_options(spec)
     if not target.strip() or target in (f"{name}:" for name in SCENES):
         raise InputError(f"a scene is a name, a mesh file or a folder, got '{spec}'; `asg scenes` lists the names")
     kind, colon, rest = target.partition(":")
     if colon and kind in SCENES and _reads_files(SCENES.get(kind)):
-        return _build(kind, SCENES.get(kind), rest, {**text_options, **options})
+        return kind, SCENES.get(kind), rest, said
     if target in SCENES and not _reads_files(SCENES.get(target)):
-        return _build(target, SCENES.get(target), None, {**text_options, **options})
-    path = Path(target).expanduser()
-    if path.exists() or path.suffix.lower() in MESH_SUFFIXES or target.endswith(".stage_config.json"):
-        return _build("", *_file_factory(path), {**text_options, **options})
+        return target, SCENES.get(target), None, said
+    path = Path(os.path.expanduser(target))
+    if _exists(path) or path.suffix.lower() in MESH_SUFFIXES or target.endswith(".stage_config.json"):
+        return "", *_file_factory(path), said
     if colon:
-        return _build(target, SCENES.get(target), None, {**text_options, **options})
+        return target, SCENES.get(target), None, said
     if os.sep in target:
-        raise InputError(f"there is no scene file or folder '{target}'")
+        raise InputError(f"there is no scene file or folder {shown(target)}")
     raise unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
 
 
+def _exists(path: Path) -> bool:
+    """Whether a file or folder is there; what cannot be the name of one is none."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
 def _split_options(spec: str) -> tuple[str, dict[str, str]]:
-    if "?" not in spec or Path(spec).expanduser().exists():
+    if "?" not in spec or _exists(Path(os.path.expanduser(spec))):
         return spec, {}
     # The name of a file may hold a question mark too: the options stand behind the last one.
     target, _, query = spec.rpartition("?")
-    if not Path(target).expanduser().exists():
+    if not _exists(Path(os.path.expanduser(target))):
         target, _, query = spec.partition("?")
     return target, parse_options(query, f"scene '{spec}'")
 
@@ -125,4 +171,7 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
     label = f"scene '{name}'" if name else f"scene '{path}'"
     arguments = typed_options(label, factory, options, apart=("path",) if path is not None else ())
-    return factory(path, **arguments) if path is not None else factory(**arguments)
+    scene = factory(path, **arguments) if path is not None else factory(**arguments)
+    if not isinstance(scene, Scene):
+        raise InputError(f"{label}: its factory must return a Scene, and returned {shown(scene)}")
+    return scene

@@ -143,22 +143,61 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"start_pose": (1.0, 2.0)}, "a start pose is"),
         ({"start_pose": (1.0, 2.0, float("nan"), 0.0)}, "finite"),
         ({"start_pose": "door"}, "a start pose is"),
-        ({"gains": "pixel"}, "gains must be a list, got 'pixel'"),
+        ({"gains": "pixel"}, "gains must be a list of names, got 'pixel'"),
         ({"scene": 3}, "scene must be a name, a path"),
         ({"max_planes": 1.5}, "max_planes must be a whole number"),
         ({"coverage_target": "all"}, "coverage_target is a share"),
         ({"config": {"views.heights_m": ()}}, "heights_m must be a tuple"),
+        ({"preset": 3}, "preset must be a name, got 3"),
+        ({"preset": None}, "preset must be a name, got None"),
+        ({"frame_budget": 10**400}, "the frame budget must be at most 1000000, got 1000"),
+        ({"frame_budget": 10**5000}, "the frame budget must be at most 1000000, got something of the kind int"),
+        ({"frame_budget": float("nan")}, "frame_budget must be a whole number, got nan"),
+        ({"frame_budget": True}, "frame_budget must be a whole number, got True"),
+        ({"gains": [1]}, "a gain is given by its name, as a text, got 1"),
+        ({"gains": [["pixel"]]}, "a gain is given by its name"),
+        ({"gains": [b"pixel"]}, "a gain is given by its name"),
+        ({"gains": ["pi\nxel"]}, "unknown gain 'pi\\\\nxel'"),
+        ({"gains": ["os:sep"]}, "gain 'os:sep' must be a function of a GainContext, got '/'"),
+        ({"gains": 7}, "gains must be a list of names, got 7"),
+        ({"gains": {"pixel"}}, "gains must be a list of names"),
+        ({"config": [("a", 1)]}, "config must be a dictionary with names as keys"),
+        ({"config": {1: 2}}, "config must be a dictionary with names as keys"),
+        ({"reward": "x"}, "reward must be a dictionary with names as keys, got 'x'"),
+        ({"max_planes": True}, "max_planes must be a whole number of at least 1, got True"),
+        ({"max_planes": 10**6}, "one observation would take more than 128 MiB .* max_planes 1000000"),
+        ({"max_planes": 10**400}, "one observation would take more than 128 MiB"),
+        ({"config": {"views.max_candidates": 2**63 - 1}}, "128 MiB with views.max_candidates 9223372036854775807"),
+        ({"config": {"views.max_candidates": 10**5000}}, "128 MiB with views.max_candidates something of the kind int"),
+        ({"coverage_target": True}, "coverage_target is a share"),
+        ({"coverage_target": 10**5000}, "coverage_target is a share"),
+        ({"start_pose": [10**400] * 4}, "a start pose is"),
+        ({"start_pose": np.full((4, 4), np.nan)}, "finite"),
+        ({"scene": ["box", 3]}, "scene must be a name, a path"),
+        ({"scene": b"box"}, "scene must be a name, a path"),
     ],
 )
 def test_bad_input_gets_one_clear_sentence(box_options: dict[str, Any], changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+    with pytest.raises(InputError, match=message.replace("(", r"\(")) as caught:
         ReconstructionEnv(**{**box_options, **changes})
+    assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("reward", [{"coverage": float("nan")}, {"path": "far"}])
+@pytest.mark.parametrize(
+    "reward",
+    [{"coverage": float("nan")}, {"path": "far"}, {"coverage": 10**400}, {"path": 1e308}, {"tolerance_m": -0.1}],
+)
 def test_a_reward_that_is_no_number_is_refused(box_options: dict[str, Any], reward: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         ReconstructionEnv(**box_options, reward=reward)
+
+
+@pytest.mark.parametrize(
+    "options", [3, {"scene": None}, {"scene": 3}, {"scene": ["box"]}, {1: 2}, {"start_pose": None}]
+)
+def test_reset_options_that_cannot_be_used(box_options: dict[str, Any], options: Any) -> None:
+    with pytest.raises(InputError):
+        ReconstructionEnv(**box_options).reset(seed=0, options=options)
 
 
 def test_heights_outside_the_scene_are_refused_at_reset(box_options: dict[str, Any]) -> None:
@@ -190,6 +229,40 @@ def test_a_start_inside_a_wall_is_refused(box_options: dict[str, Any]) -> None:
     env = ReconstructionEnv(**box_options, start_pose=(0.0, 1.0, 1.2, 0.0))
     with pytest.raises(InputError):
         env.reset(seed=0)
+
+
+def test_the_seed_of_the_layout_reaches_every_scene_that_takes_one(box_options: dict[str, Any]) -> None:
+    small = {key: value for key, value in box_options.items() if key != "scene"}
+    room = "activestructure_gym:ActiveStructure/Room-v0"
+    for given, meant in ((("box", 4), "box?seed=4"), (("box?size=5,4,3", 4), "box?size=5,4,3&seed=4")):
+        env = gym.make(room, scene=given[0], scene_seed=given[1], **small).unwrapped
+        env.reset(seed=0)
+        assert env.reconstruction.scene.content_hash == load_scene(meant).content_hash
+    assert load_scene("box?seed=4").content_hash != load_scene("box").content_hash
+    several = gym.make(room, scene=["box", "box?size=5,4,3"], scene_seed=4, **small).unwrapped
+    assert several._scenes == ["box?seed=4", "box?size=5,4,3&seed=4"]
+    assert gym.make(room, scene_seed=3).unwrapped._scenes == ["room?seed=3"]
+    flat = gym.make("activestructure_gym:ActiveStructure/Apartment-v0", scene_seed=3, rooms=2)
+    assert flat.unwrapped._scenes == ["apartment?rooms=2&seed=3"]
+
+
+@pytest.mark.parametrize(
+    ("task", "given", "message"),
+    [
+        ("Room", {"scene": "box?seed=3", "scene_seed": 4}, "the scene 'box?seed=3' says its own seed; say it in one"),
+        ("Room", {"scene": load_scene("box"), "scene_seed": 4}, "is loaded already and takes no seed"),
+        ("Apartment", {"scene": "box", "rooms": 2}, "the scene 'box' takes no rooms; leave it away"),
+        ("Room", {"scene_seed": 1.5}, "scene_seed must be a whole number from 0 to 2^63 - 1, got 1.5"),
+        ("Room", {"scene_seed": -1}, "scene_seed must be a whole number"),
+        ("Room", {"scene_seed": 10**5000}, "scene_seed must be a whole number"),
+        ("Room", {"scene_seed": True}, "scene_seed must be a whole number"),
+        ("Apartment", {"rooms": "two"}, "rooms must be a whole number"),
+    ],
+)
+def test_a_number_that_the_scene_cannot_use_is_refused(task: str, given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        gym.make(f"activestructure_gym:ActiveStructure/{task}-v0", **given)
+    assert message in str(caught.value)
 
 
 def test_tasks_that_need_a_scene_say_so() -> None:

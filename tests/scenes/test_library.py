@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.scenes.library import SCENES, load_scene
+from activestructure_gym.scenes.library import SCENES, load_scene, with_options
 from activestructure_gym.scenes.scene import Scene
 
 
@@ -22,6 +22,7 @@ def hut(make_scene, make_box, monkeypatch):
         object.__setattr__(scene, "source", repr((width, seed, roof, kind, size, scale)))
         return scene
 
+    SCENES.register("nothing")(lambda: None)
     return make_hut
 
 
@@ -52,6 +53,15 @@ def test_a_registered_scene_with_typed_options(hut):
         ("some/where/else", "there is no scene file or folder 'some/where/else'"),
         ("mesh:gone.obj?units=mm", "there is no mesh file 'gone.obj'"),
         ("gone.obj?unit=mm", "did you mean 'units'?"),
+        (3, "a scene is a name, a path or a Scene, got 3"),
+        (None, "a scene is a name, a path or a Scene, got None"),
+        ("nothing", "scene 'nothing': its factory must return a Scene, and returned None"),
+        ("os:getcwd", "scene 'os:getcwd': its factory must return a Scene, and returned '"),
+        ("os:sep", "scene 'os:sep' must be a function with named options that returns a Scene, got '/'"),
+        ("builtins:dict", "must be a function with named options"),
+        ("a\nb", "unknown scene 'a\\nb'"),
+        ("n" * 5000, "(5002 characters)"),
+        ("/" + "n" * 5000, "there is no scene file or folder '/nnn"),
     ],
 )
 def test_mistakes_are_said_in_one_sentence(hut, spec, said):
@@ -155,3 +165,18 @@ def test_embedded_scenes_by_name():
     scene = load_scene("box?size=5,4,3")
     np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], [5, 4, 3], atol=0.2)
     assert {"box", "room", "apartment"} <= set(SCENES)
+
+
+def test_options_are_added_to_a_text_or_refused(hut, mesh_file, furnished_room):
+    assert with_options("hut", {"seed": 4}) == "hut?seed=4"
+    assert with_options("hut?width=4", {"seed": 4, "roof": False}) == "hut?width=4&seed=4&roof=False"
+    assert load_scene(with_options("hut?width=4", {"seed": 4})).source == load_scene("hut?width=4&seed=4").source
+    for scene, said in (
+        ("hut?seed=3", "the scene 'hut?seed=3' says its own seed"),
+        (str(mesh_file), "takes no seed"),
+        (mesh_file, "takes no seed"),
+        (furnished_room, "is loaded already and takes no seed"),
+        ("hutt", "did you mean 'hut'"),
+    ):
+        with pytest.raises(InputError, match=said.replace("?", r"\?")):
+            with_options(scene, {"seed": 4})

@@ -103,9 +103,16 @@ def test_a_third_party_gain_is_evaluated_by_name_and_checked() -> None:
     try:
         columns = evaluate_gains(("pixel", "brightness_of_nothing"), context(alpha))
         np.testing.assert_allclose(columns[:, 1], [1, 2 / 3, 1 / 3, 0], atol=1e-6)
-        GAINS.register("brightness_of_nothing")(lambda ctx: np.full(4, np.nan))
-        with pytest.raises(ValueError, match=r"4 finite numbers.*4 not finite"):
-            evaluate_gains(("brightness_of_nothing",), context(alpha))
+        for returned, message in (
+            (np.full(4, np.nan), "got 4 not finite"),
+            (None, "got nothing"),
+            (1.0, r"got an array of the shape \(\)"),
+            (np.zeros((4, 2)), r"got an array of the shape \(4, 2\)"),
+            ("high", "got 'high'"),
+        ):
+            GAINS.register("brightness_of_nothing")(lambda ctx, returned=returned: returned)
+            with pytest.raises(InputError, match=f"must return 4 finite numbers, one for each candidate, {message}"):
+                evaluate_gains(("brightness_of_nothing",), context(alpha))
     finally:
         del GAINS._entries["brightness_of_nothing"]
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import Mapper
 from activestructure_gym.planes import PlaneSceneGraph
@@ -85,21 +86,26 @@ def grid_rays(
 
 
 Gain = Callable[[GainContext], np.ndarray]
-GAINS: Registry[Gain] = Registry("gain", "gains")
+GAINS: Registry[Gain] = Registry("gain", "gains", fits=callable, wanted="a function of a GainContext")
 
 
 def evaluate_gains(names: tuple[str, ...], context: GainContext) -> np.ndarray:  # [K, len(names)] float32
-    """The columns named by ``names``, in that order. Raises ValueError if a gain returns another shape or NaN."""
+    """The columns named by ``names``, in that order. Raises `InputError` if a gain returns anything but [K] finite."""
     count = len(context.world_from_camera)
     columns = np.zeros((count, len(names)), dtype=np.float32)
     if not count:
         return columns
     for column, name in enumerate(names):
-        values = np.asarray(GAINS.get(name)(context), dtype=np.float32)
-        if values.shape != (count,) or not np.isfinite(values).all():
-            raise ValueError(
-                f"gain '{name}' must return {count} finite numbers, got shape {values.shape} with "
-                f"{int((~np.isfinite(values)).sum())} not finite"
-            )
+        returned = GAINS.get(name)(context)
+        wanted = f"gain '{name}' must return {count} finite numbers, one for each candidate, got"
+        try:
+            values = np.asarray(returned, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{wanted} {shown(returned)}") from error
+        if returned is None or values.shape != (count,):
+            came = "nothing" if returned is None else f"an array of the shape {values.shape}"
+            raise InputError(f"{wanted} {came}")
+        if not np.isfinite(values).all():
+            raise InputError(f"{wanted} {int((~np.isfinite(values)).sum())} not finite")
         columns[:, column] = values
     return columns

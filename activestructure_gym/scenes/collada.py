@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, UnreadableMesh, placed
+from activestructure_gym.scenes.polygons import ear_clipped, triangulated
 
 Element = ElementTree.Element
 _POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
@@ -34,7 +35,7 @@ def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # the namespace differs between 1.4 and 1.5
     if root.tag != "COLLADA":
-        raise ValueError(f"its root element is <{root.tag}>, not <COLLADA>")
+        raise UnreadableMesh(f"its root element is <{root.tag}>, not <COLLADA>")
     unit = root.find("asset/unit")
     up = (root.findtext("asset/up_axis") or "Y_UP").strip()
     document = _Document(path, root, textures)
@@ -46,11 +47,50 @@ def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
 
 
 def _floats(text: str | None) -> np.ndarray:
-    return np.array((text or "").split(), dtype=np.float64)
+    return _numbers(text, np.float64)
 
 
 def _integers(text: str | None) -> np.ndarray:
-    return np.array((text or "").split(), dtype=np.int64)
+    return _numbers(text, np.int64)
+
+
+def _numbers(text: str | None, kind: type) -> np.ndarray:
+    words = (text or "").split()
+    try:
+        return np.array(words, dtype=kind)
+    except (ValueError, OverflowError):
+        if any("," in word for word in words):
+            raise UnreadableMesh(
+                "its numbers are written with commas (0,5 for 0.5); export it with decimal points"
+            ) from None
+        wanted = "whole numbers" if kind is np.int64 else "numbers"
+        raise UnreadableMesh(f"'{_first_odd(words, kind)}' stands where {wanted} are expected") from None
+
+
+def _first_odd(words: list[str], kind: type) -> str:
+    for word in words:
+        try:
+            np.array([word], dtype=kind)
+        except (ValueError, OverflowError):
+            return word[:40]
+    return words[0][:40]
+
+
+@dataclass(frozen=True)
+class _Input:
+    """One property of the corners: where its index stands in a row of <p>, and its values."""
+
+    semantic: str
+    column: int
+    values: np.ndarray  # [N, stride]
+
+    def of(self, corners: np.ndarray, width: int) -> np.ndarray:  # [C, columns of <p>] -> [C, width]
+        index = corners[:, self.column]
+        if len(index) and (index.min() < 0 or index.max() >= len(self.values)):
+            raise UnreadableMesh(f"its corners name {self.semantic} {index.max()} of {len(self.values)}")
+        if self.values.shape[1] < width:
+            raise UnreadableMesh(f"its {self.semantic} values have {self.values.shape[1]} numbers instead of {width}")
+        return self.values[index, :width]
 
 
 @dataclass
@@ -79,7 +119,7 @@ class _Document:
         while stack:
             node, world_from_parent, depth = stack.pop()
             if depth > 200:
-                raise ValueError("its nodes form a loop")
+                raise UnreadableMesh("its nodes form a loop")
             world_from_node = world_from_parent @ _node_matrix(node)
             for instance in node:
                 if instance.tag in ("instance_geometry", "instance_controller"):
@@ -105,28 +145,31 @@ class _Document:
             if primitives.tag not in _POLYGONS:
                 continue
             inputs, width = self._inputs(primitives)
-            corners, triangles = _triangulated(primitives, width)
+            corners, triangles = _triangulated(primitives, width, inputs["VERTEX"])
             if not len(triangles):
                 continue
-            positions = inputs["VERTEX"][1][corners[:, inputs["VERTEX"][0]], :3]
             symbol = primitives.get("material", "")
             color, texture = self._material(bindings.get(symbol, symbol))
             uv = None
             if "TEXCOORD" in inputs:
-                uv = inputs["TEXCOORD"][1][corners[:, inputs["TEXCOORD"][0]], :2] * [1.0, -1.0] + [0.0, 1.0]
-            if "COLOR" in inputs:
-                color = color * inputs["COLOR"][1][corners[:, inputs["COLOR"][0]], :3]
+                uv = inputs["TEXCOORD"].of(corners, 2) * [1.0, -1.0] + [0.0, 1.0]
+            if texture >= 0 and uv is None:
+                self.textures.without_uv.append(symbol or "without a name")
+                texture = -1
+            # A texture is all that is seen of a surface: exporters leave its vertex colours at black.
+            if "COLOR" in inputs and texture < 0:
+                color = color * inputs["COLOR"].of(corners, 3)
             yield MeshPart(
-                vertices=placed(positions, world_from_node),
+                vertices=placed(inputs["VERTEX"].of(corners, 3), world_from_node),
                 faces=triangles,
                 colors=color,
                 uv=uv,
-                texture=texture if uv is not None else -1,
+                texture=texture,
             )
 
-    def _inputs(self, primitives: Element) -> tuple[dict[str, tuple[int, np.ndarray]], int]:
-        """Semantic -> (column in <p>, values), and the number of columns; the first set of each semantic."""
-        inputs: dict[str, tuple[int, np.ndarray]] = {}
+    def _inputs(self, primitives: Element) -> tuple[dict[str, _Input], int]:
+        """The first set of each semantic, and the number of columns in <p>."""
+        inputs: dict[str, _Input] = {}
         width = 0
         for element in sorted(primitives.findall("input"), key=lambda e: int(e.get("set", "0"))):
             semantic, offset = element.get("semantic", ""), int(element.get("offset", "0"))
@@ -135,11 +178,11 @@ class _Document:
                 vertices = self.target(element.get("source"))
                 for shared in vertices.findall("input") if vertices is not None else ():
                     shared_semantic = "VERTEX" if shared.get("semantic") == "POSITION" else shared.get("semantic", "")
-                    inputs.setdefault(shared_semantic, (offset, self._source(shared)))
+                    inputs.setdefault(shared_semantic, _Input(shared_semantic, offset, self._source(shared)))
             elif semantic in ("TEXCOORD", "COLOR"):
-                inputs.setdefault(semantic, (offset, self._source(element)))
+                inputs.setdefault(semantic, _Input(semantic, offset, self._source(element)))
         if "VERTEX" not in inputs:
-            raise ValueError(f"a <{primitives.tag}> has no vertex positions")
+            raise UnreadableMesh(f"a <{primitives.tag}> has no vertex positions")
         return inputs, width
 
     def _source(self, element: Element) -> np.ndarray:  # [count, stride]
@@ -147,7 +190,7 @@ class _Document:
         accessor = source.find("technique_common/accessor") if source is not None else None
         array = source.find("float_array") if source is not None else None
         if array is None:
-            raise ValueError(f"the source '{element.get('source')}' is missing")
+            raise UnreadableMesh(f"the source '{element.get('source')}' is missing")
         stride = int(accessor.get("stride", "1")) if accessor is not None else 3
         offset = int(accessor.get("offset", "0")) if accessor is not None else 0
         values = _floats(array.text)[offset:]
@@ -225,19 +268,40 @@ def _node_matrix(node: Element) -> np.ndarray:  # [4, 4] parent_from_node: the n
     return matrix
 
 
-def _triangulated(primitives: Element, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners [C, width] (rows of <p>) and triangles [F, 3] over them; polygons are split into fans."""
-    rows = [_integers(p.text) for p in primitives.iter("p")]
-    corners = np.concatenate(rows).reshape(-1, width) if rows else np.zeros((0, width), np.int64)
+def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [C, width] (rows of <p>) and triangles [F, 3] over them; concave polygons and holes stay open."""
+    rows = [_rows(p, width) for p in primitives.findall("p")]
+    corners = np.concatenate(rows) if rows else np.zeros((0, width), np.int64)
+    sizes = np.array([len(row) for row in rows], dtype=np.int64)
     if primitives.tag == "triangles":
         return corners, np.arange(len(corners) // 3 * 3).reshape(-1, 3)
+    if primitives.tag in ("tristrips", "trifans"):
+        return corners, _strips(sizes, fans=primitives.tag == "trifans")
     if primitives.tag == "polylist":
         sizes = _integers(primitives.findtext("vcount"))
-    else:
-        sizes = np.array([len(row) // width for row in rows], dtype=np.int64)
-    # Fan k of a polygon that starts at corner s is (s, s + k, s + k + 1); a strip has no common corner.
-    fans = np.maximum(sizes - 2, 0)
-    starts = np.repeat(np.cumsum(sizes) - sizes, fans)
-    k = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    first = starts + k if primitives.tag == "tristrips" else starts
-    return corners, np.stack([first, starts + k + 1, starts + k + 2], axis=1)
+        if (sizes < 0).any() or sizes.sum() > len(corners):
+            raise UnreadableMesh(f"a <polylist> counts {sizes.sum()} corners and has {len(corners)}")
+        corners = corners[: sizes.sum()]
+    triangles, _ = triangulated(positions.of(corners, 3), sizes)
+    for holed in primitives.findall("ph"):
+        rings = [_rows(ring, width) for ring in holed if ring.tag in ("p", "h")]
+        outline = np.concatenate(rings)
+        ends = tuple(np.cumsum([len(ring) for ring in rings]).tolist())
+        triangles = np.concatenate([triangles, len(corners) + ear_clipped(positions.of(outline, 3), ends)])
+        corners = np.concatenate([corners, outline])
+    return corners, triangles
+
+
+def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
+    flat = _integers(indices.text)
+    if len(flat) % width:
+        raise UnreadableMesh(f"a <{indices.tag}> has {len(flat)} indices, which are no rows of {width}")
+    return flat.reshape(-1, width)
+
+
+def _strips(sizes: np.ndarray, *, fans: bool) -> np.ndarray:  # [F, 3]
+    """Triangles of strips one after the other; those of a fan have its first corner in common."""
+    counts = np.maximum(sizes - 2, 0)
+    starts = np.repeat(np.cumsum(sizes) - sizes, counts)
+    k = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.stack([starts if fans else starts + k, starts + k + 1, starts + k + 2], axis=1)

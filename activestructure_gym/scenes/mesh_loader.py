@@ -129,12 +129,24 @@ def finished_scene(
 
 
 def texture_notes(textures: TextureStore) -> list[str]:
-    """A sentence about what could not be read, if anything."""
-    missing = list(dict.fromkeys(textures.unreadable))
-    if not missing:
-        return []
-    shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
-    return [f"{len(missing)} texture or material files could not be read ({shown}); plain colours stand in for them"]
+    """What the textures lack, in a sentence each."""
+    notes = []
+    missing, bare = (list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv))
+    if missing:
+        notes.append(
+            f"{len(missing)} texture or material files could not be read ({_some(missing)}); plain colours stand in "
+            "for them"
+        )
+    if bare:
+        notes.append(
+            f"{len(bare)} materials have a texture, but surfaces without usable texture coordinates "
+            f"({_some(bare)}); plain colours stand in there"
+        )
+    return notes
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, str]:

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 PLAIN_GREY = 0.7
 
 
+class UnreadableMesh(ValueError):
+    """What is wrong with a file, for the end of a sentence: "it is cut off", "its nodes form a loop"."""
+
+
 @dataclass(frozen=True)
 class MeshPart:
     """Triangles that share one material."""
@@ -43,6 +47,7 @@ class TextureStore:
     max_size: int = 512  # pixels; larger images are shrunk so that 50 textures stay below 50 MB
     images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
     unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
+    without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
     _by_key: dict[Hashable, int] = field(default_factory=dict)
 
     def add_bytes(self, data: bytes, name: str) -> int:

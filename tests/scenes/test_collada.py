@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.scenes.collada import read_collada
-from activestructure_gym.scenes.mesh_parts import TextureStore
+from activestructure_gym.scenes.mesh_parts import TextureStore, UnreadableMesh
 
 # A unit square in the x, y plane as one quad (polylist) and as two triangles, shown by nested, turned nodes.
 DOCUMENT = """<?xml version="1.0"?>
@@ -116,5 +116,64 @@ def test_instances_from_the_node_library_and_missing_textures(document):
 def test_another_xml_file_is_refused(tmp_path):
     path = tmp_path / "x.dae"
     path.write_text("<html/>")
-    with pytest.raises(ValueError, match="not <COLLADA>"):
+    with pytest.raises(UnreadableMesh, match="not <COLLADA>"):
         read_collada(path, TextureStore())
+
+
+DOORWAY = "0 0 0 1 0 0 1 0 2 2 0 2 2 0 0 5 0 0 5 0 3 0 0 3"  # 13 m2; a fan over it has 19
+HOLED = "0 0 0 4 0 0 4 0 4 0 0 4 1 0 1 2 0 1 2 0 3 1 0 3"  # a window of 2 in a wall of 16
+
+
+@pytest.mark.parametrize(
+    "corners, primitives, area",
+    [
+        (DOORWAY, '<polylist count="1">{}<vcount>8</vcount><p>0 1 2 3 4 5 6 7</p></polylist>', 13.0),
+        (DOORWAY, '<polygons count="1">{}<p>0 1 2 3 4 5 6 7</p></polygons>', 13.0),
+        (HOLED, '<polygons count="1">{}<ph><p>0 1 2 3</p><h>4 5 6 7</h></ph></polygons>', 14.0),
+    ],
+)
+def test_doorways_and_windows_stay_open(tmp_path, corners, primitives, area):
+    path = tmp_path / "wall.dae"
+    path.write_text(
+        f"""<COLLADA><library_geometries><geometry><mesh><source id="p"><float_array>{corners}</float_array>
+        <technique_common><accessor stride="3"/></technique_common></source>
+        <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>"""
+        + primitives.format('<input semantic="VERTEX" source="#v" offset="0"/>')
+        + "</mesh></geometry></library_geometries></COLLADA>"
+    )
+    (part,) = read_collada(path, TextureStore()).parts
+    found = part.vertices[part.faces]
+    areas = 0.5 * np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
+    assert areas.sum() == pytest.approx(area)
+
+
+def test_a_texture_replaces_vertex_colours_and_a_plain_colour_takes_them(document):
+    colors = '<input semantic="COLOR" source="#black" offset="0"/>'
+    source = '<source id="black"><float_array>{}</float_array><technique_common><accessor stride="3"/>'
+    source = source.format("0.5 0 1 " * 4) + "</technique_common></source>"
+    text = DOCUMENT.replace('<vertices id="corners">', source + '<vertices id="corners">')
+    document.write_text(
+        text.replace("<vcount>", colors + "<vcount>").replace("<p>0 1 2 0 2 3", colors + "<p>0 1 2 0 2 3")
+    )
+    quad, triangles = read_collada(document, TextureStore()).parts
+    assert quad.texture == 0
+    np.testing.assert_allclose(np.broadcast_to(quad.colors, (4, 3)), 1.0)
+    np.testing.assert_allclose(triangles.colors, np.tile([0.4, 0.0, 0.2], (6, 1)))
+
+
+@pytest.mark.parametrize(
+    "before, after, said",
+    [
+        ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 1,0 0 0 1 1 0 0 1 0", "written with commas"),
+        ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 one 0 0 1 1 0 0 1 0", "'one' stands where numbers are expected"),
+        ("<p>0 1 2 0 2 3", "<p>0 1 2 0 2 9", "its corners name VERTEX 9 of 4"),
+        ("<p>0 0 0 1 0 1 2", "<p>0 0 0 1 0 1 2 2", "no rows of 3"),
+        ("<vcount>4", "<vcount>5", "counts 5 corners and has 4"),
+        ('count="4" stride="3"', 'count="4" stride="2"', "have 2 numbers instead of 3"),
+    ],
+)
+def test_damage_is_said_in_words(document, before, after, said):
+    assert before in DOCUMENT
+    document.write_text(DOCUMENT.replace(before, after))
+    with pytest.raises(UnreadableMesh, match=said):
+        read_collada(document, TextureStore())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, TextureStore
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, TextureStore, UnreadableMesh
 from activestructure_gym.scenes.trimesh_reader import read_with_trimesh
 
 OBJ = """mtllib ../materials/room.mtl
@@ -88,3 +88,53 @@ def test_stl_is_plain_grey(tmp_path, make_box):
     (part,) = read_with_trimesh(tmp_path / "a.stl", TextureStore())
     assert len(part.faces) == 12
     np.testing.assert_allclose(part.colors, PLAIN_GREY)
+
+
+DOORWAY = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (5, 0), (5, 3), (0, 3)]  # 13 m2; a fan over it has 19
+ARROW = [(6, 0), (8, 1), (6, 2), (7, 1)]  # 1 m2, turns back at its last corner
+SQUARE = [(9, 0), (10, 0), (10, 1), (9, 1)]
+
+
+@pytest.mark.parametrize("outlines", [[DOORWAY], [ARROW], [ARROW, SQUARE], [SQUARE[:3], DOORWAY, SQUARE, ARROW]])
+@pytest.mark.parametrize("uv", [False, True])
+@pytest.mark.parametrize("colored", [False, True])
+def test_concave_polygons_of_a_ply_stay_open(tmp_path, outlines, uv, colored):
+    corners = [corner for outline in outlines for corner in outline]
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(corners)}"]
+    lines += [f"property float {name}" for name in ("x", "y", "z", *("st" if uv else ""))]
+    lines += [f"element face {len(outlines)}", "property list uchar int vertex_indices"]
+    lines += [f"property uchar {name}" for name in (("red", "green", "blue") if colored else ())]
+    lines += ["end_header", *(f"{x} 1.5 {z}" + (f" {x} {z}" if uv else "") for x, z in corners)]
+    start, expected = 0, []
+    for k, outline in enumerate(outlines):
+        indices = " ".join(map(str, range(start, start + len(outline))))
+        lines.append(f"{len(outline)} {indices}" + (f" {k * 60} 0 0" if colored else ""))
+        start += len(outline)
+        x, z = np.array(outline, float).T
+        expected.append(0.5 * abs((x * np.roll(z, -1) - np.roll(x, -1) * z).sum()))
+    (tmp_path / "a.ply").write_text("\n".join(lines) + "\n")
+    (part,) = read_with_trimesh(tmp_path / "a.ply", TextureStore())
+    found = part.vertices[part.faces]
+    area = 0.5 * np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
+    assert area.sum() == pytest.approx(sum(expected))
+    if colored and not uv:  # every polygon keeps its own colour
+        face_color = np.round(part.colors[part.faces[:, 0], 0] * 255 / 60).astype(int)
+        np.testing.assert_allclose(np.bincount(face_color, area, minlength=len(outlines)), expected)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le"])
+def test_obj_in_other_encodings(tmp_path, encoding):
+    (tmp_path / "a.obj").write_bytes(OBJ.encode(encoding))
+    if encoding == "utf-16-le":  # without a mark
+        with pytest.raises(UnreadableMesh, match="save it as UTF-8"):
+            read_with_trimesh(tmp_path / "a.obj", TextureStore())
+    else:
+        assert sum(len(p.faces) for p in read_with_trimesh(tmp_path / "a.obj", TextureStore())) == 3
+
+
+def test_texture_coordinates_that_do_not_exist_are_said(tmp_path):
+    (tmp_path / "room.obj").write_text(OBJ.replace("../materials/", "").replace("3/3", "3/99"))
+    (tmp_path / "room.mtl").write_text(MTL.replace("..\\images\\", ""))
+    Image.new("RGB", (4, 4), (120, 80, 40)).save(tmp_path / "wood.png")
+    parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
+    assert all(part.texture < 0 for part in parts) and textures.without_uv == ["wood"]

@@ -6,6 +6,7 @@ Light to import (numpy and gymnasium only): policies take the names of features 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,47 @@ def plane_columns(*names: str) -> list[int]:
     return [PLANE_FEATURES.index(name) for name in names]
 
 
+class Table(spaces.Box):
+    """A Box whose columns have names: ``names[i]`` says what stands in ``[..., i]``.
+
+    Two tables are equal only if their names are, so that no network goes on with columns that mean something else. Of a
+    plain Box no names are known, and it may be equal.
+    """
+
+    def __init__(self, names: Sequence[str], low: np.ndarray, high: np.ndarray, dtype: Any = np.float32) -> None:
+        super().__init__(low, high, dtype=dtype)
+        self.names = tuple(names)
+
+    def __repr__(self) -> str:
+        return f"Table({', '.join(self.names)}: {super().__repr__()})"
+
+    def __eq__(self, other: Any) -> bool:
+        return bool(super().__eq__(other)) and getattr(other, "names", self.names) == self.names
+
+
+def gain_names(source: Any) -> tuple[str, ...]:
+    """What stands in the columns of ``observation["candidate_gains"]``, in order, as ``source`` tells.
+
+    ``source``: an env, wrapped or not; a vector env of Gymnasium or stable-baselines3; an observation space; or the
+    names themselves, such as ``info["gains"]``. Raises `InputError` if it does not say.
+    """
+    if isinstance(source, list | tuple) and all(isinstance(name, str) for name in source):
+        return tuple(source)
+    space = getattr(source, "single_observation_space", getattr(source, "observation_space", source))
+    table = space.spaces.get("candidate_gains") if isinstance(space, spaces.Dict) else space
+    if isinstance(table, Table):
+        return table.names
+    if isinstance(table, spaces.Space):
+        raise InputError(
+            "this observation space does not say which gains stand in the columns of candidate_gains, as one that a "
+            "wrapper made anew; give the names instead, as in info['gains']"
+        )
+    raise InputError(
+        f"which gains stand in which column is told by an env, by its observation space or by a list of their names "
+        f"as in info['gains'], got {shown(source)}"
+    )
+
+
 @dataclass(frozen=True)
 class Key:
     """One entry of the observation."""
@@ -46,6 +88,7 @@ class Key:
     high: Any
     unit: str
     meaning: str
+    names: tuple[str, ...] | None = None  # of the columns, where each is another quantity
 
     @property
     def size(self) -> int:
@@ -56,6 +99,8 @@ class Key:
         """The Box of this entry."""
         low = np.broadcast_to(np.asarray(self.low, self.dtype), self.shape)
         high = np.broadcast_to(np.asarray(self.high, self.dtype), self.shape)
+        if self.names is not None:
+            return Table(self.names, low.copy(), high.copy(), self.dtype)
         return spaces.Box(low.copy(), high.copy(), self.shape, self.dtype)
 
 
@@ -74,13 +119,25 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
         "depth": Key((height, width), f32, 0, config.sensor.max_range, "m", "its depth along the axis; 0 = no return"),
         "pose": Key((7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"),
         "budget": Key((1,), f32, 0, 1, "share", "frames left of the budget"),
-        "candidates": Key((K, len(columns_low)), f32, columns_low, columns_high, "m", ", ".join(CANDIDATE_FEATURES)),
-        "candidate_gains": Key((K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for"),
+        "candidates": Key(
+            (K, len(columns_low)),
+            f32,
+            columns_low,
+            columns_high,
+            "m",
+            ", ".join(CANDIDATE_FEATURES),
+            CANDIDATE_FEATURES,
+        ),
+        "candidate_gains": Key(
+            (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for", config.gains
+        ),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
         "fidelity": Key(
             (2,), f32, 0, 200, "dB", "PSNR of the keyframes when last rendered: lowest tenth (10 % quantile), median"
         ),
-        "plane_features": Key((P, F), f32, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH, "-", "PLANE_FEATURES of the nodes"),
+        "plane_features": Key(
+            (P, F), f32, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH, "-", "PLANE_FEATURES of the nodes", PLANE_FEATURES
+        ),
         "plane_mask": Key((P,), i8, 0, 1, "-", "1 where the row holds a plane"),
         "plane_edges": Key((P, P), f32, 0, 1, "-", "edge weight w_ij (Eq. 4), small = reliable; 0 = no edge"),
         "plane_tree": Key((P, P), i8, 0, 1, "-", "1 where the edge is in the minimum spanning forest"),

@@ -38,7 +38,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     One flat `Dict` of arrays, listed in `docs/observation.md` (from `activestructure_gym.envs.observation`): the last
     keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their gains and mask, the Plane Scene Graph
     (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
-    arrays are zero where no plane exists yet. Nothing in it comes from ground truth.
+    arrays are zero where no plane exists yet. Nothing in it comes from ground truth. The space says by name what stands
+    in the columns: `observation_space["candidate_gains"].names`; `policy.bind(env)` reads them there.
 
     ## Rewards
     The sum of the terms in `info`: `reward/coverage` = 20 x newly observed share of the observable surface,
@@ -74,8 +75,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `start_pose` | the start of this episode only |
 
     ## Info
-    `action_mask`, `frames`, `metres`, `keyframes`, `gaussians`, `planes`, `reached`, `invalid_action`, `is_success`
-    and the reward's terms. No wall-clock times and no ground truth beyond what the reward itself tells.
+    `action_mask`, `gains` (names of the columns of `candidate_gains`), `frames`, `metres`, `keyframes`, `gaussians`,
+    `planes`, `reached`, `invalid_action`, `is_success` and the reward's terms. No wall-clock times and no ground truth
+    beyond what the reward itself tells.
 
     ## Version History
     * v0: first version
@@ -242,6 +244,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         episode = self.reconstruction
         return {
             "action_mask": self.action_masks().astype(np.int8),
+            "gains": self.config.gains,
             "frames": episode.frames,
             "metres": float(episode.metres),
             "keyframes": len(episode.keyframe_indices),

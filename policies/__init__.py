@@ -24,6 +24,7 @@ from activestructure_gym.policies.hgs_planner import HGSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.learned import Learned
 from activestructure_gym.policies.naruto import Naruto
+from activestructure_gym.policies.pairing import make_env_and_policy
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.popgs import (
     CovTrace,
@@ -87,6 +88,7 @@ __all__ = [
     "Random",
     "ViewAngle",
     "canonical_policy",
+    "make_env_and_policy",
     "make_policy",
     "travel_discount",
 ]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.errors import InputError
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, gain_names
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import parse_options, typed_options
 
@@ -22,25 +23,31 @@ class Policy(ABC):
     """Chooses one row of the candidate table per step.
 
     A policy sees the observation and nothing else: no map, no scene, no env. So it runs unchanged in any vector env,
-    and pickles. Its gains stand in the columns of ``observation["candidate_gains"]``, in the order the env was asked
-    for; `bind` tells the policy that order.
+    and pickles. Its gains stand in columns of ``observation["candidate_gains"]``, and only the env knows in which:
+    `bind` tells the policy, and without it `gain` refuses. `make_env_and_policy` makes both at once and binds them.
 
     Parameters of a subclass's constructor are its options: ``name?key=value`` in a command. They are checked there,
     with a ValueError.
     """
 
     required_gains: ClassVar[tuple[str, ...]] = ()  # evaluated by the env for every candidate
+    _columns: tuple[str, ...] | None = None  # the gains in the observation, in order, once they are known
 
     def __init__(self) -> None:
-        self._columns: dict[str, int] = {name: i for i, name in enumerate(self.required_gains)}
         self.rng = np.random.default_rng(0)
 
-    def bind(self, gains: tuple[str, ...]) -> None:
-        """Learn which gains the env offers, in order. Raises ValueError if a required one is missing."""
-        missing = [name for name in self.required_gains if name not in gains]
-        if missing:
-            raise ValueError(f"{type(self).__name__} needs the gains {missing}; the env was built with {list(gains)}")
-        self._columns = {name: i for i, name in enumerate(gains)}
+    def bind(self, source: Any) -> None:
+        """Learn which gains stand in which column: from an env, a vector env, an observation space or their names.
+
+        Raises `InputError` if a required one is missing. A policy without required gains needs no binding.
+        """
+        names, needed = gain_names(source), gains_of(self)
+        if missing := [name for name in needed if name not in names]:
+            raise InputError(
+                f"{type(self).__name__} needs the gains {_listed(missing)}, and the env offers {_listed(names)}: make "
+                "the env with them in gains=..., or both at once with env, policy = make_env_and_policy(...)"
+            )
+        self._columns = names
 
     def reset(self, seed: int) -> None:
         """Begin an episode; every random choice of the policy comes from this seed."""
@@ -55,18 +62,46 @@ class Policy(ABC):
         return {}
 
     def gain(self, observation: Observation, name: str) -> np.ndarray:  # [K]
-        """The column of gain ``name``."""
-        return observation["candidate_gains"][:, self._columns[name]]
+        """The column of gain ``name``. Raises `InputError` for a policy that is not bound to the env that made it."""
+        columns, table, who = self._columns, observation["candidate_gains"], type(self).__name__
+        if columns is None:
+            raise InputError(
+                f"{who} does not know which column of the observation is the gain '{name}': call policy.bind(env) "
+                "before act(), or make both with env, policy = make_env_and_policy(...)"
+            )
+        if table.shape[1:] != (len(columns),):
+            raise InputError(
+                f"{who} is bound to an env with the gains {_listed(columns)}, but this observation's candidate_gains "
+                f"has the shape {table.shape}: call policy.bind(env) with the env that made it"
+            )
+        if name not in columns:
+            raise InputError(
+                f"{who} reads the gain '{name}', and the env offers {_listed(columns)}: name it in required_gains"
+            )
+        return table[:, columns.index(name)]
 
 
-def _is_policy(kind: Any) -> bool:
+def gains_of(policy: Policy) -> tuple[str, ...]:
+    """The gains that a policy asks an env for; raises `InputError` where they are no tuple of names."""
+    gains = policy.required_gains
+    if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
+        raise InputError(f"required_gains of {type(policy).__name__} must be a tuple of names, got {shown(gains)}")
+    return tuple(gains)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"
+
+
+def is_policy(kind: Any) -> TypeGuard[type[Policy]]:
+    """Whether it is a class of policies that can be made."""
     return isinstance(kind, type) and issubclass(kind, Policy) and not inspect.isabstract(kind)
 
 
 POLICIES: Registry[type[Policy]] = Registry(
     "policy",
     "policies",
-    fits=_is_policy,
+    fits=is_policy,
     wanted="a class derived from activestructure_gym.policies.Policy that defines act()",
 )
 

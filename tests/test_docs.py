@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from activestructure_gym.policies import POLICIES
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -54,13 +56,32 @@ def test_third_party_policy_gain_and_scene_work_together(plugins: Path) -> None:
     assert info["metres"] > 0 or info["keyframes"] > 1
 
 
-def test_the_readme_s_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    examples = blocks("README.md")
-    assert examples, "README.md shows no example"
-    assert len([line for line in examples[0].splitlines() if line.strip()]) <= 12
-    names: dict[str, Any] = {}
-    exec(compile(examples[0], "README.md", "exec"), names)
-    assert capsys.readouterr().out
+def readme_with(policy: str, scene: str) -> str:
+    """README's lines for another policy and scene, and nothing else changed."""
+    shown = blocks("README.md")[0]
+    assert len([line for line in shown.splitlines() if line.strip()]) <= 12
+    text, changes = re.subn(r'\("hole_area", scene="room", ', f'("{policy}", scene={scene}, ', shown)
+    assert changes == 1
+    return text
+
+
+def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(blocks("README.md")[0], "README.md", "exec"), {})
+    assert re.search(r"Gaussians after 100 frames and \d+\.\d m\n$", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("policy", sorted(POLICIES))
+def test_every_policy_plays_in_the_readme_s_lines(policy: str, capsys: pytest.CaptureFixture[str]) -> None:
+    small = '"box", frame_budget=25, config={"sensor": {"width": 48, "height": 27}, "views.max_candidates": 12}'
+    exec(compile(readme_with(policy, small), "README.md", "exec"), {})
+    assert "Gaussians after 25 frames" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", sorted(POLICIES))
+def test_every_policy_plays_the_readme_s_episode(policy: str, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(readme_with(policy, '"room"'), "README.md", "exec"), {})
+    assert "Gaussians after 100 frames" in capsys.readouterr().out
 
 
 def test_the_page_of_the_observation_is_up_to_date() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import multiprocessing
 import pickle
 import warnings
@@ -12,6 +13,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, gain_names
+from activestructure_gym.planes import PLANE_FEATURES
 
 # SB3 tells that its default extractor would flatten two-dimensional boxes; ours are tables, not images.
 EXPECTED_WARNINGS = ("unconventional shape",)
@@ -75,6 +79,25 @@ def test_pickle_round_trip(env_id: str, options: dict[str, Any]) -> None:
     assert one[1:4] == other[1:4]
 
 
+def test_the_names_of_the_columns_travel_with_the_space(env_id: str, options: dict[str, Any]) -> None:
+    env = gym.make(env_id, gains=("hole_area", "pixel"), **options)
+    space = env.observation_space
+    assert space["candidate_gains"].names == ("hole_area", "pixel")
+    assert space["candidates"].names == CANDIDATE_FEATURES and space["plane_features"].names == PLANE_FEATURES
+    for again in (
+        pickle.loads(pickle.dumps(space)),
+        copy.deepcopy(space),
+        gym.wrappers.TimeLimit(env, 5).observation_space,
+    ):
+        assert again == space and again["candidate_gains"].names == space["candidate_gains"].names
+    turned = gym.make(env_id, gains=("pixel", "hole_area"), **options).observation_space
+    assert turned != space and turned["candidates"] == space["candidates"]
+    plain = gym.spaces.Box(-1e6, 1e6, space["candidate_gains"].shape)
+    assert plain == space["candidate_gains"] == plain  # of which nothing is known
+    _, info = env.reset(seed=0)
+    assert info["gains"] == ("hole_area", "pixel") == env.step(int(np.flatnonzero(info["action_mask"])[0]))[4]["gains"]
+
+
 def test_spec_survives_json(env_id: str, options: dict[str, Any]) -> None:
     env = gym.make(env_id, disable_env_checker=True, **options)
     spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
@@ -109,6 +132,7 @@ def test_vectorised(env_id: str, options: dict[str, Any], mode: str) -> None:
     try:
         observation, info = envs.reset(seed=4)
         assert observation["rgb"].shape == (2, 36, 64, 3)
+        assert gain_names(envs) == ("pixel",) and info["gains"].tolist() == [("pixel",)] * 2
         # Two seeds, two episodes.
         assert not np.array_equal(observation["candidates"][0], observation["candidates"][1])
         for _ in range(3):
@@ -123,8 +147,18 @@ def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None
     entry_point = gym.spec(env_id.split(":", 1)[1]).entry_point
     module, _, name = entry_point.partition(":")
     page = getattr(__import__(module, fromlist=[name]), name).__doc__
-    sections = ["Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End",
-                "Arguments", "Reset options", "Info", "Version History"]
+    sections = [
+        "Description",
+        "Action Space",
+        "Observation Space",
+        "Rewards",
+        "Starting State",
+        "Episode End",
+        "Arguments",
+        "Reset options",
+        "Info",
+        "Version History",
+    ]
     assert [f"## {section}" for section in sections] == [
         line.strip() for line in page.splitlines() if line.strip().startswith("## ")
     ]

@@ -17,6 +17,7 @@ from activestructure_gym.policies.activegamer import (
     coarse_views,
     travel_factor,
 )
+from tests.policies.binding import bound
 
 FORWARD = (1.0, 0.0, 0.0)
 
@@ -46,7 +47,7 @@ def observation(
 
 
 def policy(travel: str = "native", stage: int = 1) -> ActiveGAMER:
-    made = ActiveGAMER(travel)
+    made = bound(ActiveGAMER(travel))
     made.reset(0)
     made._stage = stage
     return made

@@ -9,6 +9,7 @@ from scipy.stats import spearmanr
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies import ActivePolicy
 from activestructure_gym.policies.activepolicy import BEST, EPSILON, fiedler_centrality, relation
+from tests.policies.binding import bound
 
 X, Y, Z = np.eye(3)
 
@@ -70,7 +71,7 @@ def test_relation_by_hand() -> None:
 def test_only_the_16_best_views_are_nodes(rng: np.random.Generator) -> None:
     gains = rng.permutation(np.arange(1, 41)) / 40.0
     views = [(rng.uniform(0, 5, 3), X, g) for g in gains]
-    policy = ActivePolicy()
+    policy = bound(ActivePolicy())
     choice = policy.act(observation(views))
     assert gains[choice] > (40 - BEST) / 40.0
     assert policy.trace()["nodes"] == BEST
@@ -78,7 +79,7 @@ def test_only_the_16_best_views_are_nodes(rng: np.random.Generator) -> None:
 
 
 def test_views_without_gain_are_no_nodes_and_without_any_it_is_the_nearest() -> None:
-    policy = ActivePolicy()
+    policy = bound(ActivePolicy())
     assert policy.act(observation([(X, X, 0.0), (Y, X, 0.2), (Z, X, 0.0)])) == 1
     assert policy.act(observation([(X, X, 0.0), (Y, X, 0.0)], frames=[9.0, 3.0])) == 1
     assert policy.trace() == {"nodes": 0}
@@ -91,16 +92,17 @@ def test_the_shared_travel_term_multiplies_the_centrality() -> None:
     views = [(0 * X, X, 0.5), (9 * X, X, 0.5)]
     seen = [[1, 0, 0, 0], [0, 1, 0, 0]]
     frames = [50.0, 1.0]
-    assert ActivePolicy().act(observation(views, planes=seen, frames=frames)) == 1  # equally central: the nearer one
+    # equally central: the nearer one
+    assert bound(ActivePolicy()).act(observation(views, planes=seen, frames=frames)) == 1
     views[0] = (0 * X, X, 0.6)  # a little more central
-    assert ActivePolicy().act(observation(views, planes=seen, frames=frames)) == 0
-    assert ActivePolicy(travel="shared").act(observation(views, planes=seen, frames=frames)) == 1
+    assert bound(ActivePolicy()).act(observation(views, planes=seen, frames=frames)) == 0
+    assert bound(ActivePolicy(travel="shared")).act(observation(views, planes=seen, frames=frames)) == 1
 
 
 def test_of_many_that_gain_the_same_the_nearest_are_nodes_and_of_equally_central_ones_the_nearest_is_taken() -> None:
     frames = np.random.default_rng(4).permutation(np.arange(1.0, 41.0))
     views = [(0 * X, X, 1.0)] * 40
-    policy = ActivePolicy()
+    policy = bound(ActivePolicy())
     assert frames[policy.act(observation(views, frames=frames.tolist()))] == 1.0
     views = [(9.0 * k * X, X, 1.0) for k in range(40)]
     assert frames[policy.act(observation(views, frames=frames.tolist()))] <= BEST

@@ -16,6 +16,7 @@ from activestructure_gym.policies.activesplat import (
     ActiveSplat,
 )
 from activestructure_gym.policies.activesplat_nodes import DEFERRED_M, RICH, Nodes, choose_node, node_scores
+from tests.policies.binding import bound
 
 AHEAD, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
@@ -136,7 +137,7 @@ def observation(
 
 
 def policy(travel: str = "native") -> ActiveSplat:
-    made = ActiveSplat(travel)
+    made = bound(ActiveSplat(travel))
     made.reset(0)
     return made
 

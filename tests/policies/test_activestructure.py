@@ -32,6 +32,7 @@ from activestructure_gym.policies.activestructure.information_gain import (
     view_surprise,
 )
 from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PATIENCE, in_pool
+from tests.policies.binding import bound
 
 
 def planes(visible: list, quality: list, surprise: list, structural: list, area: list | None = None) -> PlaneView:
@@ -119,9 +120,7 @@ def test_structural_term_is_the_share_of_what_lacks_with_alpha_by_type() -> None
     lacks = np.array([0.1, 0.06, 0.72]) / 0.88
     np.testing.assert_allclose(structural_term(THREE, Weights()), [lacks[0] + lacks[1], 0.0, lacks[2]])
     weights = Weights(structural=-2.0, objects=0.5)
-    np.testing.assert_allclose(
-        structural_term(THREE, weights), [-2.0 * lacks[0] + 0.5 * lacks[1], 0.0, 0.5 * lacks[2]]
-    )
+    np.testing.assert_allclose(structural_term(THREE, weights), [-2.0 * lacks[0] + 0.5 * lacks[1], 0.0, 0.5 * lacks[2]])
     # Without surprise 1 - q = 0.5, 0.1, 0.8 stands in for gamma.
     np.testing.assert_allclose(structural_term(THREE, Weights(surprise=False)), [0.6 / 1.4, 0.0, 0.8 / 1.4])
     # A share does not change when every surprise shrinks.
@@ -212,7 +211,7 @@ def test_the_pool_holds_views_with_enough_pixels_or_deficit() -> None:
 
 
 def test_rung_a_chooses_as_pixel_only(rng: np.random.Generator) -> None:
-    ours, theirs = ActiveStructureA(), PixelOnly()
+    ours, theirs = bound(ActiveStructureA()), bound(PixelOnly())
     chosen = set()
     for _ in range(50):
         observed = observation(
@@ -229,7 +228,7 @@ def test_rung_b_ignores_surprise_and_rung_c_does_not() -> None:
         observed = observation(
             [[0.10], [0.05]], visible=[[1, 0], [0, 1]], quality=quality, surprise=surprise, structural=(1, 1)
         )
-        return ActiveStructureB().act(observed), ActiveStructureC().act(observed)
+        return bound(ActiveStructureB()).act(observed), bound(ActiveStructureC()).act(observed)
 
     assert choices((0.5, 0.5), (0.1, 0.9)) == (0, 1)
     assert choices((0.5, 0.5), (0.9, 0.1)) == (0, 0)
@@ -241,16 +240,16 @@ def test_a_revisit_is_not_chosen_while_another_view_has_something_to_gain(policy
     extra = [0.0] * (len(policy.required_gains) - 1)
     gains = [[0.9, *extra], [0.2, *extra], [0.15, *extra]]
     frames = [1.0, 20.0, 40.0]
-    assert policy().act(observation(gains, frames=frames)) == 0
-    assert policy().act(observation(gains, frames=frames, revisit=(0,))) == 1
-    assert policy().act(observation(gains, frames=frames, revisit=(0, 1))) == 2
+    assert bound(policy()).act(observation(gains, frames=frames)) == 0
+    assert bound(policy()).act(observation(gains, frames=frames, revisit=(0,))) == 1
+    assert bound(policy()).act(observation(gains, frames=frames, revisit=(0, 1))) == 2
 
 
 NOTHING = [[0.0, 0.0]] * 3
 
 
 def in_last_phase() -> ActiveStructure:
-    policy = ActiveStructure()
+    policy = bound(ActiveStructure())
     policy.reset(0)
     for _ in range(2 * PATIENCE):
         policy.act(observation(NOTHING))
@@ -258,7 +257,7 @@ def in_last_phase() -> ActiveStructure:
 
 
 def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None:
-    policy = ActiveStructure()
+    policy = bound(ActiveStructure())
     policy.reset(0)
     names = []
     rich, poor = [[0.5, 0.0]] * 3, [[0.01, 0.0]] * 3  # poor: enough for phase II, not for phase I
@@ -282,7 +281,7 @@ def test_phase_three_revisits_until_the_keyframes_are_good() -> None:
 
 
 def test_the_trace_says_what_decided() -> None:
-    policy = ActiveStructure()
+    policy = bound(ActiveStructure())
     policy.reset(0)
     observed = observation(
         [[0.3, 0.0], [0.6, 0.1], [0.2, 0.0]], visible=[[1], [0], [1]], quality=(0.3,), surprise=(0.4,), structural=(1,)

@@ -9,6 +9,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import ActiveINR, AnmS, make_policy
 from activestructure_gym.policies.anm_s import ARRIVED_M, AT_NODE, DEFERRED_M, FORGET_AFTER
+from tests.policies.binding import bound
 
 X, Y, Z = np.eye(3)
 
@@ -43,7 +44,7 @@ def act(policy: AnmS | ActiveINR, rows: list[dict], **options) -> int:
 
 
 def test_the_score_by_hand() -> None:
-    policy = AnmS()
+    policy = bound(AnmS())
     rows = [
         node(0, X, unarrived=True, horizon=True, clusters=4),
         node(1, 2 * X, unarrived=True, clusters=1),
@@ -65,12 +66,12 @@ def test_the_highest_score_then_the_shortest_way() -> None:
         node(2, 3 * X, unarrived=True, path=8.0),
         node(-1, Y, unarrived=True, horizon=True, path=0.1),
     ]
-    assert act(AnmS(), rows) == 2
+    assert act(bound(AnmS()), rows) == 2
     # With everybody's travel term (6 + 2) / (1 + 6 / 5) and (6 + 3) / (1 + 80 / 5).
-    assert act(AnmS(travel="shared"), rows) == 0
+    assert act(bound(AnmS(travel="shared")), rows) == 0
     rows[2]["revisit"] = 1
-    assert act(AnmS(), rows) == 1
-    assert act(AnmS(), [{**row, "voronoi_node": -1} for row in rows]) == 3  # no node: the nearest
+    assert act(bound(AnmS()), rows) == 1
+    assert act(bound(AnmS()), [{**row, "voronoi_node": -1} for row in rows]) == 3  # no node: the nearest
 
 
 def test_of_a_node_s_candidates_the_one_that_faces_something() -> None:
@@ -79,7 +80,7 @@ def test_of_a_node_s_candidates_the_one_that_faces_something() -> None:
         node(0, X + 0.4 * Y, unarrived=True, looks=2, facing=0.95, path=1.4),
         node(1, 3 * X, facing=1.0),
     ]
-    policy = AnmS()
+    policy = bound(AnmS())
     assert act(policy, rows) == 1
     assert policy.trace() == {"stage": "node", "score": 3.0, "node": 0, "looks_left": 1, "failed": 0}
 
@@ -89,7 +90,7 @@ def test_at_a_node_every_direction_is_looked_in_once() -> None:
     rows = [node(0, X, unarrived=True, looks=3, facing=0.9, look=d, frames=n + 1) for n, d in enumerate(looks)]
     rows[4]["anm_s_facing"] = 0.5  # looks at nothing
     rows.append(node(1, 5 * X, path=4.0))
-    policy = AnmS()
+    policy = bound(AnmS())
     assert act(policy, rows) == 0
     arrived = [{**row, "visited_distance": 0.0} for row in rows[:5]] + rows[5:]
     # The second is within 45 degrees of the first look; then the ones with the fewest frames; then no look is left.
@@ -103,7 +104,7 @@ def test_at_a_node_every_direction_is_looked_in_once() -> None:
 
 def test_a_node_that_was_not_reached_has_failed() -> None:
     rows = [node(0, 3 * X, unarrived=True, horizon=True, looks=3, facing=1.0), node(1, 6 * X)]
-    policy = AnmS()
+    policy = bound(AnmS())
     assert act(policy, rows) == 0
     assert act(policy, rows, pose=X) == 1  # 0 against 5 - 6
     assert policy.trace()["failed"] == 1
@@ -117,10 +118,10 @@ def test_targets_farther_than_13_m_wait_for_nodes_on_the_way() -> None:
         node(1, 10 * X, path=10.0),
         node(2, 2 * X, unarrived=True, path=2.0),
     ]
-    assert act(AnmS(), rows) == 1
+    assert act(bound(AnmS()), rows) == 1
     rows[0]["path"] = DEFERRED_M - 0.1
-    assert act(AnmS(), rows) == 0
-    assert act(AnmS(), [{**rows[0], "path": 20.0}]) == 0  # there is no other
+    assert act(bound(AnmS()), rows) == 0
+    assert act(bound(AnmS()), [{**rows[0], "path": 20.0}]) == 0  # there is no other
 
 
 def test_the_node_it_stands_at_is_no_goal_unless_there_is_no_other() -> None:
@@ -129,10 +130,10 @@ def test_the_node_it_stands_at_is_no_goal_unless_there_is_no_other() -> None:
         node(0, 0.9 * X, unarrived=True, horizon=True, clusters=1, path=0.9),  # stands for the same node
         node(1, 3 * X, path=3.0),
     ]
-    assert act(AnmS(), rows) == 2
-    assert act(AnmS(), rows[:2]) == 0
+    assert act(bound(AnmS()), rows) == 2
+    assert act(bound(AnmS()), rows[:2]) == 0
     # A look has carried it away from the stop, but it is still that node's.
-    policy = AnmS()
+    policy = bound(AnmS())
     assert act(policy, rows) == 2
     near = [node(1, 3 * X + 0.3 * Y, unarrived=True, path=0.7), node(2, 9 * X, path=6.0)]
     assert act(policy, near, pose=3 * X - 0.4 * Y) == 1
@@ -140,7 +141,7 @@ def test_the_node_it_stands_at_is_no_goal_unless_there_is_no_other() -> None:
 
 def test_pathology_of_small_integers_it_goes_to_and_fro() -> None:
     """Once all nodes are arrived at, nearly all scores are equal, and of equals the shortest way decides."""
-    policy, pose, chosen = AnmS(), np.zeros(3), []
+    policy, pose, chosen = bound(AnmS()), np.zeros(3), []
     for _ in range(6):
         places = [(1.0 + n) * X for n in range(5)]
         rows = [node(n, p, clusters=1, path=float(np.linalg.norm(p - pose))) for n, p in enumerate(places)]
@@ -154,14 +155,14 @@ def test_looks_stay_around_the_stop() -> None:
     rows = [node(0, X + 0.4 * n * Y, unarrived=n == 0, looks=3, facing=0.99 - 0.01 * n, look=d, path=1.0)
             for n, d in enumerate((X, Y, -X))]  # fmt: skip
     rows.append(node(1, 5 * X, path=4.0))
-    policy = AnmS()
+    policy = bound(AnmS())
     assert [act(policy, rows), act(policy, rows, pose=X), act(policy, rows, pose=X + 0.4 * Y)] == [0, 1, 3]
     assert policy.trace()["failed"] == 0
 
 
 def test_failures_are_forgotten_when_there_has_been_nowhere_else_to_go() -> None:
     rows = [node(0, 3 * X, unarrived=True, path=3.0), node(1, 6 * X, path=6.0), node(2, 9 * X, path=9.0)]
-    policy = AnmS()
+    policy = bound(AnmS())
     policy._failed = np.array([[3.0, 0.0]])
     pose, chosen = np.zeros(3), []
     for _ in range(FORGET_AFTER):
@@ -179,22 +180,22 @@ def inr(at: np.ndarray, share: float = 0.0, target: np.ndarray | None = None, **
 def test_the_largest_cluster_however_far() -> None:
     """The pathology: its size alone decides."""
     rows = [inr(X, 0.20, path=1.0), inr(9 * X, 0.21, path=30.0), inr(Y, 0.0)]
-    assert act(ActiveINR(), rows) == 1
-    assert act(ActiveINR(travel="shared"), rows) == 0
-    assert act(ActiveINR(), [rows[0], {**rows[1], "revisit": 1}]) == 0
+    assert act(bound(ActiveINR()), rows) == 1
+    assert act(bound(ActiveINR(travel="shared")), rows) == 0
+    assert act(bound(ActiveINR()), [rows[0], {**rows[1], "revisit": 1}]) == 0
 
 
 def test_a_target_is_kept_until_it_is_near_or_a_tenth_of_the_budget_has_gone() -> None:
     target = np.array([5.0, 0.0, 0.0])
     rows = [inr(4 * X, 0.5, target), inr(3 * X + Y, 0.0), inr(-X, 0.4, -2 * X)]
-    policy = ActiveINR()
+    policy = bound(ActiveINR())
     assert act(policy, rows) == 0
     assert policy.trace() == {"stage": "new target", "activeinr": 0.5, "target": [5.0, 0.0, 0.0]}
     changed = [inr(4.9 * X, 0.0), inr(3 * X + Y, 0.0), inr(-X, 0.9, -2 * X)]
     # One metre away: not there yet, so the larger cluster has to wait.
     assert act(policy, changed, pose=4 * X, budget=0.95) == 0
     assert policy.trace()["stage"] == "on the way"
-    patient = ActiveINR()
+    patient = bound(ActiveINR())
     act(patient, rows)
     assert act(patient, changed, pose=4 * X, budget=0.89) == 2
     assert act(policy, changed, pose=4.3 * X, budget=0.94) == 2
@@ -203,16 +204,16 @@ def test_a_target_is_kept_until_it_is_near_or_a_tenth_of_the_budget_has_gone() -
 
 def test_without_a_cluster_the_nearest_and_no_target_is_kept() -> None:
     rows = [inr(X, frames=9.0), inr(Y, frames=3.0)]
-    policy = ActiveINR()
+    policy = bound(ActiveINR())
     assert act(policy, rows) == 1
     assert policy.trace() == {"stage": "no target", "activeinr": 0.0, "target": None}
     assert act(policy, [inr(X, 0.1), inr(Y, 0.0)]) == 0
     # A revisit of the present pose is the nearest of all, and taken only if there is nothing else.
     rows.append(inr(0 * X, frames=1.0, revisit=1))
-    assert act(ActiveINR(), rows) == 1
-    assert act(ActiveINR(), rows[2:]) == 0
+    assert act(bound(ActiveINR()), rows) == 1
+    assert act(bound(ActiveINR()), rows[2:]) == 0
     with_node = [node(-1, X, frames=9.0), node(-1, 0 * X, frames=1.0, revisit=1)]
-    assert act(AnmS(), with_node) == 0
+    assert act(bound(AnmS()), with_node) == 0
 
 
 @pytest.mark.parametrize("name", ["anm_s", "activeinr"])

@@ -8,6 +8,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import POLICIES, Greedy, PixelOnly, canonical_policy, make_policy
+from tests.policies.binding import bound
 
 FRAMES = CANDIDATE_FEATURES.index("frames")
 
@@ -60,17 +61,21 @@ def observation(gains, frames, valid=None):
 def test_the_same_gains_with_every_travel_term() -> None:
     # shared: 4/2, 6/3, 9/10 -> a tie of the first two would hide an error, so 6.3/3
     seen = observation([4.0, 6.3, 9.0], [5.0, 10.0, 45.0])
-    assert Plain().act(seen) == 2
-    assert Plain("shared").act(seen) == Halving("shared").act(seen) == Adding("shared").act(seen) == 1
-    assert Halving().act(seen) == 1  # 2.83, 3.15, 0.40
-    assert Halving().trace() == {}
-    halving = Halving(frames=5.0)
+    assert bound(Plain()).act(seen) == 2
+    assert (
+        bound(Plain("shared")).act(seen) == bound(Halving("shared")).act(seen) == bound(Adding("shared")).act(seen) == 1
+    )
+    assert bound(Halving()).act(seen) == 1  # 2.83, 3.15, 0.40
+    assert bound(Halving()).trace() == {}
+    halving = bound(Halving(frames=5.0))
     assert halving.act(seen) == 0  # 2, 1.575, ...
     assert halving.trace() == {"pixel": pytest.approx(4.0), "travel": pytest.approx(0.5)}
-    assert Adding().act(seen) == 1  # 0.207 - 0.083, 0.326 - 0.167, 0.466 - 0.75
+    assert bound(Adding()).act(seen) == 1  # 0.207 - 0.083, 0.326 - 0.167, 0.466 - 0.75
 
 
-@pytest.mark.parametrize("planner", [Plain("shared"), Halving(), Halving("shared"), Adding()])
+@pytest.mark.parametrize(
+    "planner", [bound(Plain("shared")), bound(Halving()), bound(Halving("shared")), bound(Adding())]
+)
 def test_where_nothing_is_left_to_gain_the_nearest_valid_view_is_chosen(planner: Greedy) -> None:
     assert planner.act(observation([0.0, 0.0, 0.0, 7.0], [45.0, 5.0, 10.0, 1.0], valid=[1, 1, 1, 0])) == 1
 
@@ -78,8 +83,8 @@ def test_where_nothing_is_left_to_gain_the_nearest_valid_view_is_chosen(planner:
 def test_the_scale_of_a_gain_does_not_matter() -> None:
     gains, frames = np.array([4.0, 6.3, 9.0]), [5.0, 10.0, 45.0]
     for scale in (1e-12, 1e12):
-        assert Plain().act(observation(scale * gains, frames)) == 2
-        assert Plain("shared").act(observation(scale * gains, frames)) == 1
+        assert bound(Plain()).act(observation(scale * gains, frames)) == 2
+        assert bound(Plain("shared")).act(observation(scale * gains, frames)) == 1
 
 
 def test_a_spec_makes_the_policy_it_says() -> None:

@@ -16,6 +16,7 @@ from activestructure_gym.policies.gs_planner import (
     best_per_viewpoint,
     overlap,
 )
+from tests.policies.binding import bound
 
 AHEAD, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
@@ -40,7 +41,7 @@ def observation(
 
 
 def policy(travel: str = "native") -> GSPlanner:
-    made = GSPlanner(travel)
+    made = bound(GSPlanner(travel))
     made.reset(0)
     return made
 

@@ -11,6 +11,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies import POLICIES, HGSPlanner
 from activestructure_gym.policies.hgs_planner import WORTH, first_of_tour
 from activestructure_gym.views import GAINS
+from tests.policies.binding import bound
 
 CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")
 NAMES = ["fisherrf", "gauss_mi", *(f"popgs_{name}" for name in CRITERIA)]
@@ -29,15 +30,15 @@ def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndar
 
 @pytest.mark.parametrize("name", [name + form for name in NAMES for form in ("", "_pure")])
 def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
-    policy = POLICIES.get(name)()
+    policy = bound(POLICIES.get(name)())
     assert policy.required_gains == (name,) and name in GAINS
     observed = observation([0.5, 0.6, 0.1], [5, 50, 1])
     assert policy.act(observed) == 1
-    assert POLICIES.get(name)(travel="shared").act(observed) == 0
+    assert bound(POLICIES.get(name)(travel="shared")).act(observed) == 0
 
 
 def test_stages_of_hgs_planner() -> None:
-    policy = HGSPlanner()
+    policy = bound(HGSPlanner())
     # G, G_cov: a near view, the best of all far away, a near one without anything unseen.
     gains = [[0.5, 0.1], [0.9, 0.3], [0.7, 0.0]]
     ways = {"path_length": [2.0, 9.0, 1.0], "x": [1, 9, 1], "y": [1, 1, 1]}
@@ -50,7 +51,7 @@ def test_stages_of_hgs_planner() -> None:
     gains[1][0] = 0.6
     assert policy.act(observation(gains, [20, 90, 10], **ways)) == 2
     assert policy.trace()["stage"] == "refine"
-    assert HGSPlanner(travel="shared").act(observation(gains, [20, 90, 10], **ways)) == 2
+    assert bound(HGSPlanner(travel="shared")).act(observation(gains, [20, 90, 10], **ways)) == 2
 
 
 def test_the_tour_begins_where_the_whole_way_is_shortest() -> None:
@@ -66,4 +67,4 @@ def test_the_next_part_is_entered_at_its_best_view() -> None:
     gains = [[0.2, 0.1], [0.4, 0.1], [0.9, 0.0], [0.8, 0.1]]
     # Two parts: x in 6..12 with three views, x above 18 with one. The best view there has nothing unseen.
     ways = {"path_length": [6, 8, 7, 20], "x": [7, 8, 8, 20]}
-    assert HGSPlanner().act(observation(gains, [1, 1, 1, 1], **ways)) == 1
+    assert bound(HGSPlanner()).act(observation(gains, [1, 1, 1, 1], **ways)) == 1

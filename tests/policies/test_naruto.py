@@ -8,6 +8,7 @@ import pytest
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies import Naruto
 from activestructure_gym.policies.naruto import AT_GOAL, LIST_COLUMNS, forward, looked_at
+from tests.policies.binding import bound
 
 X, Y, Z = np.eye(3)
 HERE = np.zeros(3)
@@ -62,9 +63,9 @@ def test_a_target_is_looked_at_within_25_degrees() -> None:
 def test_the_goal_is_the_best_score_whatever_the_way() -> None:
     rows = [(X, X, 0.5), (9 * X, X, 0.6), (Y, X, 0.1)]
     observed = observation(rows, frames=[1.0, 90.0, 1.0])
-    assert Naruto().act(observed) == 1
-    assert Naruto(travel="shared").act(observed) == 0
-    assert Naruto().act(observation(rows, revisit=(1,))) == 0
+    assert bound(Naruto()).act(observed) == 1
+    assert bound(Naruto(travel="shared")).act(observed) == 0
+    assert bound(Naruto()).act(observation(rows, revisit=(1,))) == 0
 
 
 def test_at_the_goal_the_first_target_of_its_list_decides_the_direction() -> None:
@@ -76,12 +77,12 @@ def test_at_the_goal_the_first_target_of_its_list_decides_the_direction() -> Non
         (goal + (AT_GOAL + 0.1) * Y, X, 1.0),  # so does this, but elsewhere
     ]
     first, second = goal + 1.5 * X, goal + 1.6 * Y
-    policy = Naruto()
+    policy = bound(Naruto())
     assert policy.act(observation(rows, lists={0: [first, second]})) == 2
     assert policy.trace() == {"stage": "goal", "naruto": 1.0, "looked_at": 1, "left": 1}
     # Nobody looks at the first: the one that looks at another; nobody looks at any: the goal as it comes.
-    assert Naruto().act(observation([rows[0], rows[1]], lists={0: [first, second]})) == 1
-    assert Naruto().act(observation([rows[0], rows[3]], lists={0: [first, second]})) == 0
+    assert bound(Naruto()).act(observation([rows[0], rows[1]], lists={0: [first, second]})) == 1
+    assert bound(Naruto()).act(observation([rows[0], rows[3]], lists={0: [first, second]})) == 0
 
 
 def test_the_list_is_looked_through_by_the_smallest_rotation_then_a_new_goal_is_chosen() -> None:
@@ -95,7 +96,7 @@ def test_the_list_is_looked_through_by_the_smallest_rotation_then_a_new_goal_is_
         (goal, -X, 3.0),  # sees nothing on the list
         (9 * Y, X, 9.0),
     ]
-    policy = Naruto()
+    policy = bound(Naruto())
     lists = {0: [ahead, right, left], 4: []}
     # The row with the score 9 is no goal yet.
     begin = observation(rows[:4], lists=lists)
@@ -112,7 +113,7 @@ def test_the_list_is_looked_through_by_the_smallest_rotation_then_a_new_goal_is_
 
 def test_what_one_look_shows_needs_no_other() -> None:
     goal = 5 * X
-    policy = Naruto()
+    policy = bound(Naruto())
     rows = [(goal, X, 3.0), (goal, Y, 3.0)]
     policy.act(observation(rows, lists={0: [goal + X, goal + 1.5 * X + 0.1 * Y, goal + X + 0.2 * Z]}))
     assert policy.trace() == {"stage": "goal", "naruto": 3.0, "looked_at": 3, "left": 0}
@@ -121,7 +122,7 @@ def test_what_one_look_shows_needs_no_other() -> None:
 def test_a_goal_that_was_not_reached_is_given_up_with_its_list() -> None:
     goal = 5 * X
     rows = [(goal, X, 3.0), (goal, Y, 3.0), (Y, X, 4.0)]
-    policy = Naruto()
+    policy = bound(Naruto())
     policy.act(observation(rows[:2], lists={0: [goal + X, goal + Y]}))
     assert policy.trace()["left"] == 1
     assert policy.act(observation(rows, pose=goal - (AT_GOAL + 0.1) * X)) == 2
@@ -131,7 +132,7 @@ def test_a_goal_that_was_not_reached_is_given_up_with_its_list() -> None:
 def test_reset_forgets_the_list() -> None:
     goal = 0.5 * X
     rows = [(goal, X, 3.0), (goal, Y, 1.0)]
-    policy = Naruto()
+    policy = bound(Naruto())
     policy.act(observation(rows, lists={0: [goal + X, goal + Y]}))
     policy.reset(1)
     assert policy.act(observation(rows)) == 0
@@ -141,6 +142,6 @@ def test_reset_forgets_the_list() -> None:
 @pytest.mark.parametrize("travel", ["native", "shared"])
 def test_without_a_target_in_reach_of_anything_it_is_the_nearest(travel: str) -> None:
     observed = observation([(X, X, 0.0), (Y, X, 0.0), (Z, X, 0.0)], frames=[9.0, 2.0, 5.0])
-    assert Naruto(travel).act(observed) == 1
+    assert bound(Naruto(travel)).act(observed) == 1
     observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 1.0
-    assert Naruto(travel).act(observed) == 2
+    assert bound(Naruto(travel)).act(observed) == 2

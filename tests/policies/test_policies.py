@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, Table
+from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, Random, travel_discount
 from activestructure_gym.policies.base import best_valid, nearest_new
+from tests.policies.binding import bound
 
 ALL = sorted(POLICIES)
 
@@ -35,7 +41,7 @@ def observation(rng: np.random.Generator, rows: int = 12, valid: int = 8, gains:
 
 @pytest.mark.parametrize("name", ALL)
 def test_never_a_masked_row_deterministic_and_picklable(name: str, rng: np.random.Generator) -> None:
-    first, second = POLICIES.get(name)(), POLICIES.get(name)()
+    first, second = bound(POLICIES.get(name)()), bound(POLICIES.get(name)())
     first.reset(3)
     second.reset(3)
     for valid in (1, 2, 8, 12):
@@ -53,7 +59,7 @@ def test_never_a_masked_row_deterministic_and_picklable(name: str, rng: np.rando
 
 @pytest.mark.parametrize("name", ALL)
 def test_no_valid_row_is_an_error(name: str, rng: np.random.Generator) -> None:
-    policy = POLICIES.get(name)()
+    policy = bound(POLICIES.get(name)())
     policy.reset(0)
     with pytest.raises(ValueError, match="no candidate is valid"):
         policy.act(observation(rng, valid=0, gains=max(1, len(policy.required_gains))))
@@ -75,7 +81,7 @@ def test_greedy_by_hand(greedy: type[Policy], gain: str, rng: np.random.Generato
     observed["candidate_gains"][:, 0] = [0.5, 0.6, 0.9]
     observed["candidates"][:, CANDIDATE_FEATURES.index("frames")] = [5.0, 10.0, 45.0]
     # 0.5 / 2 = 0.25, 0.6 / 3 = 0.2, 0.9 / 10 = 0.09
-    policy = greedy()
+    policy = bound(greedy())
     policy.reset(0)
     assert policy.act(observed) == 0
     assert policy.trace() == {gain: pytest.approx(0.5), "travel": pytest.approx(0.5)}
@@ -85,13 +91,99 @@ def test_greedy_by_hand(greedy: type[Policy], gain: str, rng: np.random.Generato
     assert policy.act(observed) == 0
 
 
-def test_gains_are_found_by_name_whatever_their_order(rng: np.random.Generator) -> None:
+class Dull(gym.Env):
+    """An env that does nothing but say what stands in its observation."""
+
+    def __init__(self, gains: tuple[str, ...] = ("hole_area", "other", "pixel"), said: bool = True) -> None:
+        low, high = np.zeros((12, len(gains)), np.float32), np.ones((12, len(gains)), np.float32)
+        table = Table(gains, low, high) if said else gym.spaces.Box(low, high)
+        self.observation_space = gym.spaces.Dict({"candidate_gains": table})
+        self.action_space = gym.spaces.Discrete(12)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[dict[str, np.ndarray], dict]:
+        return self.observation_space.sample(), {}
+
+
+@pytest.mark.parametrize(
+    "told_by",
+    [
+        lambda: ("hole_area", "other", "pixel"),
+        lambda: ["hole_area", "other", "pixel"],
+        lambda: Dull(),
+        lambda: gym.wrappers.FilterObservation(gym.wrappers.TimeLimit(Dull(), 5), ["candidate_gains"]),
+        lambda: Dull().observation_space,
+        lambda: Dull().observation_space["candidate_gains"],
+        lambda: gym.vector.SyncVectorEnv([Dull, Dull]),
+        lambda: VecMonitor(DummyVecEnv([Dull, Dull])),
+    ],
+)
+def test_gains_are_found_by_name_whatever_their_order_and_whoever_tells_it(
+    told_by: Callable[[], Any], rng: np.random.Generator
+) -> None:
     observed = observation(rng, gains=3)
     policy = PixelOnly()
-    policy.bind(("hole_area", "other", "pixel"))
-    np.testing.assert_array_equal(policy.gain(observed, "pixel"), observed["candidate_gains"][:, 2])
-    with pytest.raises(ValueError, match=r"PixelOnly needs the gains \['pixel'\]"):
-        policy.bind(("hole_area",))
+    policy.bind(told_by())
+    for bound_one in (policy, pickle.loads(pickle.dumps(policy))):
+        np.testing.assert_array_equal(bound_one.gain(observed, "pixel"), observed["candidate_gains"][:, 2])
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        (
+            ("hole_area",),
+            "PixelOnly needs the gains pixel, and the env offers hole_area: make the env with",
+        ),
+        ((), "PixelOnly needs the gains pixel, and the env offers none"),
+        ("pixel", "which gains stand in which column is told by an env, by its observation space or by a list"),
+        (None, "which gains stand in which column is told by an env"),
+        (("pixel", 3), "which gains stand in which column is told by an env"),
+        (Dull(said=False), "this observation space does not say which gains stand in the columns"),
+        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which gains stand in which column is told by an env"),
+    ],
+)
+def test_what_a_policy_cannot_be_bound_to(source: Any, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        PixelOnly().bind(source)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_nobody_reads_a_gain_by_its_place(name: str, rng: np.random.Generator) -> None:
+    """Unbound, a policy that reads gains refuses; so does one that is bound to an env with more or fewer of them."""
+    policy = POLICIES.get(name)()
+    policy.reset(0)
+    observed = observation(rng, gains=max(1, len(policy.required_gains)))
+    if not policy.required_gains:
+        assert observed["action_mask"][policy.act(observed)] == 1
+        return
+    with pytest.raises(InputError, match=r"^\w+ does not know which column .* call policy.bind\(env\) before act"):
+        policy.act(observed)
+    policy.bind((*policy.required_gains, "more"))
+    with pytest.raises(InputError, match=r"^\w+ is bound to an env with the gains .*: call policy.bind\(env\) with"):
+        policy.act(observed)
+
+
+def test_a_gain_that_was_not_asked_for_and_gains_that_are_no_names(rng: np.random.Generator) -> None:
+    policy = bound(PixelOnly())
+    with pytest.raises(InputError, match="reads the gain 'structure', and the env offers pixel"):
+        policy.gain(observation(rng), "structure")
+    batch = np.stack([observation(rng)["candidate_gains"]] * 2)
+    with pytest.raises(InputError, match=r"candidate_gains has the shape \(2, 12, 1\)"):
+        policy.gain({"candidate_gains": batch}, "pixel")
+    for wrong in ("pixel", (1,), None):
+        policy.required_gains = wrong  # type: ignore[misc]
+        with pytest.raises(InputError, match="required_gains of PixelOnly must be a tuple of names, got"):
+            policy.bind(("pixel",))
+
+
+def test_a_policy_that_forgets_its_base_s_constructor_is_bound_all_the_same(rng: np.random.Generator) -> None:
+    class Forgetful(PixelOnly):
+        def __init__(self) -> None:
+            self.travel, self._trace = "shared", {}
+
+    observed = observation(rng)
+    assert bound(Forgetful()).act(observed) == bound(PixelOnly()).act(observed)
 
 
 def test_travel_discount_best_valid_and_nearest_new(rng: np.random.Generator) -> None:

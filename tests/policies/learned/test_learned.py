@@ -18,6 +18,7 @@ from activestructure_gym.policies.learned import SHIPPED, Learned
 from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
+from tests.policies.binding import bound
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,7 @@ def test_damaged_files_are_told(checkpoint: Path, tmp_path: Path) -> None:
 
 
 def test_never_a_masked_row_deterministic_and_picklable(checkpoint: Path, make_observation) -> None:
-    first = POLICIES.get(f"learned:{checkpoint}")()
+    first = bound(POLICIES.get(f"learned:{checkpoint}")())
     assert isinstance(first, Learned)
     first.reset(0)
     second = pickle.loads(pickle.dumps(first))
@@ -99,8 +100,10 @@ def test_never_a_masked_row_deterministic_and_picklable(checkpoint: Path, make_o
 
 
 def test_gains_are_found_by_name(checkpoint: Path, make_observation) -> None:
-    policy, other = POLICIES.get(f"learned:{checkpoint}")(), POLICIES.get(f"learned:{checkpoint}")()
+    policy, other = bound(POLICIES.get(f"learned:{checkpoint}")()), POLICIES.get(f"learned:{checkpoint}")()
     observation = make_observation()
+    with pytest.raises(InputError, match=r"does not know which column .* call policy.bind\(env\)"):
+        other.act(observation)
     other.bind(("hole_area", "structure", "pixel"))
     pixel, hole_area = observation["candidate_gains"].T
     wider = observation | {"candidate_gains": np.stack([hole_area, pixel * 7, pixel], axis=1)}

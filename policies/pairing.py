@@ -1,0 +1,57 @@
+"""An env and a policy that fit each other, made in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.policies.base import Policy, gains_of, is_policy, make_policy
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+ROOM = "activestructure_gym:ActiveStructure/Room-v0"
+
+
+def make_env_and_policy(
+    policy: str | type[Policy] | Policy,
+    scene: Any = None,
+    *,
+    env_id: str = ROOM,
+    gains: Sequence[str] = (),
+    **options: Any,
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """``gymnasium.make`` with the gains that the policy asks for, and the policy bound to that env.
+
+    Args:
+        policy: its name with options (``"hole_area"``, ``"active_gs?travel=shared"``, ``"learned:CHECKPOINT"``,
+            ``"my_policy:Mine"``), or a class, or a policy.
+        scene: what ``asg compare --scenes`` takes: a name with options, a file, a folder; or a `Scene`, or several of
+            them. Without one that of ``env_id``, a furnished room.
+        env_id: the environment; that of a room takes any scene.
+        gains: more gains to put into the observation, behind those of the policy.
+        **options: everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
+
+    Raises:
+        InputError: a name or an option that cannot be used.
+    """
+    import gymnasium as gym
+
+    if isinstance(policy, str):
+        policy = make_policy(policy)
+    elif is_policy(policy):
+        policy = policy()
+    if not isinstance(policy, Policy):
+        raise InputError(
+            "a policy is given by its name, as a class derived from Policy that defines act(), or ready-made, got "
+            f"{shown(policy)}"
+        )
+    if isinstance(gains, str) or not isinstance(gains, Sequence):
+        raise InputError(f"gains must be a list of names, got {shown(gains)}")
+    if scene is not None:
+        options["scene"] = scene
+    wanted = gains_of(policy)
+    env = gym.make(env_id, gains=(*wanted, *(name for name in gains if name not in wanted)), **options)
+    policy.bind(env)
+    return env, policy

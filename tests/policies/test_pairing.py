@@ -1,0 +1,119 @@
+"""An env and a policy from one call, and what becomes of one that was never bound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, make_env_and_policy
+from activestructure_gym.scenes import load_scene
+
+ROOM = "activestructure_gym:ActiveStructure/Room-v0"
+SMALL: dict[str, Any] = {
+    "preset": "fast",
+    "frame_budget": 60,
+    "config": {"sensor": {"width": 64, "height": 36}, "views": {"max_candidates": 24}},
+}
+
+
+def played(env: gym.Env[Any, Any], policy: Policy) -> list[int]:
+    """The rows it goes to in an episode."""
+    policy.reset(seed=0)
+    observation, _ = env.reset(seed=0)
+    chosen, ended = [], False
+    while not ended:
+        chosen.append(policy.act(observation))
+        observation, _, terminated, truncated, _ = env.step(chosen[-1])
+        ended = terminated or truncated
+    env.close()
+    return chosen
+
+
+@pytest.fixture(scope="module")
+def alone() -> dict[str, list[int]]:
+    """What two policies choose on envs of their own."""
+    choices = {name: played(*make_env_and_policy(name, "box", **SMALL)) for name in ("pixel_only", "hole_area")}
+    assert choices["pixel_only"] != choices["hole_area"]
+    return choices
+
+
+def test_an_unbound_policy_refuses_instead_of_playing_as_another() -> None:
+    with pytest.raises(InputError, match=r"^HoleArea does not know which column .* make_env_and_policy\(\.\.\.\)$"):
+        played(gym.make(ROOM, scene="box", **SMALL), HoleArea())
+    with pytest.raises(InputError, match="^HoleArea needs the gains hole_area, and the env offers pixel: make the env"):
+        HoleArea().bind(gym.make(ROOM, scene="box", **SMALL))
+
+
+@pytest.mark.parametrize("gains", [("hole_area", "pixel"), ("pixel", "hole_area"), ("structure", "hole_area", "pixel")])
+def test_a_bound_policy_plays_as_it_does_alone_whatever_else_is_on_offer(
+    gains: tuple[str, ...], alone: dict[str, list[int]]
+) -> None:
+    for name, choices in alone.items():
+        env, policy = gym.make(ROOM, scene="box", gains=gains, **SMALL), POLICIES.get(name)()
+        policy.bind(env)
+        assert played(env, policy) == choices
+
+
+def test_a_name_a_class_and_a_policy_are_the_same(alone: dict[str, list[int]]) -> None:
+    for given in (PixelOnly, PixelOnly(), "activestructure_gym.policies:PixelOnly"):
+        assert played(*make_env_and_policy(given, scene="box", **SMALL)) == alone["pixel_only"]
+
+
+def test_the_env_offers_what_is_asked_for_and_more_if_wanted() -> None:
+    env, policy = make_env_and_policy("activestructure", "box", gains=("pixel", "deficiency"), **SMALL)
+    names = env.observation_space["candidate_gains"].names  # type: ignore[index]
+    assert names == (*policy.required_gains, "pixel") == env.reset(seed=0)[1]["gains"]
+    assert make_env_and_policy("random", "box", **SMALL)[0].observation_space["candidate_gains"].names == ()  # type: ignore[index]
+    options = make_env_and_policy("active_gs?travel=shared", "box", **SMALL)[1]
+    assert options.travel == "shared"  # type: ignore[attr-defined]
+
+
+def test_scenes_and_envs_as_everywhere(tmp_path: Path) -> None:
+    scene = load_scene("box?seed=3")
+    for given in (scene, "box?seed=3", ["box?seed=3"]):
+        env, _ = make_env_and_policy("random", given, **SMALL)
+        env.reset(seed=0)
+        assert env.unwrapped.reconstruction.scene.content_hash == scene.content_hash  # type: ignore[attr-defined]
+    flat = "activestructure_gym:ActiveStructure/Apartment-v0"
+    env, _ = make_env_and_policy("random", env_id=flat, rooms=2, max_episode_steps=3, render_mode="rgb_array")
+    assert (env.spec.id, env.spec.max_episode_steps, env.render_mode) == (flat.split(":")[1], 3, "rgb_array")  # type: ignore[union-attr]
+    with pytest.raises(InputError, match="Mesh-v0 needs a scene"):
+        make_env_and_policy("random", env_id="activestructure_gym:ActiveStructure/Mesh-v0")
+
+
+@pytest.mark.parametrize(
+    ("policy", "options", "message"),
+    [
+        ("hole_aera", {}, "unknown policy 'hole_aera'; did you mean 'hole_area'?"),
+        (Policy, {}, "a policy is given by its name, as a class derived from Policy that defines act(), or ready-made"),
+        (dict, {}, "a policy is given by its name, as a class derived from Policy"),
+        (None, {}, "a policy is given by its name, as a class derived from Policy"),
+        ("pixel_only", {"gains": "hole_area"}, "gains must be a list of names, got 'hole_area'"),
+        ("pixel_only", {"gains": ["hole_aera"]}, "unknown gain 'hole_aera'"),
+        ("pixel_only", {"gains": [["pixel"]]}, "a gain is given by its name"),
+        ("pixel_only", {"preset": "fsat"}, "unknown preset 'fsat'"),
+    ],
+)
+def test_mistakes_are_said_in_one_sentence(policy: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        make_env_and_policy(policy, "box", **{**SMALL, **options})
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_in_a_vector_env_one_binding_serves_every_row() -> None:
+    options = {"scene": "box", "gains": ("structure", "hole_area"), **SMALL}
+    envs, policy = gym.make_vec(ROOM, num_envs=2, vectorization_mode="sync", **options), HoleArea()
+    policy.bind(envs)
+    observation, info = envs.reset(seed=[5, 6])
+    assert info["gains"].tolist() == [options["gains"]] * 2
+    single, other = make_env_and_policy("hole_area", "box", **SMALL)
+    for row, seed in enumerate((5, 6)):
+        alone, _ = single.reset(seed=seed)
+        np.testing.assert_array_equal(observation["candidates"][row], alone["candidates"])
+        assert policy.act({key: value[row] for key, value in observation.items()}) == other.act(alone)
+    envs.close()

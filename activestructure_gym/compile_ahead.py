@@ -1,13 +1,15 @@
 """Compiling the kernels that a first use will ask for later, in a second process while the first one is at the start.
 
-`main` is what that process runs: `compiling` starts it with the first kernel that has to be compiled. It is silent,
-ends when all is compiled or its parent has ended, and leaves nothing but the cache. Kernels are locked one by one, so
-whatever it is late with the parent compiles itself.
+`compiling.helper` starts it with the first kernel that has to be compiled, as ``python -P -m
+activestructure_gym.compile_ahead PARENT PART...``. It is silent, ends when all is compiled or its parent has ended, and
+leaves nothing but the files of kernels. Kernels are locked one by one, so whatever it is late with the parent compiles
+itself. ``ASG_COMPILE_AHEAD=0`` in the environment switches it off.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 from functools import lru_cache
@@ -15,31 +17,45 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.compiling import held_elsewhere, only_helper
+from activestructure_gym.compiling import told_to
+from activestructure_gym.compiling.decorator import name_of
+from activestructure_gym.compiling.helper import only_helper
+from activestructure_gym.compiling.locks import LOCKS
 
-# The parent of a first use of the rasteriser begins with `prepare` and goes on with `blend`. Meanwhile these two get
-# done; what then is left takes who has the time. `score` consists of what `prepare` does: to whom that is in the cache
-# only, all of it is new.
-_ORDER = ("compare", "unblend", "blend", "prepare", "score")
-_ONLY_AFTER = {"score": "prepare"}
 _GLANCE = 0.5  # seconds between looks at the parent
 
 
 def compile_map() -> None:
     """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
-    from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.mapping.parts import block_boxes
+
+    mapper = map_a_wall()
+    score_the_wall(mapper)
+    mapper.keyframe_psnr()
+    block_boxes(mapper.map.parameters, mapper.map.count, 0)  # only larger maps come to it
+
+
+def map_a_wall() -> Any:
+    """What a first keyframe needs; gives the mapper."""
+    from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.sensors import Frame
 
-    camera = PinholeCamera.from_size(64, 36)
     colours = np.random.default_rng(0).integers(0, 256, (36, 64, 3), dtype=np.uint8)
     mapper = Mapper(MapperConfig(), np.random.default_rng(0))
     for depth in (2.0, 1.5):
-        mapper.observe(Frame(colours, np.full((36, 64), depth, np.float32), np.eye(4), camera))
-    mapper.render_depth_alpha(camera, np.eye(4)[None])
-    mapper.keyframe_psnr()
-    block_boxes(mapper.map.parameters, mapper.map.count, 0)  # only larger maps come to it
+        mapper.observe(Frame(colours, np.full((36, 64), depth, np.float32), np.eye(4), _camera()))
+    return mapper
+
+
+def score_the_wall(mapper: Any) -> None:
+    """What a first decision needs of the rasteriser besides."""
+    mapper.render_depth_alpha(_camera(), np.eye(4)[None])
+
+
+def _camera() -> Any:
+    from activestructure_gym.geometry import PinholeCamera
+
+    return PinholeCamera.from_size(64, 36)
 
 
 def compile_sensing() -> None:
@@ -78,9 +94,7 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
     corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]
     for place in np.array(corner):
         volume.mark_free_sphere(place, 0.5)
-    path = plan_path(
-        volume, np.array(corner[0]), np.array(corner[-1]), min_clearance=0.2, rng=np.random.default_rng(0)
-    )
+    path = plan_path(volume, np.array(corner[0]), np.array(corner[-1]), min_clearance=0.2, rng=np.random.default_rng(0))
     assert path is not None
     return path
 
@@ -99,47 +113,48 @@ def compile_views() -> None:
     cosines_in_sight(points, points[0], camera, pose, volume)
 
 
-@lru_cache(1)
-def calls_of_the_map() -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """The kernels of the rasteriser that `compile_map` uses, by name, and the arguments of one call; none is run."""
-    from activestructure_gym.splatting.crew import CREW
+Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of one call
 
-    calls = {}
+
+@lru_cache(1)
+def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
+    """What a first keyframe calls, in that order, and what a first decision calls besides; nothing is run."""
+    from activestructure_gym.compiling.crew import CREW
+
+    calls = dict[Any, tuple[Any, ...]]()
 
     def note(kernel: Any, arguments: tuple[Any, ...], threads: int) -> None:
-        calls[kernel.py_func.__name__] = kernel, arguments
+        calls.setdefault(kernel, arguments)
         arguments[0][:] = 1 << 10  # tickets: all units of work of this tiny map count as done
 
     run, CREW.run = CREW.run, note  # type: ignore[method-assign]
     try:
-        compile_map()
+        mapper = map_a_wall()
+        of_keyframe = len(calls)
+        score_the_wall(mapper)
     finally:
         CREW.run = run  # type: ignore[method-assign]
-    return calls
+    return list(calls.items())[:of_keyframe], list(calls.items())[of_keyframe:]
 
 
 def compile_rasteriser() -> None:
-    """What a first use comes to late, and then what is left; not what another process is at, or needs less time for."""
-    done: set[str] = set()
-    for name in _ORDER:
-        if _ONLY_AFTER.get(name, name) in {name, *done} and _compile(name):
-            done.add(name)
+    """What a first keyframe comes to, the last first: its own process begins with the first."""
+    for kernel, arguments in reversed(calls_of_the_rasteriser()[0]):
+        _compile(kernel, arguments)
 
 
 def compile_score() -> None:
-    """The one kernel that a first decision needs and a first keyframe does not."""
-    _compile("score")
+    """What a first decision needs and a first keyframe does not."""
+    for kernel, arguments in calls_of_the_rasteriser()[1]:
+        _compile(kernel, arguments)
 
 
-def _compile(name: str) -> bool:
-    """Compile a kernel of the rasteriser, unless another process does; False if that was or had been so."""
+def _compile(kernel: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile a kernel, unless another process does."""
     from numba import typeof
 
-    kernel, arguments = calls_of_the_map()[name]
-    if held_elsewhere(kernel):
-        return False
-    kernel.compile(tuple(typeof(argument) for argument in arguments))
-    return not kernel.stats.cache_hits
+    if not LOCKS.is_held(name_of(kernel)):
+        kernel.compile(tuple(typeof(argument) for argument in arguments))
 
 
 PARTS = {
@@ -160,6 +175,10 @@ def _end_with(parent: int) -> None:
 def main(parent: int, parts: list[str]) -> None:
     """Compile the parts in their order, unless such a helper is at work already."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    with only_helper() as alone:
+    with only_helper() as alone, told_to(lambda name: None):
         for part in parts if alone else ():
             PARTS[part]()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), sys.argv[2:])

@@ -64,6 +64,7 @@ def warming_up(
         with told_to(tally):
             yield
         ended = [process.wait() for process in processes]
+        tally.conclude()
         if mark is not None and not any(ended):
             mark.leave()
     finally:
@@ -121,10 +122,22 @@ class WarmMark:
                 store.write_json(self.path, {"digest": self.digest, "kernels": kernels})
 
     def _kept(self) -> set[str]:
-        """The files of compiled kernels."""
-        beside_the_sources = self.path.parent.name == "__pycache__"
-        roots = _rooms() if beside_the_sources else [self.path.parent.parent]
-        return {str(file) for root in roots for file in root.rglob("*.nb[ci]")}
+        """The files of compiled kernels that are not damaged."""
+        from activestructure_gym.compiling.files import is_whole
+
+        return {str(file) for file in kernel_files() if is_whole(file)}
+
+
+def kernel_files() -> list[Path]:
+    """All files of compiled kernels of this installation, damaged or not."""
+    from activestructure_gym.compiling import cache_place
+    from activestructure_gym.compiling.files import SUFFIX
+
+    place = cache_place()
+    if place is None:
+        return []
+    roots = _rooms() if place.name == "__pycache__" else [place.parent]  # beside the sources or all in one place
+    return [file for root in roots for file in root.rglob(f"*{SUFFIX}")]
 
 
 def _rooms() -> list[Path]:
@@ -162,11 +175,24 @@ class _Tally:
         self._lock = threading.Lock()
 
     def __call__(self, name: str) -> None:
-        from activestructure_gym.compiling import describe
+        from activestructure_gym.compiling.progress import begin, describe
 
         with self._lock:
+            if not self._names:
+                self._notify(begin())
             self._names.add(name)
-            self._notify(describe(len(self._names), time.monotonic() - self._began))
+            self._notify(describe(len(self._names), self._seconds()))
+
+    def conclude(self) -> None:
+        """All is compiled; not said where nothing had to be."""
+        from activestructure_gym.compiling.progress import conclusion
+
+        with self._lock:
+            if self._names:
+                self._notify(conclusion(len(self._names), self._seconds()))
+
+    def _seconds(self) -> float:
+        return time.monotonic() - self._began
 
 
 def _start(part: str, work: str, tally: Callable[[str], None]) -> subprocess.Popen[str]:

@@ -6,14 +6,10 @@ grid covers ``[r, r + 1) x [c, c + 1)`` cells along the axes, seen from the orig
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.planes import detection_kernels
 from activestructure_gym.planes.detection_kernels import MOMENTS, add_point
-from activestructure_gym.splatting.caching import stamp_of
 
 UNKNOWN, OPEN, COVERED = 0, 1, 2
 
@@ -39,42 +35,35 @@ def _cell_of(px, py, pz, grid, cell):
     return row, column
 
 
-def _make_image_sums(stamp: int) -> Any:
-    @kernel
-    def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
-        """One pass over the pixels: extent of every node in its grid, and its new point moments.
+@kernel
+def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
+    """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
-        ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3], about which the moments
-        are taken.
-        Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
-        """
-        _ = stamp
-        count = len(grids)
-        extents = np.empty((count, 4), np.int64)
-        extents[:, :2] = 1 << 40
-        extents[:, 2:] = -(1 << 40)
-        moments = np.zeros((count, MOMENTS))
-        for v in range(depth.shape[0]):
-            for u in range(depth.shape[1]):
-                label = labels[v, u]
-                if label < 0:
-                    continue
-                t = table[label]
-                if t < 0:
-                    continue
-                px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
-                add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
-                r, c = _cell_of(px, py, pz, grids[t], cell)
-                extents[t, 0] = min(extents[t, 0], r)
-                extents[t, 1] = min(extents[t, 1], c)
-                extents[t, 2] = max(extents[t, 2], r)
-                extents[t, 3] = max(extents[t, 3], c)
-        return extents, moments
-
-    return image_sums
-
-
-image_sums = _make_image_sums(stamp_of(detection_kernels))
+    ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3], about which the moments
+    are taken.
+    Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
+    """
+    count = len(grids)
+    extents = np.empty((count, 4), np.int64)
+    extents[:, :2] = 1 << 40
+    extents[:, 2:] = -(1 << 40)
+    moments = np.zeros((count, MOMENTS))
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            label = labels[v, u]
+            if label < 0:
+                continue
+            t = table[label]
+            if t < 0:
+                continue
+            px, py, pz = _lift(u, v, depth[v, u], lens, rotation, translation)
+            add_point(moments[t], px - anchors[t, 0], py - anchors[t, 1], pz - anchors[t, 2])
+            r, c = _cell_of(px, py, pz, grids[t], cell)
+            extents[t, 0] = min(extents[t, 0], r)
+            extents[t, 1] = min(extents[t, 1], c)
+            extents[t, 2] = max(extents[t, 2], r)
+            extents[t, 3] = max(extents[t, 3], c)
+    return extents, moments
 
 
 @kernel

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from activestructure_gym.compiling.crew import default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import kernels, passes
-from activestructure_gym.splatting.crew import default_threads
 from activestructure_gym.splatting.packing import packed, unpacked
 from activestructure_gym.splatting.spherical_harmonics import shade, unshade
 from activestructure_gym.splatting.workspace import Lease, make_grid, make_view

@@ -20,13 +20,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from activestructure_gym.compiling import kernel
+from activestructure_gym.compiling.crew import CREW
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
 from activestructure_gym.splatting import kernels
 from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
-from activestructure_gym.splatting.crew import CREW
 from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.workspace import Lease, aligned_zeros, inverse_of_pose
 
@@ -216,7 +216,7 @@ def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]
     return int(visible), _count_pairs(workspace.grid, workspace.tile_start, splats, workspace.records)
 
 
-@njit  # not cached on disk: it depends on layouts in another file, which numba's cache would not notice
+@kernel
 def _count_pairs(grid, tile_start, entries, records):
     pairs = 0
     for tile in range(grid[kernels.TILES_X] * grid[kernels.TILES_Y]):

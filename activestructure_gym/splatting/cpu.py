@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.splatting import kernels
-from activestructure_gym.splatting.crew import CREW, default_threads
 from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, inverse_of_pose, make_grid, make_view
 
 PARAMETER_ROWS = kernels.ROWS

@@ -21,7 +21,6 @@ from numba import njit
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.splatting import kernels as k
-from activestructure_gym.splatting.caching import stamp_of
 
 _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
 _inner, _inline = njit(**_plain), njit(forceinline=True, **_plain)
@@ -346,58 +345,68 @@ def _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of
         k.poke(visible, i // k.LANES, np.int32(seen))
 
 
-def _make_inform(stamp):
-    @kernel
-    def inform(
-        tickets, parameters, view, grid, records, visible, tile_start, tile_order, entries, scratch, touch,
-        channels, pixel_values, color, depth, alpha, pictures, slots, result,
-    ):
-        """After `prepare`: pictures, sums and blocks, a tile at a time in the nearest caches; then chunk by chunk.
+@kernel
+def inform(
+    tickets,
+    parameters,
+    view,
+    grid,
+    records,
+    visible,
+    tile_start,
+    tile_order,
+    entries,
+    scratch,
+    touch,
+    channels,
+    pixel_values,
+    color,
+    depth,
+    alpha,
+    pictures,
+    slots,
+    result,
+):
+    """After `prepare`: pictures, sums and blocks, a tile at a time in the nearest caches; then chunk by chunk.
 
-        ``channels [N * D]`` and ``pictures [H * W * D]``; ``pixel_values [H * W]`` or none. ``slots`` has room for 32
-        floats per entry, ``result`` for 32 per column of ``parameters``.
-        """
-        _ = stamp
-        own = k.LANES * k.take_ticket(tickets, k.THREAD_TICKET) * (k.SCRATCH // k.LANES)
-        state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + k.SCRATCH]
-        digits, tiles = np.empty(k.DIGITS, np.int64), grid[k.TILES_X] * grid[k.TILES_Y]
-        width = len(pictures) // (grid[k.WIDTH] * grid[k.HEIGHT])
-        painted, no_light = k._scratch(64 * k.LANES * width + k.LANES), k.spread(F(0.0))
-        while True:
-            ticket = k.take_ticket(tickets, 2)
-            if ticket >= tiles:
-                break
-            tile = tile_order[ticket]
-            start, stop = tile_start[tile], tile_start[tile + 1]
-            blocks = k._sort_tile(start, stop, entries, digits)
-            if k.LANES * blocks > len(kept):
-                kept = k._scratch(k.LANES * (blocks + blocks // 4))
-            alive = k._open_tile(tile, grid, state, np.int64(k._COLORED))
-            x, y = k._corner(tile, grid)
-            keeps = np.int64(k.LANES)
-            done = k._forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
-            k._write_tile(tile, grid, state, np.int64(k._COLORED), color, depth, alpha)
-            _turn_back(state, tile, grid, pixel_values)
-            for at in range(0, 64 * k.LANES * width, k.LANES):
-                k.store(painted, at, no_light)
-            _sum_tile(
-                F(x), F(y), start, done, stop, entries, records, view, state, kept, touch, len(pixel_values) != 0,
-                channels, width, painted, slots,
-            )  # fmt: skip
-            if width != 0:
-                _write_channels(tile, grid, painted, width, pictures)
-            k.take_ticket(tickets, k.TILES_DONE)
-        if not k._all_done(tickets, k.TILES_DONE, tiles):
+    ``channels [N * D]`` and ``pictures [H * W * D]``; ``pixel_values [H * W]`` or none. ``slots`` has room for 32
+    floats per entry, ``result`` for 32 per column of ``parameters``.
+    """
+    own = k.LANES * k.take_ticket(tickets, k.THREAD_TICKET) * (k.SCRATCH // k.LANES)
+    state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + k.SCRATCH]
+    digits, tiles = np.empty(k.DIGITS, np.int64), grid[k.TILES_X] * grid[k.TILES_Y]
+    width = len(pictures) // (grid[k.WIDTH] * grid[k.HEIGHT])
+    painted, no_light = k._scratch(64 * k.LANES * width + k.LANES), k.spread(F(0.0))
+    while True:
+        ticket = k.take_ticket(tickets, 2)
+        if ticket >= tiles:
+            break
+        tile = tile_order[ticket]
+        start, stop = tile_start[tile], tile_start[tile + 1]
+        blocks = k._sort_tile(start, stop, entries, digits)
+        if k.LANES * blocks > len(kept):
+            kept = k._scratch(k.LANES * (blocks + blocks // 4))
+        alive = k._open_tile(tile, grid, state, np.int64(k._COLORED))
+        x, y = k._corner(tile, grid)
+        keeps = np.int64(k.LANES)
+        done = k._forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
+        k._write_tile(tile, grid, state, np.int64(k._COLORED), color, depth, alpha)
+        _turn_back(state, tile, grid, pixel_values)
+        for at in range(0, 64 * k.LANES * width, k.LANES):
+            k.store(painted, at, no_light)
+        _sum_tile(
+            F(x), F(y), start, done, stop, entries, records, view, state, kept, touch, len(pixel_values) != 0,
+            channels, width, painted, slots,
+        )  # fmt: skip
+        if width != 0:
+            _write_channels(tile, grid, painted, width, pictures)
+        k.take_ticket(tickets, k.TILES_DONE)
+    if not k._all_done(tickets, k.TILES_DONE, tiles):
+        return
+    sums_of = scratch[own : own + k.SCRATCH]
+    while True:
+        chunk = k.take_ticket(tickets, 6)
+        if chunk >= grid[k.CHUNKS]:
             return
-        sums_of = scratch[own : own + k.SCRATCH]
-        while True:
-            chunk = k.take_ticket(tickets, 6)
-            if chunk >= grid[k.CHUNKS]:
-                return
-            _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of, result)
-            k.take_ticket(tickets, k.STEPPED)
-
-    return inform
-
-
-inform = _make_inform(stamp_of(k))
+        _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of, result)
+        k.take_ticket(tickets, k.STEPPED)

@@ -10,9 +10,8 @@ import torch
 from numba import njit
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.compiling.crew import CREW
 from activestructure_gym.splatting import kernels as k
-from activestructure_gym.splatting.caching import stamp_of
-from activestructure_gym.splatting.crew import CREW
 
 _inline = njit(forceinline=True)
 _ROWS = ((0, 3), (3, 7), (7, 10), (10, 11), (11, 14))  # mean, quaternion, log-scale, opacity, colour
@@ -103,38 +102,31 @@ def _from_rows(block, row, values, size, first, last):
             k.poke(values, size * i + d, k.peek(block, (row + d) * capacity + i))
 
 
-def _make_copies(stamp):
-    @kernel
-    def pack(tickets, block, means, quaternions, log_scales, logits, colors):
-        _ = stamp
-        count = means.shape[0]
-        while True:
-            first = k.CHUNK * k.take_ticket(tickets, 0)
-            if first >= count:
-                return
-            last = min(first + k.CHUNK, count)
-            _to_rows(block, 0, means, 3, first, last)
-            _to_rows(block, 3, quaternions, 4, first, last)
-            _to_rows(block, 7, log_scales, 3, first, last)
-            _to_rows(block, 10, logits, 1, first, last)
-            _to_rows(block, 11, colors, 3, first, last)
-
-    @kernel
-    def unpack(tickets, block, means, quaternions, log_scales, logits, colors):
-        _ = stamp
-        count = means.shape[0]
-        while True:
-            first = k.CHUNK * k.take_ticket(tickets, 0)
-            if first >= count:
-                return
-            last = min(first + k.CHUNK, count)
-            _from_rows(block, 0, means, 3, first, last)
-            _from_rows(block, 3, quaternions, 4, first, last)
-            _from_rows(block, 7, log_scales, 3, first, last)
-            _from_rows(block, 10, logits, 1, first, last)
-            _from_rows(block, 11, colors, 3, first, last)
-
-    return pack, unpack
+@kernel
+def _pack(tickets, block, means, quaternions, log_scales, logits, colors):
+    count = means.shape[0]
+    while True:
+        first = k.CHUNK * k.take_ticket(tickets, 0)
+        if first >= count:
+            return
+        last = min(first + k.CHUNK, count)
+        _to_rows(block, 0, means, 3, first, last)
+        _to_rows(block, 3, quaternions, 4, first, last)
+        _to_rows(block, 7, log_scales, 3, first, last)
+        _to_rows(block, 10, logits, 1, first, last)
+        _to_rows(block, 11, colors, 3, first, last)
 
 
-_pack, _unpack = _make_copies(stamp_of(k))
+@kernel
+def _unpack(tickets, block, means, quaternions, log_scales, logits, colors):
+    count = means.shape[0]
+    while True:
+        first = k.CHUNK * k.take_ticket(tickets, 0)
+        if first >= count:
+            return
+        last = min(first + k.CHUNK, count)
+        _from_rows(block, 0, means, 3, first, last)
+        _from_rows(block, 3, quaternions, 4, first, last)
+        _from_rows(block, 7, log_scales, 3, first, last)
+        _from_rows(block, 10, logits, 1, first, last)
+        _from_rows(block, 11, colors, 3, first, last)

@@ -14,7 +14,6 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.splatting import kernels as k
-from activestructure_gym.splatting.caching import stamp_of
 from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
 
 _TO_GRADIENT = np.zeros(k.RATES, np.float32)
@@ -34,60 +33,53 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
     return picture
 
 
-def _make_median(stamp):
-    @kernel
-    def median(tickets, view, grid, records, tile_start, tile_order, entries, picture):
-        _ = stamp
-        width = 2 * k.LANES  # floats of state per block: transmittance, median depth
-        state = k._scratch(64 * width)
-        half, zero = np.float32(0.5), k.spread(np.float32(0.0))
-        room, tiles_x = entries.shape[1], grid[k.TILES_X]
-        while True:
-            ticket = k.take_ticket(tickets, 0)
-            if ticket >= tiles_x * grid[k.TILES_Y]:
-                return
-            tile = tile_order[ticket]
-            x, y = k.TILE * (tile % tiles_x), k.TILE * (tile // tiles_x)
-            alive = k._open_tile(tile, grid, state, width)
-            for block in range(64):
-                k.store(state, width * block + k.LANES, zero)
-            for entry in range(tile_start[tile], tile_start[tile + 1]):
-                if alive == 0:
-                    break
-                reach = np.int64(k.peek(entries, k.SORTED_REACH * room + entry)) & alive
-                if reach == 0:
-                    continue
-                base = k.RECORD * np.int64(k.peek(entries, k.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
-                dx = k.lane_x() - (k.peek(records, base + k.U) - np.float32(x))
-                dy = k.lane_y() - (k.peek(records, base + k.V) - np.float32(y))
-                along = k.fma(dx, k.peek(records, base + k.L00), dy * k.peek(records, base + k.L01))
-                across = dy * k.peek(records, base + k.L11)
-                while reach != 0:
-                    block = k.lowest_bit(reach)
-                    reach &= reach - 1
-                    at = width * block
-                    opaque = k._alpha(records, base, block, along, across, view)
-                    before = k.load(state, at)
-                    after = k.fma(k.neg(opaque), before, before)
-                    goes_on = after > k.peek(view, k.LEAST_LEFT)  # else this Gaussian is not part of the pixel
-                    crosses = goes_on & (after <= half)
-                    found = k.sel(crosses, k.spread(k.peek(records, base + k.DEPTH)), k.load(state, at + k.LANES))
-                    k.store(state, at + k.LANES, found)
-                    searching = goes_on & (after > half)
-                    k.store(state, at, k.sel(searching, after, k._stopped(before)))
-                    if k.bits(searching) == 0:
-                        alive &= ~(1 << block)
-            for block in range(64):
-                left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
-                for row in range(min(4, grid[k.HEIGHT] - top)):
-                    for column in range(min(4, grid[k.WIDTH] - left)):
-                        value = state[width * block + k.LANES + 4 * row + column]
-                        picture[(top + row) * grid[k.WIDTH] + left + column] = value
-
-    return median
-
-
-_median = _make_median(stamp_of(k))
+@kernel
+def _median(tickets, view, grid, records, tile_start, tile_order, entries, picture):
+    width = 2 * k.LANES  # floats of state per block: transmittance, median depth
+    state = k._scratch(64 * width)
+    half, zero = np.float32(0.5), k.spread(np.float32(0.0))
+    room, tiles_x = entries.shape[1], grid[k.TILES_X]
+    while True:
+        ticket = k.take_ticket(tickets, 0)
+        if ticket >= tiles_x * grid[k.TILES_Y]:
+            return
+        tile = tile_order[ticket]
+        x, y = k.TILE * (tile % tiles_x), k.TILE * (tile // tiles_x)
+        alive = k._open_tile(tile, grid, state, width)
+        for block in range(64):
+            k.store(state, width * block + k.LANES, zero)
+        for entry in range(tile_start[tile], tile_start[tile + 1]):
+            if alive == 0:
+                break
+            reach = np.int64(k.peek(entries, k.SORTED_REACH * room + entry)) & alive
+            if reach == 0:
+                continue
+            base = k.RECORD * np.int64(k.peek(entries, k.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
+            dx = k.lane_x() - (k.peek(records, base + k.U) - np.float32(x))
+            dy = k.lane_y() - (k.peek(records, base + k.V) - np.float32(y))
+            along = k.fma(dx, k.peek(records, base + k.L00), dy * k.peek(records, base + k.L01))
+            across = dy * k.peek(records, base + k.L11)
+            while reach != 0:
+                block = k.lowest_bit(reach)
+                reach &= reach - 1
+                at = width * block
+                opaque = k._alpha(records, base, block, along, across, view)
+                before = k.load(state, at)
+                after = k.fma(k.neg(opaque), before, before)
+                goes_on = after > k.peek(view, k.LEAST_LEFT)  # else this Gaussian is not part of the pixel
+                crosses = goes_on & (after <= half)
+                found = k.sel(crosses, k.spread(k.peek(records, base + k.DEPTH)), k.load(state, at + k.LANES))
+                k.store(state, at + k.LANES, found)
+                searching = goes_on & (after > half)
+                k.store(state, at, k.sel(searching, after, k._stopped(before)))
+                if k.bits(searching) == 0:
+                    alive &= ~(1 << block)
+        for block in range(64):
+            left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
+            for row in range(min(4, grid[k.HEIGHT] - top)):
+                for column in range(min(4, grid[k.WIDTH] - left)):
+                    value = state[width * block + k.LANES + 4 * row + column]
+                    picture[(top + row) * grid[k.WIDTH] + left + column] = value
 
 
 def blend_channels(

@@ -17,9 +17,8 @@ import numpy as np
 from numba import njit
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.compiling.crew import CREW
 from activestructure_gym.splatting import kernels as k
-from activestructure_gym.splatting.caching import stamp_of
-from activestructure_gym.splatting.crew import CREW
 
 if TYPE_CHECKING:
     import torch
@@ -167,92 +166,78 @@ def _direction(parameters, i, centre):
     return x * inverse, y * inverse, z * inverse, inverse
 
 
-def _make_shade(stamp):
-    @kernel
-    def shade(tickets, parameters, view, grid, centre, coefficients):
-        """Rows 11 to 13 of the parameters from ``coefficients [N, K, 3]``."""
-        _ = stamp
-        terms, basis = coefficients.shape[1], np.empty(16, np.float32)
-        while True:
-            chunk = k.take_ticket(tickets, 0)
-            if chunk >= grid[k.CHUNKS]:
-                return
-            for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT])):
-                r = g = b = np.float32(0.0)
-                if _may_be_seen(parameters, i, view, grid):
-                    x, y, z, _ = _direction(parameters, i, centre)
-                    _fill_basis(basis, terms, x, y, z)
-                    r = g = b = _HALF
-                    for term in range(terms):
-                        value = basis[term]
-                        r += value * coefficients[i, term, 0]
-                        g += value * coefficients[i, term, 1]
-                        b += value * coefficients[i, term, 2]
-                zero = np.float32(0.0)
-                parameters[11, i] = r if r > zero else zero
-                parameters[12, i] = g if g > zero else zero
-                parameters[13, i] = b if b > zero else zero
-
-    return shade
-
-
-def _make_unshade(stamp):
-    @kernel
-    def unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coefficients, by_centre):
-        """From the derivatives by colour (rows 11 to 13 of ``gradient``): adds those by mean to rows 0 to 2 and those
-        by coefficient to ``by_coefficients [N, K, 3]``; ``by_centre [chunks, 3]`` gets the share of every chunk.
-        """
-        _ = stamp
-        terms, zero = coefficients.shape[1], np.float32(0.0)
-        basis, slopes = np.empty(16, np.float32), np.empty((3, 16), np.float32)
-        while True:
-            chunk = k.take_ticket(tickets, 0)
-            if chunk >= grid[k.CHUNKS]:
-                return
-            total_x = total_y = total_z = 0.0
-            for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT])):
-                r, g, b = gradient[11, i], gradient[12, i], gradient[13, i]
-                if r == zero and g == zero and b == zero:
-                    continue
-                x, y, z, inverse = _direction(parameters, i, centre)
+@kernel
+def _shade(tickets, parameters, view, grid, centre, coefficients):
+    """Rows 11 to 13 of the parameters from ``coefficients [N, K, 3]``."""
+    terms, basis = coefficients.shape[1], np.empty(16, np.float32)
+    while True:
+        chunk = k.take_ticket(tickets, 0)
+        if chunk >= grid[k.CHUNKS]:
+            return
+        for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT])):
+            r = g = b = np.float32(0.0)
+            if _may_be_seen(parameters, i, view, grid):
+                x, y, z, _ = _direction(parameters, i, centre)
                 _fill_basis(basis, terms, x, y, z)
-                red = green = blue = _HALF
+                r = g = b = _HALF
                 for term in range(terms):
                     value = basis[term]
-                    red += value * coefficients[i, term, 0]
-                    green += value * coefficients[i, term, 1]
-                    blue += value * coefficients[i, term, 2]
-                r, g, b = r if red >= zero else zero, g if green >= zero else zero, b if blue >= zero else zero
-                for term in range(terms):
-                    value = basis[term]
-                    by_coefficients[i, term, 0] += value * r
-                    by_coefficients[i, term, 1] += value * g
-                    by_coefficients[i, term, 2] += value * b
-                if terms == 1:
-                    continue
-                _fill_slopes(slopes, terms, x, y, z)
-                by_x = by_y = by_z = zero
-                for term in range(1, terms):
-                    share = (
-                        coefficients[i, term, 0] * r + coefficients[i, term, 1] * g + coefficients[i, term, 2] * b
-                    )
-                    by_x += slopes[0, term] * share
-                    by_y += slopes[1, term] * share
-                    by_z += slopes[2, term] * share
-                along = x * by_x + y * by_y + z * by_z  # moving along the ray changes nothing
-                by_x, by_y = (by_x - x * along) * inverse, (by_y - y * along) * inverse
-                by_z = (by_z - z * along) * inverse
-                gradient[0, i] += by_x
-                gradient[1, i] += by_y
-                gradient[2, i] += by_z
-                total_x, total_y, total_z = total_x - by_x, total_y - by_y, total_z - by_z
-            by_centre[chunk, 0], by_centre[chunk, 1], by_centre[chunk, 2] = total_x, total_y, total_z
-
-    return unshade
+                    r += value * coefficients[i, term, 0]
+                    g += value * coefficients[i, term, 1]
+                    b += value * coefficients[i, term, 2]
+            zero = np.float32(0.0)
+            parameters[11, i] = r if r > zero else zero
+            parameters[12, i] = g if g > zero else zero
+            parameters[13, i] = b if b > zero else zero
 
 
-_STAMP = stamp_of(k)
-_shade, _unshade = _make_shade(_STAMP), _make_unshade(_STAMP)
+@kernel
+def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coefficients, by_centre):
+    """From the derivatives by colour (rows 11 to 13 of ``gradient``): adds those by mean to rows 0 to 2 and those
+    by coefficient to ``by_coefficients [N, K, 3]``; ``by_centre [chunks, 3]`` gets the share of every chunk.
+    """
+    terms, zero = coefficients.shape[1], np.float32(0.0)
+    basis, slopes = np.empty(16, np.float32), np.empty((3, 16), np.float32)
+    while True:
+        chunk = k.take_ticket(tickets, 0)
+        if chunk >= grid[k.CHUNKS]:
+            return
+        total_x = total_y = total_z = 0.0
+        for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT])):
+            r, g, b = gradient[11, i], gradient[12, i], gradient[13, i]
+            if r == zero and g == zero and b == zero:
+                continue
+            x, y, z, inverse = _direction(parameters, i, centre)
+            _fill_basis(basis, terms, x, y, z)
+            red = green = blue = _HALF
+            for term in range(terms):
+                value = basis[term]
+                red += value * coefficients[i, term, 0]
+                green += value * coefficients[i, term, 1]
+                blue += value * coefficients[i, term, 2]
+            r, g, b = r if red >= zero else zero, g if green >= zero else zero, b if blue >= zero else zero
+            for term in range(terms):
+                value = basis[term]
+                by_coefficients[i, term, 0] += value * r
+                by_coefficients[i, term, 1] += value * g
+                by_coefficients[i, term, 2] += value * b
+            if terms == 1:
+                continue
+            _fill_slopes(slopes, terms, x, y, z)
+            by_x = by_y = by_z = zero
+            for term in range(1, terms):
+                share = coefficients[i, term, 0] * r + coefficients[i, term, 1] * g + coefficients[i, term, 2] * b
+                by_x += slopes[0, term] * share
+                by_y += slopes[1, term] * share
+                by_z += slopes[2, term] * share
+            along = x * by_x + y * by_y + z * by_z  # moving along the ray changes nothing
+            by_x, by_y = (by_x - x * along) * inverse, (by_y - y * along) * inverse
+            by_z = (by_z - z * along) * inverse
+            gradient[0, i] += by_x
+            gradient[1, i] += by_y
+            gradient[2, i] += by_z
+            total_x, total_y, total_z = total_x - by_x, total_y - by_y, total_z - by_z
+        by_centre[chunk, 0], by_centre[chunk, 1], by_centre[chunk, 2] = total_x, total_y, total_z
 
 
 def camera_centre(camera_from_world: np.ndarray) -> np.ndarray:  # [4, 4] -> [3]

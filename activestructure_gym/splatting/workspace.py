@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import kernels as k
-from activestructure_gym.splatting.crew import CREW, default_threads
 
 MAX_ALPHA = 0.999
 _NO_FLOATS = np.empty(0, np.float32)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
-from activestructure_gym.splatting import kernels
-from activestructure_gym.splatting.caching import stamp_of
-from activestructure_gym.splatting.crew import CREW, default_threads
 from activestructure_gym.splatting.kernels import take_ticket
-from activestructure_gym.volume import VoxelVolume, distance_field
+from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 
 NEAREST_M = 0.2  # closer than this a depth sensor returns nothing (method.md 5)
@@ -84,62 +81,55 @@ def cosines_in_sight(
     return cosines, counts
 
 
-def _make_cosines_in_sight(stamp: int) -> Any:
-    @kernel
-    def cosines_in_sight(
-        tickets: np.ndarray,  # [1] int64, the candidates that threads have taken
-        points: np.ndarray,  # [P, S, 3] metres, world
-        normals: np.ndarray,  # [P, 3]
-        poses: np.ndarray,  # [K, 4, 4] world_from_camera
-        lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
-        farthest: np.ndarray,  # [P] metres of depth
-        blocking: np.ndarray,  # [X, Y, Z] bool
-        eyes: np.ndarray,  # [K, 3] voxels
-        ends: np.ndarray,  # [P, S, 3] voxels
-        enough: int,
-        cosines: np.ndarray,  # [K, P, S], zeros, written to
-        counts: np.ndarray,  # [K, P], zeros, written to
-    ) -> None:
-        """Cheap tests first, the line of sight last; asked in every step of every candidate, hence compiled."""
-        _ = stamp
-        samples = points.shape[1]
-        while True:
-            k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]
-            if k >= len(poses):
-                return
-            eye_x, eye_y, eye_z = poses[k, 0, 3], poses[k, 1, 3], poses[k, 2, 3]
-            right_x, right_y, right_z = poses[k, 0, 0], poses[k, 1, 0], poses[k, 2, 0]
-            down_x, down_y, down_z = poses[k, 0, 1], poses[k, 1, 1], poses[k, 2, 1]
-            ahead_x, ahead_y, ahead_z = poses[k, 0, 2], poses[k, 1, 2], poses[k, 2, 2]
-            for p in range(len(points)):
-                found = 0
-                for s in range(samples):
-                    if found == enough or (enough <= samples and found + samples - s < enough):
-                        break
-                    x, y, z = points[p, s, 0] - eye_x, points[p, s, 1] - eye_y, points[p, s, 2] - eye_z
-                    depth = ahead_x * x + ahead_y * y + ahead_z * z
-                    if depth <= 0.0 or depth > farthest[p]:
-                        continue
-                    height = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2])
-                    if height <= 0.0:  # its back
-                        continue
-                    distance = np.sqrt(x * x + y * y + z * z)
-                    if distance < NEAREST_M or distance > FARTHEST_M:
-                        continue
-                    cosine = height / distance
-                    if cosine < STEEPEST_COSINE:
-                        continue
-                    u = lens[0] * (right_x * x + right_y * y + right_z * z) / depth + lens[2]
-                    v = lens[1] * (down_x * x + down_y * y + down_z * z) / depth + lens[3]
-                    if not (0.0 <= u < lens[4] and 0.0 <= v < lens[5]):
-                        continue
-                    i, j, m = ends[p, s, 0], ends[p, s, 1], ends[p, s, 2]
-                    if sight_line(blocking, eyes[k, 0], eyes[k, 1], eyes[k, 2], i, j, m, SPARED):
-                        cosines[k, p, s] = cosine
-                        found += 1
-                counts[k, p] = found
-
-    return cosines_in_sight
-
-
-_cosines_in_sight = _make_cosines_in_sight(stamp_of(distance_field, kernels))
+@kernel
+def _cosines_in_sight(
+    tickets: np.ndarray,  # [1] int64, the candidates that threads have taken
+    points: np.ndarray,  # [P, S, 3] metres, world
+    normals: np.ndarray,  # [P, 3]
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
+    farthest: np.ndarray,  # [P] metres of depth
+    blocking: np.ndarray,  # [X, Y, Z] bool
+    eyes: np.ndarray,  # [K, 3] voxels
+    ends: np.ndarray,  # [P, S, 3] voxels
+    enough: int,
+    cosines: np.ndarray,  # [K, P, S], zeros, written to
+    counts: np.ndarray,  # [K, P], zeros, written to
+) -> None:
+    """Cheap tests first, the line of sight last; asked in every step of every candidate, hence compiled."""
+    samples = points.shape[1]
+    while True:
+        k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]
+        if k >= len(poses):
+            return
+        eye_x, eye_y, eye_z = poses[k, 0, 3], poses[k, 1, 3], poses[k, 2, 3]
+        right_x, right_y, right_z = poses[k, 0, 0], poses[k, 1, 0], poses[k, 2, 0]
+        down_x, down_y, down_z = poses[k, 0, 1], poses[k, 1, 1], poses[k, 2, 1]
+        ahead_x, ahead_y, ahead_z = poses[k, 0, 2], poses[k, 1, 2], poses[k, 2, 2]
+        for p in range(len(points)):
+            found = 0
+            for s in range(samples):
+                if found == enough or (enough <= samples and found + samples - s < enough):
+                    break
+                x, y, z = points[p, s, 0] - eye_x, points[p, s, 1] - eye_y, points[p, s, 2] - eye_z
+                depth = ahead_x * x + ahead_y * y + ahead_z * z
+                if depth <= 0.0 or depth > farthest[p]:
+                    continue
+                height = -(x * normals[p, 0] + y * normals[p, 1] + z * normals[p, 2])
+                if height <= 0.0:  # its back
+                    continue
+                distance = np.sqrt(x * x + y * y + z * z)
+                if distance < NEAREST_M or distance > FARTHEST_M:
+                    continue
+                cosine = height / distance
+                if cosine < STEEPEST_COSINE:
+                    continue
+                u = lens[0] * (right_x * x + right_y * y + right_z * z) / depth + lens[2]
+                v = lens[1] * (down_x * x + down_y * y + down_z * z) / depth + lens[3]
+                if not (0.0 <= u < lens[4] and 0.0 <= v < lens[5]):
+                    continue
+                i, j, m = ends[p, s, 0], ends[p, s, 1], ends[p, s, 2]
+                if sight_line(blocking, eyes[k, 0], eyes[k, 1], eyes[k, 2], i, j, m, SPARED):
+                    cosines[k, p, s] = cosine
+                    found += 1
+            counts[k, p] = found

@@ -49,7 +49,25 @@ def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
     with_ray = importlib.util.find_spec("ray") is not None
     rows.append(("engine", "ray", "works" if with_ray else "not installed: pip install 'activestructure-gym[ray]'"))
     rows.append(("cache", str(cache_directory()), _cache_state()))
+    rows.append(("kernels", *_kernels_state()))
     return {"raycast", "cpu"}, rows
+
+
+def _kernels_state() -> tuple[str, str]:
+    """Where compiled kernels are kept, and whether what is there can be used."""
+    from activestructure_gym.compiling import cache_place
+    from activestructure_gym.compiling.files import is_whole
+    from activestructure_gym.evaluation.warmup import kernel_files
+
+    place = cache_place()
+    if place is None:
+        return "compiled", "cannot be kept: every process compiles them. Set NUMBA_CACHE_DIR"
+    where = "beside the sources" if place.name == "__pycache__" else str(place.parent)
+    files = kernel_files()
+    damaged = [file for file in files if not is_whole(file)]
+    if damaged:
+        return where, f"{len(damaged)} of {len(files)} files damaged: what they held is compiled again when needed"
+    return where, f"works, {len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.0f} MB"
 
 
 def _cache_state() -> str:

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from activestructure_gym import compiling
-from activestructure_gym.compiling import EPISODE_KERNELS
+from activestructure_gym.compiling import files, progress
 from activestructure_gym.evaluation import warmup
 from activestructure_gym.evaluation.warmup import WarmMark, _listen, _Tally, all_gains, main, smallest_job, warming_up
 from activestructure_gym.policies import POLICIES, Policy
@@ -21,7 +21,7 @@ def room(tmp_path, monkeypatch):
     cache = tmp_path / "__pycache__"
     cache.mkdir()
     (tmp_path / "module.py").write_text("x = 1")
-    (cache / "module.kernel-1.py311.nbi").touch()
+    files.write(cache / "module.kernel-1.kernel", bytes(32), b"machine code")
     monkeypatch.setattr(warmup, "_rooms", lambda: [tmp_path])
     monkeypatch.setattr(compiling, "cache_place", lambda: cache)
     return tmp_path
@@ -65,14 +65,18 @@ def test_the_mark_holds_for_the_same_sources_settings_and_kernels_only(room, mon
     assert not holds()
     WarmMark.of(smallest_job(["pixel_only"], {})).leave()
     assert holds() and not holds(["random"])
-    (room / "__pycache__" / "module.kernel-1.py311.1.nbc").touch()  # what is compiled later does no harm
+    (room / "__pycache__" / "module.other-2.kernel").touch()  # what is compiled later does no harm
     assert holds()
     with monkeypatch.context() as patch:
         patch.setenv("NUMBA_CPU_NAME", "generic")
         assert not holds()
-    (room / "__pycache__" / "module.kernel-1.py311.nbi").rename(room / "elsewhere")
+    (room / "__pycache__" / "module.kernel-1.kernel").rename(room / "elsewhere")
     assert not holds()
-    (room / "elsewhere").rename(room / "__pycache__" / "module.kernel-1.py311.nbi")
+    (room / "elsewhere").rename(room / "__pycache__" / "module.kernel-1.kernel")
+    assert holds()
+    (room / "__pycache__" / "module.kernel-1.kernel").write_bytes(b"")  # damaged
+    assert not holds()
+    files.write(room / "__pycache__" / "module.kernel-1.kernel", bytes(32), b"compiled again")
     assert holds()
     os.utime(room / "module.py", (1, 1))
     assert not holds()
@@ -98,9 +102,13 @@ def test_a_kernel_counts_once_whoever_compiles_it():
     tally = _Tally(said.append)
     for name in ("room.one", "room.two", "room.one"):
         tally(name)
-    counts = [line.rpartition(",")[0] for line in said]
-    start = "compiling kernels, once per installation: "
-    assert counts == [f"{start}{number} of about {EPISODE_KERNELS}" for number in (1, 2, 2)]
+    tally.conclude()
+    assert said[0] == progress.begin() and said[-1].startswith("compiled 2 kernels in ")
+    counts = [line.rpartition(",")[0] for line in said[1:-1]]
+    assert counts == [f"compiling kernels, once per installation: {number} so far" for number in (1, 2, 2)]
+    said.clear()
+    _Tally(said.append).conclude()  # nothing had to be compiled
+    assert said == []
 
 
 def test_only_marked_lines_of_a_process_are_kernels():

@@ -106,7 +106,7 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
     from numba import njit
     from numba.core import caching
 
-    from activestructure_gym import compiling
+    from activestructure_gym.compiling import files
 
     for name in ("CacheImpl", "_CacheImpl"):  # the name differs between versions of numba
         if hasattr(caching, name):
@@ -117,7 +117,7 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
 
     with pytest.raises(RuntimeError, match="cannot cache"):
         njit(cache=True)(double)
-    monkeypatch.setattr(compiling, "_WARNED", [])
+    monkeypatch.setattr(files, "not_kept", [])
     with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR"):
         assert kernels._entry(double)(21) == 42
 

@@ -150,6 +150,19 @@ def test_doctor_fails_where_the_main_job_cannot_run(monkeypatch, capsys):
     assert "sensor raycast does not work" in capsys.readouterr().out
 
 
+def test_doctor_counts_damaged_kernels(monkeypatch, capsys, tmp_path):
+    from activestructure_gym.compiling import files
+    from activestructure_gym.evaluation import warmup
+
+    whole, damaged = tmp_path / "a.kernel", tmp_path / "b.kernel"
+    for file in (whole, damaged):
+        files.write(file, bytes(32), b"machine code")
+    monkeypatch.setattr(warmup, "kernel_files", lambda: [whole, damaged])
+    assert main(["doctor"]) == 0 and "works, 2 kernels" in " ".join(capsys.readouterr().out.split())
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    assert main(["doctor"]) == 0 and "1 of 2 files damaged" in " ".join(capsys.readouterr().out.split())
+
+
 def test_scenes_are_listed_and_described(capsys, tmp_path):
     assert main(["scenes"]) == 0
     out = capsys.readouterr().out

@@ -3,8 +3,8 @@ import threading
 
 import pytest
 
-import activestructure_gym.splatting.crew as crew_module
-from activestructure_gym.splatting.crew import Crew, default_threads
+import activestructure_gym.compiling.crew as crew_module
+from activestructure_gym.compiling.crew import Crew, default_threads
 
 
 def test_every_thread_calls_the_kernel_once():

@@ -1,0 +1,66 @@
+"""The decorator of all kernels."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba import njit
+from numba.core.compiler_lock import global_compiler_lock
+
+from activestructure_gym.compiling.files import KernelFiles, warn_of_no_cache
+from activestructure_gym.compiling.locks import LOCKS
+from activestructure_gym.compiling.progress import PROGRESS
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile for use from Python: kept on disk, without the GIL, dividing by zero as numpy does.
+
+    Where nothing can be kept, the kernel is compiled by every process, and one warning names the remedy.
+    """
+    dispatcher: Any = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    if not hasattr(dispatcher, "compile"):  # NUMBA_DISABLE_JIT
+        return dispatcher
+    try:
+        dispatcher._cache = KernelFiles(dispatcher.py_func)  # as numba's own ``enable_caching`` does with its cache
+    except RuntimeError:  # numba found no place that can be written
+        warn_of_no_cache("no directory for them can be written")
+    name = name_of(dispatcher)
+    compile_or_load = dispatcher.compile
+
+    def compile_or_load_alone(signature: Any) -> Any:
+        # The lock between threads first, as numba itself nests it: otherwise two processes could each hold what a
+        # thread of the other waits for.
+        with (
+            global_compiler_lock,
+            PROGRESS.around(name),
+            LOCKS.held(name, PROGRESS.waiting),
+            _uncollected(),
+        ):
+            try:
+                return compile_or_load(signature)
+            except OSError as error:  # disk full, or a quota
+                warn_of_no_cache(str(error))
+                return compile_or_load(signature)  # in memory by then
+
+    dispatcher.compile = compile_or_load_alone  # numba calls it for every signature it has no machine code for
+    return dispatcher
+
+
+def name_of(kernel: Any) -> str:
+    """By which processes speak of a kernel."""
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without looking for garbage: a compiler makes millions of objects and few cycles. A twentieth of its time."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()

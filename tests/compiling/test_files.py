@@ -1,0 +1,93 @@
+"""A file of machine code is used if it is, to the last bit, what was written; else the kernel is compiled again."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from activestructure_gym.compiling import files, kernel, told_to
+from activestructure_gym.compiling.files import is_whole, read, write
+
+
+def use() -> tuple[float, int]:
+    """The result of a kernel that is not in memory, and how often it had to be compiled."""
+
+    @kernel
+    def halved(x):
+        return x / 2
+
+    with told_to(lambda name: None):
+        return halved(3.0), sum(halved.stats.cache_misses.values())
+
+
+def flipped(content: bytes, at: int) -> bytes:
+    return content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :]
+
+
+DAMAGES = {
+    "empty": lambda content: b"",
+    "a byte": lambda content: b"\x80",
+    "no end": lambda content: content[: len(content) // 2],
+    "no last byte": lambda content: content[:-1],
+    "a bit of the head": lambda content: flipped(content, 3),
+    "a bit of the stamp": lambda content: flipped(content, len(files._HEAD) + 1),
+    "a bit of the sum": lambda content: flipped(content, len(files._HEAD) + files._STAMP + 1),
+    "a bit of machine code": lambda content: flipped(content, len(content) // 2),
+    "the last bit": lambda content: flipped(content, len(content) - 1),
+    "garbage": lambda content: bytes(range(256)) * 20,
+    "more": lambda content: content + b"\0",
+    "numba's": lambda content: pickle.dumps("0.68.1") + pickle.dumps(({}, {})),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_what_is_damaged_is_compiled_again(kept, damage):
+    assert use() == (1.5, 1)
+    (file,) = kept.rglob("*.kernel")
+    whole = file.read_bytes()
+    assert is_whole(file)
+    file.write_bytes(damage(whole))
+    assert not is_whole(file)
+    assert use() == (1.5, 1)
+    assert is_whole(file) and list(kept.rglob("*.kernel")) == [file]
+    assert use() == (1.5, 0)
+
+
+def test_what_is_whole_and_of_no_use_is_compiled_again(kept):
+    use()
+    (file,) = kept.rglob("*.kernel")
+    stamp = file.read_bytes()[len(files._HEAD) :][: files._STAMP]
+    for content in (pickle.dumps("nothing"), pickle.dumps(((), ())), b"not a pickle"):
+        write(file, stamp, content)
+        assert use() == (1.5, 1)
+
+
+def test_a_file_that_cannot_be_read_is_written_anew_or_costs_a_warning(kept):
+    use()
+    (file,) = kept.rglob("*.kernel")
+    file.unlink()
+    file.mkdir()
+    with pytest.warns(UserWarning, match="cannot be kept"):
+        assert use() == (1.5, 1)
+
+
+def test_a_file_counts_for_its_stamp_only(tmp_path):
+    first, second = bytes(range(32)), bytes(32)
+    write(tmp_path / "a.kernel", first, b"content")
+    assert read(tmp_path / "a.kernel", first) == b"content"
+    assert read(tmp_path / "a.kernel", second) is None and read(tmp_path / "b.kernel", first) is None
+    assert is_whole(tmp_path / "a.kernel")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.kernel"]  # nothing beside it
+
+
+def test_recompiling_forgets_what_was_kept(kept):
+    @kernel
+    def tripled(x):
+        return 3 * x
+
+    with told_to(lambda name: None):
+        tripled(1)
+        assert list(kept.rglob("*.kernel"))
+        tripled._cache.flush()
+    assert not list(kept.rglob("*.kernel"))

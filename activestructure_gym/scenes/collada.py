@@ -6,9 +6,10 @@ declared unit and up axis. Specification: Khronos COLLADA 1.4.1 / 1.5.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -31,7 +32,7 @@ class ColladaFile:
 
 def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
     """All triangles of the instantiated visual scene."""
-    root = ElementTree.parse(path).getroot()
+    root = ElementTree.fromstring(textures.budget.read(path))
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # the namespace differs between 1.4 and 1.5
     if root.tag != "COLLADA":
@@ -99,12 +100,21 @@ class _Document:
     root: Element
     textures: TextureStore
     by_id: dict[str, Element] = field(default_factory=dict)
+    # What was made of an element: instances may be many, and the arrays they share long.
+    _made: dict[tuple[str, Any], Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.by_id = {element.get("id", ""): element for element in self.root.iter() if element.get("id")}
 
     def target(self, url: str | None) -> Element | None:
         return self.by_id.get((url or "").removeprefix("#"))
+
+    def _once(self, make: Callable[..., Any], of: Element | str, *more: Any) -> Any:
+        """``make(of, *more)``, which depends on ``of`` alone."""
+        key = (make.__name__, of)
+        if key not in self._made:
+            self._made[key] = make(of, *more)
+        return self._made[key]
 
     def parts(self) -> Iterator[MeshPart]:
         shown = self.root.find("scene/instance_visual_scene")
@@ -120,14 +130,16 @@ class _Document:
             node, world_from_parent, depth = stack.pop()
             if depth > 200:
                 raise UnreadableMesh("its nodes form a loop")
-            world_from_node = world_from_parent @ _node_matrix(node)
+            self.textures.budget.take("nodes", 1 + len(node))
+            world_from_node = world_from_parent @ self._once(_node_matrix, node)
             for instance in node:
                 if instance.tag in ("instance_geometry", "instance_controller"):
                     shape = self._instanced(instance)
                     if shape is not None:
-                        yield from self._geometry(shape, world_from_node, _bindings(instance))
+                        yield from self._geometry(shape, world_from_node, self._once(_bindings, instance))
             placed_elsewhere = (self.target(element.get("url")) for element in node.findall("instance_node"))
             children = [*(child for child in placed_elsewhere if child is not None), *node.findall("node")]
+            self.textures.budget.take("nodes", len(children))
             stack.extend((child, world_from_node, depth + 1) for child in reversed(children))
 
     def _instanced(self, instance: Element) -> Element | None:
@@ -141,15 +153,19 @@ class _Document:
         mesh = geometry.find("mesh")
         if mesh is None:  # splines and convex hulls
             return
+        self.textures.budget.take("nodes", len(mesh))
         for primitives in mesh:
             if primitives.tag not in _POLYGONS:
                 continue
-            inputs, width = self._inputs(primitives)
-            corners, triangles = _triangulated(primitives, width, inputs["VERTEX"])
+            inputs, width = self._once(self._inputs, primitives)
+            corners, triangles = self._once(_triangulated, primitives, width, inputs["VERTEX"])
+            self.textures.budget.take("meshes and copies of them", 1)
             if not len(triangles):
                 continue
+            self.textures.budget.take("triangles", len(triangles))
+            self.textures.budget.take("vertices", len(corners))
             symbol = primitives.get("material", "")
-            color, texture = self._material(bindings.get(symbol, symbol))
+            color, texture = self._once(self._material, bindings.get(symbol, symbol))
             uv = None
             if "TEXCOORD" in inputs:
                 uv = inputs["TEXCOORD"].of(corners, 2) * [1.0, -1.0] + [0.0, 1.0]
@@ -187,14 +203,9 @@ class _Document:
 
     def _source(self, element: Element) -> np.ndarray:  # [count, stride]
         source = self.target(element.get("source"))
-        accessor = source.find("technique_common/accessor") if source is not None else None
-        array = source.find("float_array") if source is not None else None
-        if array is None:
+        if source is None or source.find("float_array") is None:
             raise UnreadableMesh(f"the source '{element.get('source')}' is missing")
-        stride = int(accessor.get("stride", "1")) if accessor is not None else 3
-        offset = int(accessor.get("offset", "0")) if accessor is not None else 0
-        values = _floats(array.text)[offset:]
-        return values[: len(values) // stride * stride].reshape(-1, stride)
+        return self._once(_array, source)
 
     def _material(self, name: str) -> tuple[np.ndarray, int]:
         """Diffuse colour [3] and texture of a material; COLLADA's colours are display-referred."""
@@ -229,10 +240,20 @@ class _Document:
             name = (instance.get("url", "") if instance is not None else source or "").strip().removeprefix("#")
         image = self.by_id.get(name)
         if image is None:
-            self.textures.unreadable.append(name)
+            self.textures.note_unreadable(name)
             return -1
         reference = image.findtext("init_from/ref") or image.findtext("init_from") or ""
         return self.textures.add_file(self.path.parent, reference)
+
+
+def _array(source: Element) -> np.ndarray:  # [count, stride]
+    accessor = source.find("technique_common/accessor")
+    stride = int(accessor.get("stride", "1")) if accessor is not None else 3
+    offset = int(accessor.get("offset", "0")) if accessor is not None else 0
+    if stride < 1 or offset < 0:
+        raise UnreadableMesh(f"the source '{source.get('id')}' has stride {stride} and offset {offset}")
+    values = _floats(source.findtext("float_array"))[offset:]
+    return values[: len(values) // stride * stride].reshape(-1, stride)
 
 
 _SHADERS = ("phong", "lambert", "blinn", "constant")
@@ -279,7 +300,7 @@ def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[n
         return corners, _strips(sizes, fans=primitives.tag == "trifans")
     if primitives.tag == "polylist":
         sizes = _integers(primitives.findtext("vcount"))
-        if (sizes < 0).any() or sizes.sum() > len(corners):
+        if (sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners):
             raise UnreadableMesh(f"a <polylist> counts {sizes.sum()} corners and has {len(corners)}")
         corners = corners[: sizes.sum()]
     triangles, _ = triangulated(positions.of(corners, 3), sizes)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import operator
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.scenes.budget import LimitError
 from activestructure_gym.scenes.mesh_parts import (
     PLAIN_GREY,
     MeshPart,
@@ -48,14 +50,13 @@ _HARMLESS_PREFIXES = ("KHR_materials_", "KHR_lights_", "EXT_lights_", "KHR_anima
 
 def read_gltf(path: Path, textures: TextureStore) -> list[MeshPart]:
     """All triangles of the default scene. Raises `InputError` for what cannot be read, with the reason."""
-    header, binary = _read_container(path)
+    header, binary = _read_container(path, textures.budget.read(path))
     _check_extensions(path, header)
     return list(_Document(path, header, binary, textures).parts())
 
 
-def _read_container(path: Path) -> tuple[dict[str, Any], bytes]:
+def _read_container(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON header and the binary chunk (empty for `.gltf`)."""
-    data = path.read_bytes()
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
             raise ValueError("it does not begin with the letters 'glTF'")
@@ -101,9 +102,11 @@ class _Document:
         self.path = path
         self.header = header
         self.textures = textures
+        self.budget = textures.budget
         self._binary = binary
-        self._buffers: dict[int, bytes] = {}
+        self._buffers: dict[str | None, bytes] = {}  # by uri; None is the binary chunk
         self._accessors: dict[int, np.ndarray] = {}
+        self._images: dict[int, int] = {}
 
     def parts(self) -> Iterator[MeshPart]:
         for mesh_index, world_from_node in self._placed_meshes():
@@ -123,12 +126,13 @@ class _Document:
         if not nodes:  # a mesh library without a scene
             yield from ((index, np.eye(4)) for index in range(len(self.header.get("meshes", []))))
         stack = [(root, np.eye(4)) for root in reversed(roots)]
-        visited = 0
+        visited = set()
         while stack:
             index, world_from_parent = stack.pop()
-            visited += 1
-            if visited > len(nodes):  # every node has one parent
+            if index in visited:  # every node has one parent
                 raise ValueError("its nodes form a loop or share children")
+            visited.add(index)
+            self.budget.take("nodes", 1)
             node = nodes[index]
             world_from_node = world_from_parent @ _node_matrix(node)
             if "mesh" in node:
@@ -140,20 +144,28 @@ class _Document:
         if mode not in (_TRIANGLES, _STRIP, _FAN):  # points and lines
             return None
         attributes = primitive["attributes"]
-        positions = self.accessor(attributes["POSITION"]).astype(np.float64)
-        if "indices" in primitive:
-            indices = self.accessor(primitive["indices"]).reshape(-1).astype(np.int64)
-        else:
+        positions = self.accessor(attributes["POSITION"])
+        self.budget.take("meshes and copies of them", 1)
+        indices = self.accessor(primitive["indices"]).reshape(-1) if "indices" in primitive else None
+        count = len(positions) if indices is None else len(indices)
+        self.budget.take("triangles", count // 3 if mode == _TRIANGLES else max(0, count - 2))
+        self.budget.take("vertices", min(count, len(positions)))
+        # Exporters let thousands of primitives share one array of vertices: each keeps what it uses.
+        used: slice | np.ndarray = slice(None)
+        if indices is None:
             indices = np.arange(len(positions))
+        elif 0 < len(indices) < len(positions) and indices.max() < len(positions):
+            used, indices = np.unique(indices, return_inverse=True)
         material = self._material(primitive.get("material"))
         if "COLOR_0" in attributes:
-            linear = self.accessor(attributes["COLOR_0"])[:, :3] * np.asarray(material.get("factor", [1.0] * 4)[:3])
+            colors = self.accessor(attributes["COLOR_0"])[used]
+            linear = colors[:, :3] * np.asarray(material.get("factor", [1.0] * 4)[:3])
         else:
             linear = np.asarray(material.get("factor", _PLAIN)[:3], dtype=np.float64)
-        texture, uv = self._texture(material.get("texture"), attributes)
+        texture, uv = self._texture(material.get("texture"), attributes, used)
         return MeshPart(
-            vertices=placed(positions, world_from_node),
-            faces=_triangles(indices, mode),
+            vertices=placed(positions[used].astype(np.float64), world_from_node),
+            faces=_triangles(indices.astype(np.int64), mode),
             colors=srgb_from_linear(linear),
             uv=uv,
             texture=texture,
@@ -175,14 +187,16 @@ class _Document:
             factor, texture = material.get("emissiveFactor", [1.0] * 3), material["emissiveTexture"]
         return {"factor": factor, "texture": texture}
 
-    def _texture(self, info: dict[str, Any] | None, attributes: dict[str, int]) -> tuple[int, np.ndarray | None]:
+    def _texture(
+        self, info: dict[str, Any] | None, attributes: dict[str, int], used: slice | np.ndarray
+    ) -> tuple[int, np.ndarray | None]:
         if info is None:
             return -1, None
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
         uv_name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
         if uv_name not in attributes:
             return -1, None
-        uv = self.accessor(attributes[uv_name]).astype(np.float64)
+        uv = self.accessor(attributes[uv_name])[used].astype(np.float64)
         if transform:
             angle = transform.get("rotation", 0.0)
             # Counter-clockwise seen on the image, whose v axis points down.
@@ -191,48 +205,59 @@ class _Document:
         texture = self.header["textures"][info["index"]]
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
         if source is None:
-            self.textures.unreadable.append(f"texture {info['index']}")
+            self.textures.note_unreadable(f"texture {info['index']}")
             return -1, None
         return self._image(source), uv
 
     def _image(self, index: int) -> int:
+        if index not in self._images:
+            self._images[index] = self._new_image(index)
+        return self._images[index]
+
+    def _new_image(self, index: int) -> int:
         image = self.header["images"][index]
         name = image.get("name") or image.get("uri", "")[:60] or f"image {index}"
         if "bufferView" in image:
             view = self.header["bufferViews"][image["bufferView"]]
-            start = view.get("byteOffset", 0)
-            return self.textures.add_bytes(self._buffer(view["buffer"])[start : start + view["byteLength"]], name)
+            start = _size(view.get("byteOffset", 0), "byteOffset")
+            stop = start + _size(view["byteLength"], "byteLength")
+            return self.textures.add_bytes(self._buffer(view["buffer"])[start:stop], name)
         if image["uri"].startswith("data:"):
             return self.textures.add_bytes(_data_uri(image["uri"]), name)
         return self.textures.add_file(self.path.parent, image["uri"])
 
     def _buffer(self, index: int) -> bytes:
-        if index not in self._buffers:
-            uri = self.header["buffers"][index].get("uri")
-            if uri is None:
-                self._buffers[index] = self._binary
-            elif uri.startswith("data:"):
-                self._buffers[index] = _data_uri(uri)
-            else:
-                try:
-                    self._buffers[index] = find_reference(self.path.parent, uri).read_bytes()
-                except FileNotFoundError as error:
-                    raise ValueError(f"its buffer file '{uri}' is missing") from error
-        return self._buffers[index]
+        uri = self.header["buffers"][index].get("uri")
+        if uri not in self._buffers:
+            self._buffers[uri] = self._binary if uri is None else self._bytes_at(uri)
+        return self._buffers[uri]
+
+    def _bytes_at(self, uri: str) -> bytes:
+        if uri.startswith("data:"):
+            return _data_uri(uri)
+        try:
+            return self.budget.read(find_reference(self.path.parent, uri, climb=0))
+        except FileNotFoundError as error:
+            raise ValueError(f"its buffer file '{uri[:200]}' is missing") from error
+        except LimitError as error:
+            raise ValueError(f"its buffer file '{uri[:200]}' {error}") from error
 
     def accessor(self, index: int) -> np.ndarray:  # [count, components], float where normalised
         """The values of an accessor, with stride, sparse replacement and normalisation done."""
         if index not in self._accessors:
             accessor = self.header["accessors"][index]
-            count, columns = accessor["count"], _SHAPES[accessor["type"]]
+            count, columns = _size(accessor["count"], "count"), _SHAPES[accessor["type"]]
             dtype = np.dtype(_COMPONENTS[accessor["componentType"]])
+            normalised = accessor.get("normalized") and dtype.kind in "iu"
+            if "bufferView" not in accessor or "sparse" in accessor or normalised:
+                self.budget.take("numbers in arrays", count * columns)  # these are copied, the others are not
             if "bufferView" in accessor:
                 values = self._values(accessor["bufferView"], accessor.get("byteOffset", 0), count, columns, dtype)
             else:
                 values = np.zeros((count, columns), dtype)
             if "sparse" in accessor:
                 values = self._with_sparse(values, accessor["sparse"], dtype)
-            if accessor.get("normalized") and dtype.kind in "iu":
+            if normalised:
                 values = np.maximum(values.astype(np.float64) / np.iinfo(dtype).max, -1.0)
             self._accessors[index] = values
         return self._accessors[index]
@@ -240,21 +265,32 @@ class _Document:
     def _values(self, view_index: int, offset: int, count: int, columns: int, dtype: np.dtype) -> np.ndarray:
         view = self.header["bufferViews"][view_index]
         row = columns * dtype.itemsize
-        stride = view.get("byteStride", row)
+        stride = _size(view.get("byteStride", 0), "byteStride") or row  # older exporters write 0 for none
+        if stride < row:
+            raise ValueError(f"its rows of {row} bytes lie {stride} bytes apart (byteStride)")
         buffer = self._buffer(view["buffer"])
-        start = view.get("byteOffset", 0) + offset
+        start = _size(view.get("byteOffset", 0), "byteOffset") + _size(offset, "byteOffset")
         if count and start + (count - 1) * stride + row > len(buffer):
             raise ValueError("its binary data are cut off")
+        if not count:
+            return np.zeros((0, columns), dtype)
         return np.ndarray((count, columns), dtype, buffer, start, (stride, dtype.itemsize))
 
     def _with_sparse(self, values: np.ndarray, sparse: dict[str, Any], dtype: np.dtype) -> np.ndarray:
-        count = sparse["count"]
+        count = _size(sparse["count"], "count")
         at, to = sparse["indices"], sparse["values"]
         index_dtype = np.dtype(_COMPONENTS[at["componentType"]])
         rows = self._values(at["bufferView"], at.get("byteOffset", 0), count, 1, index_dtype)[:, 0]
         values = values.copy()
         values[rows] = self._values(to["bufferView"], to.get("byteOffset", 0), count, values.shape[1], dtype)
         return values
+
+
+def _size(value: Any, name: str) -> int:
+    """A number of bytes or rows."""
+    if isinstance(value, bool) or not hasattr(value, "__index__") or value < 0:
+        raise ValueError(f"a {name} in it is {str(value)[:40]} and no whole number from 0 on")
+    return operator.index(value)
 
 
 def _data_uri(uri: str) -> bytes:

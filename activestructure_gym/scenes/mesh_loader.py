@@ -35,6 +35,7 @@ _WORLD_FROM_FILE = {
 
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
+_FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once: 50 MB, where a scan would take gigabytes
 _PLAUSIBLE_CEILING = (1.9, 6.0)  # metres, floor to ceiling
 
 
@@ -167,8 +168,8 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, st
         return read_with_trimesh(path, textures), 1.0, "z"
     except InputError:
         raise
-    except MemoryError:
-        raise
+    except MemoryError as error:
+        raise InputError(f"'{path}' does not fit into the memory of this machine; decimate the mesh") from error
     except Exception as error:  # a broken file makes readers raise anything from KeyError to struct.error
         reason = str(error).strip() or type(error).__name__
         if isinstance(error, KeyError | IndexError | TypeError | AttributeError):
@@ -217,9 +218,13 @@ def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
 
 
 def _has_area(mesh: SceneMesh) -> np.ndarray:  # [F] bool
-    corners = mesh.vertices[mesh.faces].astype(np.float64)  # [F, 3, 3]
-    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return doubled > 1e-12  # square metres: a needle of 1 mm x 1 nm
+    has = np.empty(len(mesh.faces), dtype=bool)
+    for start in range(0, len(has), _FACES_AT_ONCE):
+        block = slice(start, start + _FACES_AT_ONCE)
+        corners = mesh.vertices[mesh.faces[block]].astype(np.float64)  # [f, 3, 3]
+        doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        has[block] = doubled > 1e-12  # square metres: a needle of 1 mm x 1 nm
+    return has
 
 
 def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:

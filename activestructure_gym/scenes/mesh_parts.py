@@ -7,7 +7,7 @@ and all checks happen once, in `mesh_loader`.
 from __future__ import annotations
 
 import hashlib
-import io
+import os
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +16,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from activestructure_gym.scenes.budget import LimitError, SceneBudget
+from activestructure_gym.scenes.images import opened_image
 from activestructure_gym.scenes.scene import SceneMesh
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ class TextureStore:
     """Textures of one scene: each image once, however often and under however many names the file holds it."""
 
     max_size: int = 512  # pixels; larger images are shrunk so that 50 textures stay below 50 MB
+    budget: SceneBudget = field(default_factory=SceneBudget)  # of the whole scene: its readers ask it too
     images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
     unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
     without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
@@ -52,27 +55,36 @@ class TextureStore:
 
     def add_bytes(self, data: bytes, name: str) -> int:
         """Index of an encoded image (PNG, JPEG, WebP, ...), -1 where it cannot be decoded."""
-
-        def decode() -> Image:
-            from PIL import Image as images
-
-            return images.open(io.BytesIO(data))
-
-        return self.add(hashlib.sha256(data).digest(), decode, name)
+        try:
+            self.budget.take("bytes of pictures", len(data))
+        except LimitError as error:
+            return self._missing(("bytes", name), f"{name}: {error}")
+        return self.add(hashlib.sha256(data).digest(), lambda: opened_image(data), name)
 
     def add_file(self, base: Path, reference: str) -> int:
         """Index of the image that a file in ``base`` refers to, -1 where it is missing."""
-        try:
-            return self.add_bytes(find_reference(base, reference).read_bytes(), reference)
-        except OSError:
-            return self._missing(("file", reference), reference)
+        key = ("file", base, reference)
+        if key not in self._by_key:
+            try:
+                self._by_key[key] = self.add_bytes(self.budget.read(find_reference(base, reference)), reference)
+            except LimitError as error:
+                return self._missing(key, f"{reference}: {error}")
+            except OSError:
+                return self._missing(key, reference)
+        return self._by_key[key]
 
     def add(self, key: Hashable, decode: Callable[[], Image], name: str) -> int:
         """Index of the image called ``key``; ``decode`` is only called the first time."""
         if key in self._by_key:
             return self._by_key[key]
         try:
-            pixels = _shrunk_pixels(decode(), self.max_size)
+            image = decode()
+            shrink = min(1.0, self.max_size / max(image.size))
+            self.budget.take("pixels", image.width * image.height)
+            self.budget.take("pixels after shrinking", int(image.width * image.height * shrink**2))
+            pixels = _shrunk_pixels(image, self.max_size)
+        except LimitError as error:
+            return self._missing(key, f"{name}: {error}")
         except Exception:  # Pillow raises whatever the codec raises
             return self._missing(key, name)
         # The same picture is often stored under several keys: one copy per pixel content.
@@ -86,8 +98,12 @@ class TextureStore:
     def _missing(self, key: Hashable, name: str) -> int:
         if key not in self._by_key:
             self._by_key[key] = -1
-            self.unreadable.append(name)
+            self.note_unreadable(name)
         return -1
+
+    def note_unreadable(self, name: str) -> None:
+        """Remember, as one short line, what could not be read."""
+        self.unreadable.append(" ".join(str(name).split())[:200])
 
 
 def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint8
@@ -96,15 +112,17 @@ def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint
     if max(image.size) > max_size:
         scale = max_size / max(image.size)
         size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
-        image = image.convert("RGB").resize(size, images.Resampling.BOX)
+        image = (image if image.mode == "RGB" else image.convert("RGB")).resize(size, images.Resampling.BOX)
     return np.ascontiguousarray(image.convert("RGB"), dtype=np.uint8)
 
 
-def find_reference(base: Path, reference: str) -> Path:
+def find_reference(base: Path, reference: str, *, climb: int = 1) -> Path:
     """The file a mesh refers to by ``reference``: relative to the mesh's folder, ``../`` and absolute paths included.
 
     Exporters write percent escapes, backslashes, ``file://``, options before the name (OBJ), or the path on the
-    author's disk; the bare file name beside the mesh is the last resort. Raises FileNotFoundError.
+    author's disk; the bare file name beside the mesh is the last resort. Nothing is opened outside the folder
+    ``climb`` levels above the mesh: models come as ``meshes/`` beside ``textures/``, and a file of a stranger has no
+    business anywhere else. Symbolic links are followed, as data stores are full of them. Raises FileNotFoundError.
     """
     name = reference.strip().strip('"')
     spellings = [name, unquote(name), *name.split()[-1:]]
@@ -112,9 +130,20 @@ def find_reference(base: Path, reference: str) -> Path:
     spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
     candidates = [base / spelling for spelling in spellings]
     candidates += [base / Path(spelling).name for spelling in spellings]
+    base = Path(os.path.abspath(base))
+    root = base.parents[climb - 1] if 0 < climb < len(base.parents) else base  # never the whole disk
+    outside = False
     for candidate in candidates:
-        if candidate.is_file():
-            return candidate
+        inside = Path(os.path.abspath(candidate)).is_relative_to(root)
+        try:
+            if candidate.is_file():
+                if inside:
+                    return candidate
+                outside = True
+        except OSError:  # a name that no file can have
+            continue
+    if outside:
+        raise LimitError(f"lies outside of '{root}'; put it into the folder of the mesh")
     raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
 
 

@@ -9,16 +9,17 @@ PLY parser.
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.scenes.budget import LimitError, SceneBudget
+from activestructure_gym.scenes.json_files import read_json
 from activestructure_gym.scenes.mesh_loader import check_mesh_file, finished_scene
-from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, assemble
+from activestructure_gym.scenes.mesh_parts import PLAIN_GREY, MeshPart, assemble, find_reference
 from activestructure_gym.scenes.scene import PartLabels, Scene
 from activestructure_gym.scenes.sequence import load_sequence
 
@@ -101,16 +102,18 @@ def _mesh_file(path: Path) -> tuple[Path, Path]:
 def _from_stage_config(path: Path) -> tuple[Path, Path]:
     if not path.is_file():
         raise InputError(f"there is no stage config '{path}'")
-    try:
-        config = json.loads(path.read_text(encoding="utf-8"))
-        assets = [config[key] for key in ("semantic_asset", "render_asset") if config.get(key)]
-    except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"'{path}' is not a stage config (JSON with render_asset): {error}") from error
+    config = read_json(path, "a stage config (JSON with render_asset)", lambda given: dict(given))
+    assets = [config[key] for key in ("semantic_asset", "render_asset") if isinstance(config.get(key), str)]
     for asset in assets:  # the semantic mesh is the same surface, and has labels
-        candidate = Path(os.path.normpath(path.parent / asset))
-        if candidate.suffix.lower() == ".ply" and candidate.is_file():
-            return _mesh_file(candidate)
-    raise InputError(f"'{path}' names no .ply mesh that exists (render_asset, semantic_asset: {assets})")
+        if not asset.lower().endswith(".ply"):
+            continue
+        try:
+            return _mesh_file(Path(os.path.normpath(find_reference(path.parent, asset))))
+        except (FileNotFoundError, LimitError):
+            continue
+    raise InputError(
+        f"'{path}' names no .ply mesh in its folder or the one above (render_asset, semantic_asset: {shown(assets)})"
+    )
 
 
 def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
@@ -119,12 +122,12 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     A binary PLY whose faces are all triangles or all quads is a plain array of records; anything else of the kind is
     not what Replica publishes. trimesh would read it, but loses which quad a triangle came from.
     """
-    data = path.read_bytes()
+    budget = SceneBudget()
     try:
+        data = budget.read(path)
         elements, start = _parse_header(data)
         vertex_dtype = np.dtype([(name, kind) for name, kind, _ in elements["vertex"][1]])
         vertex_count = elements["vertex"][0]
-        vertex = np.frombuffer(data, vertex_dtype, vertex_count, start)
         face_start = start + vertex_count * vertex_dtype.itemsize
         face_count, face_properties = elements["face"]
         if not face_count:
@@ -136,20 +139,26 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
                 fields += [("count", count_kind), ("corners", kind, (corners,))]
             else:
                 fields.append((name, kind))
-        face = np.frombuffer(data, np.dtype(fields), face_count, face_start)
+        face_dtype = np.dtype(fields)
+        if face_start + face_count * face_dtype.itemsize > len(data):
+            raise ValueError(f"it is cut off: {vertex_count} vertices and {face_count} faces do not fit into it")
+        budget.take("vertices", vertex_count)
+        budget.take("triangles", face_count * (corners - 2))
+        vertex = np.frombuffer(data, vertex_dtype, vertex_count, start)
+        face = np.frombuffer(data, face_dtype, face_count, face_start)
         if (face["count"] != corners).any():
             raise ValueError("its faces are neither all triangles nor all quads")
         polygons = face["corners"].astype(np.int64)
         if polygons.min() < 0 or polygons.max() >= vertex_count:
             raise ValueError("its faces name vertices that do not exist")
-    except (ValueError, KeyError, IndexError) as error:
+        vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
+        colors = np.full(3, PLAIN_GREY)
+        if "red" in vertex_dtype.fields:
+            colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1) / 255.0
+    except (ValueError, KeyError, IndexError, TypeError, OverflowError, OSError) as error:
         raise InputError(f"'{path}' is not a Replica mesh (binary PLY of quads or triangles): {error}") from error
     # Quad (a, b, c, d) becomes (a, b, c) and (c, d, a), one after the other.
     faces = polygons if corners == 3 else polygons[:, [0, 1, 2, 2, 3, 0]].reshape(-1, 3)
-    vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    colors = np.full(3, PLAIN_GREY)
-    if vertex_dtype.names and "red" in vertex_dtype.names:
-        colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1) / 255.0
     object_ids = None
     if face.dtype.names and "object_id" in face.dtype.names:
         object_ids = np.repeat(face["object_id"].astype(np.int64), 1 if corners == 3 else 2)
@@ -172,7 +181,7 @@ def _parse_header(data: bytes) -> tuple[dict[str, tuple[int, Properties]], int]:
             raise ValueError(f"its format is {words[1]}, not binary_little_endian")
         if words[:1] == ["element"]:
             current = []
-            elements[words[1]] = (int(words[2]), current)
+            elements[words[1]] = (_count(words[2]), current)
         elif words[:1] == ["property"] and words[1] == "list":
             current.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
         elif words[:1] == ["property"]:
@@ -180,6 +189,12 @@ def _parse_header(data: bytes) -> tuple[dict[str, tuple[int, Properties]], int]:
     if list(elements)[:2] != ["vertex", "face"]:
         raise ValueError(f"its elements are {', '.join(elements) or 'none'}, not vertex and face")
     return elements, end + len(b"end_header\n")
+
+
+def _count(word: str) -> int:
+    if not word.isdecimal() or len(word) > 12:
+        raise ValueError(f"its header counts {word[:20]} elements")
+    return int(word)
 
 
 def _corner_count(data: bytes, start: int, properties: Properties) -> int:
@@ -199,11 +214,11 @@ def _labels(info_file: Path, object_ids: np.ndarray) -> PartLabels:
     ids, face_part = np.unique(object_ids, return_inverse=True)
     names = {}
     if info_file.is_file():
-        try:
-            info = json.loads(info_file.read_text(encoding="utf-8"))
-            names = {int(entry["id"]): str(entry["class_name"]) for entry in info["objects"]}
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"'{info_file}' is not Replica's info_semantic.json: {error!r}") from error
+        names = read_json(
+            info_file,
+            "Replica's info_semantic.json (objects, each with id and class_name)",
+            lambda given: {int(entry["id"]): str(entry["class_name"]) for entry in given["objects"]},
+        )
     return PartLabels(
         face_part=face_part.astype(np.int32),
         names=tuple(f"{names.get(int(i), 'object')} {i}" for i in ids),

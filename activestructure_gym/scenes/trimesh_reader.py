@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.scenes.budget import LimitError
+from activestructure_gym.scenes.images import opened_image
 from activestructure_gym.scenes.mesh_parts import (
     PLAIN_GREY,
     MeshPart,
@@ -27,11 +29,12 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what matters of it is said by the loader
-    source: Any = str(path)
+    data = textures.budget.read(path)
+    source: Any = io.BytesIO(data)
     if path.suffix.lower() == ".obj":
-        source = io.StringIO(_obj_text(path.read_bytes()))
+        source = io.StringIO(_obj_text(data))
     elif path.suffix.lower() == ".stl":
-        _check_stl(path.read_bytes())
+        _check_stl(data)
     with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
         scene = trimesh.load_scene(
             source, file_type=path.suffix[1:].lower(), process=False, resolver=_resolver(path, textures)
@@ -71,19 +74,25 @@ def _check_stl(data: bytes) -> None:
 
 
 def _resolver(path: Path, textures: TextureStore) -> Any:
-    """Finds what the file refers to wherever that lies; trimesh's own stops at the mesh's folder and keeps silent."""
+    """Finds what the file refers to where `find_reference` looks; trimesh's own keeps silent about what is missing."""
     from trimesh.resolvers import FilePathResolver
 
-    class AnywhereResolver(FilePathResolver):
+    class NearbyResolver(FilePathResolver):
         def get(self, name: str) -> bytes:
             try:
-                data = find_reference(path.parent, name).read_bytes()
-                return _decoded(data).encode() if name.lower().endswith(".mtl") else data
-            except OSError:
-                textures.unreadable.append(name)
+                data = textures.budget.read(find_reference(path.parent, name))
+                if name.lower().endswith(".mtl"):
+                    return _decoded(data).encode()
+                opened_image(data)  # trimesh would open any kind of picture
+                return data
+            except LimitError as error:
+                textures.note_unreadable(f"{name}: {error}")
+                raise
+            except Exception:  # missing, or no picture: Pillow raises whatever the codec raises
+                textures.note_unreadable(name)
                 raise
 
-    return AnywhereResolver(str(path))
+    return NearbyResolver(str(path))
 
 
 def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) -> MeshPart:

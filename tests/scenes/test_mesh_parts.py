@@ -50,6 +50,22 @@ def test_references_are_found_wherever_exporters_point(tmp_path, reference):
     assert find_reference(tmp_path / "models", reference).read_bytes() == b"x"
 
 
+def test_nothing_outside_of_the_model_is_opened(tmp_path):
+    """Meshes stand beside their textures; a file of a stranger has no business anywhere else."""
+    models = tmp_path / "flat" / "models"
+    models.mkdir(parents=True)
+    Image.new("RGB", (4, 4)).save(tmp_path / "secret.png")
+    store = TextureStore()
+    for reference in ("../../secret.png", str(tmp_path / "secret.png"), f"file://{tmp_path}/secret.png"):
+        assert store.add_file(models, reference) == -1
+        assert f"lies outside of '{models.parent}'" in store.unreadable[-1]
+    assert store.add_file(models, "x" * 5000) == -1 and len(store.unreadable[-1]) <= 200
+    (models.parent / "near.png").write_bytes(b"x")
+    assert find_reference(models, "../near.png").is_file()
+    with pytest.raises(ValueError, match="outside"):
+        find_reference(models, "../near.png", climb=0)
+
+
 def test_parts_keep_their_order_and_their_own_vertices():
     triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
     uv = np.array([[0, 0], [1, 0], [0, 1]], dtype=float)

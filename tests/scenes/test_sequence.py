@@ -100,7 +100,7 @@ def test_trajectories_that_are_none(copy, line, said):
 def test_camera_files_that_are_none(copy):
     file = copy.parent / "cam_params.json"
     given = json.loads(file.read_text())
-    for change, said in (({"fx": 0}, "fx=0"), ({"scale": 0}, "above 0"), ({"w": None}, "must hold camera")):
+    for change, said in (({"fx": 0}, "fx=0"), ({"scale": 0}, "above 0"), ({"w": None}, "is not a camera")):
         file.write_text(json.dumps({"camera": {**given["camera"], **change}}))
         assert said in _error(copy)
     file.write_text(json.dumps({"camera": {**given["camera"], "w": 80}}))

@@ -112,7 +112,8 @@ def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) ->
         image = getattr(material, "image", None)
         material_name = str(getattr(material, "name", "texture"))
         if image is not None and visual.uv is not None and len(visual.uv) == len(vertices):
-            texture = textures.add(id(image), lambda: image, material_name)
+            # Hundreds of materials may share one file: it is decoded once.
+            texture = textures.add(("obj", image.info.get("file_path", id(image))), lambda: image, material_name)
         elif image is not None:
             textures.without_uv.append(material_name)
         if texture >= 0:

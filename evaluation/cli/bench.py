@@ -11,7 +11,7 @@ from rich.table import Table
 
 from activestructure_gym.evaluation.cli.commands import Bench
 from activestructure_gym.evaluation.cli.options import split_list
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.evaluation.cli.output import plain_table, print_whole, working
 
 _TITLES = {
     "sensor": "speed of the sensor on this machine",
@@ -77,9 +77,9 @@ def bench(options: Bench) -> int:
         from activestructure_gym.evaluation.grid_benchmark import run_grid_benchmark
 
         size = {"frames": 8, "seeds": (0,), "repeats": 1} if options.quick else {}
-        with console.status("measuring the grid") as status:
+        with working(console, "measuring the grid") as notify:
             chosen = scenes or (["box"] if options.quick else ["room"])
-            rows = run_grid_benchmark(chosen, notify=lambda line: status.update(escape(line)), **size)
+            rows = run_grid_benchmark(chosen, notify=notify, **size)
     else:
         with console.status(f"measuring the {options.what}") as status:
             if options.what == "sensor":

@@ -24,7 +24,7 @@ from activestructure_gym.evaluation.cli.options import (
     split_scenes,
     use_lpips_weights,
 )
-from activestructure_gym.evaluation.cli.output import print_whole
+from activestructure_gym.evaluation.cli.output import print_whole, working
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.comparison import Comparison, Result
@@ -62,11 +62,7 @@ def compare(options: Compare) -> int:
     check_output(directory, resume=options.resume)
     began = time.monotonic()
     comparison = None if bare else _comparison(options)
-    with console.status("loading") as status:
-
-        def notify(text: str) -> None:
-            status.update(escape(text))
-
+    with working(console, "loading") as notify:
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
     record = directory / COMPARISON

@@ -1,12 +1,38 @@
-"""Printing tables to a terminal of any width."""
+"""Printing tables to a terminal of any width, and what is going on to a terminal or a log."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 _WIDEST = 400  # columns
+_EVERY = 30.0  # seconds between two lines of the same kind in a log
+
+
+@contextmanager
+def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
+    """A spinner beside ``text`` while the block runs, and a function that says something else there.
+
+    A log, which shows no spinner, gets a line for every new kind of message (by its first word), and for one kind a
+    line every half minute.
+    """
+    last = dict[str, float]()
+    with console.status(escape(text)) as spinner:
+
+        def say(text: str) -> None:
+            spinner.update(escape(text))
+            kind, now = text.partition(" ")[0], time.monotonic()
+            if not console.is_terminal and now - last.get(kind, -_EVERY) >= _EVERY:
+                last[kind] = now
+                console.print(escape(text), style="dim")
+
+        yield say
 
 
 def print_whole(console: Console, table: Table) -> None:

@@ -3,6 +3,7 @@ import io
 import pytest
 from rich.console import Console
 
+from activestructure_gym.evaluation.cli import output
 from activestructure_gym.evaluation.cli import progress as module
 from activestructure_gym.evaluation.cli.progress import LiveProgress
 from activestructure_gym.evaluation.engines import Outcome
@@ -78,3 +79,18 @@ def test_a_lost_attempt_is_told_and_counts_as_nothing_done(clock):
     live.again(JOBS[1], "killed by signal 9")
     assert "↻ room · my[policy] · seed 0  killed by signal 9; will be tried again" in out.getvalue()
     assert live._update_whole() is None  # no speed is known
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_log_hears_of_every_kind_of_work_and_then_every_half_minute(clock, monkeypatch, terminal):
+    monkeypatch.setattr(output, "time", clock)
+    out = io.StringIO()
+    console = Console(file=out, width=120, force_terminal=terminal, color_system=None)
+    with output.working(console, "loading") as say:
+        for number in range(10):
+            say(f"compiling [all]: {number} so far")
+            clock.now += 7.0
+        say("compiled 10")
+    lines = [f"compiling [all]: {number} so far" for number in (0, 5)] + ["compiled 10"]
+    assert terminal or out.getvalue().splitlines() == lines
+    assert not terminal or "compiled 10" not in out.getvalue().splitlines()

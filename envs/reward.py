@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +32,8 @@ class RewardConfig:
         for name, value in vars(self).items():
             if name == "noise_free":
                 continue
-            if isinstance(value, bool) or not isinstance(value, numbers.Real) or not abs(value) < LARGEST:
+            is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+            if not (is_number and abs(value) < LARGEST):
                 raise InputError(f"reward {name} must be a number between -1e9 and 1e9, got {shown(value)}")
             if name.startswith("tolerance_") and value < 0:
                 raise InputError(f"reward {name} must be at least 0, got {value}")

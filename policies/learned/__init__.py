@@ -1,13 +1,14 @@
 """Policies that were trained: one small network over the candidate set, found as ``learned:CHECKPOINT``.
 
-Light to import: torch is loaded by the first decision, stable-baselines3 by `CandidatePolicy`.
+Light to import: torch is loaded by the first decision, stable-baselines3 by `CandidatePolicy`, sb3-contrib (which is no
+dependency) by `MaskableCandidatePolicy`.
 """
 
 from typing import Any
 
 from activestructure_gym.policies.learned.policy import SHIPPED, Learned, learned_from
 
-__all__ = ["SHIPPED", "CandidatePolicy", "Learned", "learned_from", "with_used_keys"]
+__all__ = ["SHIPPED", "CandidatePolicy", "Learned", "MaskableCandidatePolicy", "learned_from", "with_used_keys"]
 
 
 def __getattr__(name: str) -> Any:
@@ -15,4 +16,8 @@ def __getattr__(name: str) -> Any:
         from activestructure_gym.policies.learned import sb3
 
         return getattr(sb3, name)
+    if name == "MaskableCandidatePolicy":
+        from activestructure_gym.policies.learned.maskable import MaskableCandidatePolicy
+
+        return MaskableCandidatePolicy
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

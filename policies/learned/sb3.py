@@ -2,7 +2,9 @@
 
 ``PPO(CandidatePolicy, env)`` trains on any of our environments; with ``with_used_keys(env)`` it does so about twice as
 fast, since stable-baselines3 copies and converts every entry of an observation, images included. The mask is applied
-inside the policy, from the observation: plain PPO never samples a masked row, and nothing else is needed.
+inside the policy, from the observation: plain PPO never samples a masked row, and nothing else is needed. For
+sb3-contrib's MaskablePPO, which brings the mask itself and takes policies of its own kind alone, there is
+`MaskableCandidatePolicy` (``maskable.py``).
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import Any
 import gymnasium as gym
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
@@ -36,15 +38,24 @@ class CandidateExtractor(BaseFeaturesExtractor):
         missing = [key for key in USED_KEYS if key not in observation_space.spaces]
         if missing:
             raise InputError(f"the observation lacks {', '.join(missing)}: a learned policy reads {USED_KEYS}")
-        rows, gains = observation_space["candidate_gains"].shape  # type: ignore[misc]
+        table = observation_space["candidate_gains"]
+        names: tuple[str, ...] | None = getattr(table, "names", None)
+        rows, gains = table.shape  # type: ignore[misc]
         super().__init__(observation_space, rows + 1)
-        # Without a description the columns' names are unknown; they are only needed to save a checkpoint.
-        names = tuple(f"gain_{number}" for number in range(gains))
-        config = NetworkConfig(gains=names) if network is None else NetworkConfig.from_dict(network)
-        if len(config.gains) != gains:
+        if network is not None:
+            config = NetworkConfig.from_dict(network)
+        elif names is not None:
+            config = NetworkConfig(gains=names)
+        else:
             raise InputError(
-                f"the network was made for the gains {', '.join(config.gains)}, the env offers {gains}: "
-                "make the env with gains=... of the same names"
+                "this observation space does not say which gains stand in the columns of candidate_gains: name them "
+                'with policy_kwargs={"network": NetworkConfig(gains=...).as_dict()}'
+            )
+        if len(config.gains) != gains or names not in (None, config.gains):
+            offered = f"{gains} gains" if names is None else ", ".join(names) or "none"
+            raise InputError(
+                f"the network was made for the gains {', '.join(config.gains)}, the env offers {offered}: "
+                f"make the env with gains={config.gains}"
             )
         self.network = CandidateNetwork(config)
 
@@ -71,12 +82,17 @@ class _Split(nn.Module):
         return features[:, -1:]
 
 
-class CandidatePolicy(MultiInputActorCriticPolicy):
-    """Actor and critic of the candidate-set network, for stable-baselines3's ``PPO`` and ``A2C``.
+class CandidateHeads(BasePolicy):
+    """What makes an actor-critic policy of stable-baselines3 one of the candidate-set network; stands before its base.
 
     ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its gains;
     `begin_from` copies a checkpoint of ours.
     """
+
+    features_dim: Any
+    mlp_extractor: Any
+    action_net: Any
+    value_net: Any
 
     def __init__(
         self,
@@ -93,8 +109,8 @@ class CandidatePolicy(MultiInputActorCriticPolicy):
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
     def _build(self, lr_schedule: Any) -> None:
-        self.mlp_extractor = _Split(self.features_dim - 1)  # type: ignore[assignment]
-        self.action_net, self.value_net = nn.Identity(), nn.Identity()  # type: ignore[assignment]
+        self.mlp_extractor = _Split(self.features_dim - 1)
+        self.action_net, self.value_net = nn.Identity(), nn.Identity()
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     @property
@@ -108,3 +124,7 @@ class CandidatePolicy(MultiInputActorCriticPolicy):
         if start.config != self.network.config:
             raise InputError(f"'{place}' holds another network: {start.config}, expected {self.network.config}")
         self.network.load_state_dict(start.state_dict())
+
+
+class CandidatePolicy(CandidateHeads, MultiInputActorCriticPolicy):
+    """Actor and critic of the candidate-set network, for stable-baselines3's ``PPO`` and ``A2C``."""

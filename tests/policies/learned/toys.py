@@ -8,10 +8,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, Table
 from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW
 
 Observation = dict[str, np.ndarray]
+GAINS = ("pixel", "hole_area")
 
 
 def random_observation(rng: np.random.Generator, rows: int, valid: int, planes: int, gains: int = 2) -> Observation:
@@ -49,6 +50,7 @@ class RandomCandidates(gym.Env[dict[str, Any], np.int64]):
         example = random_observation(np.random.default_rng(0), rows, rows, planes)
         self.observation_space = spaces.Dict(
             {key: spaces.Box(-1e4, 1e7, value.shape, np.float32) for key, value in example.items()}
+            | {"candidate_gains": Table(GAINS, np.zeros((rows, 2), np.float32), np.ones((rows, 2), np.float32))}
             | ({"rgb": spaces.Box(0, 255, (4, 6, 3), np.uint8)} if images else {})
         )
         self.action_space = spaces.Discrete(len(example["action_mask"]))
@@ -63,6 +65,9 @@ class RandomCandidates(gym.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         self.steps = 0
         return self._observe(), {}
+
+    def action_masks(self) -> np.ndarray:  # [K] bool
+        return self.last["action_mask"] == 1
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict]:
         assert self.last["action_mask"][action] == 1, "a masked row"

@@ -14,6 +14,13 @@ class InputError(ValueError):
     """
 
 
+class InputWarning(UserWarning):
+    """Something the user gave is used all the same, with a doubt about it or a choice made for it.
+
+    Given through `warnings`, so that it is read wherever the input is used; the command line prints it as one line.
+    """
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     """The error for a mistyped name, e.g. ``unknown policy 'frontire'; did you mean 'frontier'? Known: ...``."""
     names = sorted(known)

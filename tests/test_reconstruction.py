@@ -168,9 +168,7 @@ def test_tracking_replaces_the_reported_pose_everywhere(box: Scene, monkeypatch:
                                             "keyframe_every": 5, "mapper.tracking.iterations": 20}))  # fmt: skip
     seen = []
     integrate, join = VoxelVolume.integrate, PlaneSceneGraph.integrate
-    monkeypatch.setattr(
-        VoxelVolume, "integrate", lambda self, f, **kw: seen.append(f) or integrate(self, f, **kw)
-    )
+    monkeypatch.setattr(VoxelVolume, "integrate", lambda self, f, **kw: seen.append(f) or integrate(self, f, **kw))
     monkeypatch.setattr(PlaneSceneGraph, "integrate", lambda self, f: seen.append(f) or join(self, f))
     run.start(box, 0)
     wander(run)
@@ -210,7 +208,7 @@ def test_without_noise_or_without_iterations_the_reported_pose_is_used(box: Scen
 def test_tracked_poses_are_five_times_better_than_reported_ones(spec: str, request: pytest.FixtureRequest) -> None:
     """30 keyframes of a random walk, 2 cm and 1 degree per axis: on average 3.2 cm and 1.6 degrees are injected."""
     if spec == "hotel_room":
-        spec = str(request.getfixturevalue("shared") / "scenes" / "hotel_room.glb")
+        spec = str(request.getfixturevalue("shared") / "scenes" / "hotel_room.glb?up=z")
     scene = load_scene(spec)
     for seed in (0, 1):
         run = Reconstruction(configure("default", {"sensor": NOISY_POSES, "mapper.tracking.iterations": 20,
@@ -295,7 +293,7 @@ def test_no_path_of_fifty_episodes_crosses_the_mesh(request: pytest.FixtureReque
     specs = ["room?seed=2", "apartment?rooms=3&seed=1", "apartment?rooms=5&seed=3"]
     try:
         shared: Path = request.getfixturevalue("shared")
-        specs += [str(shared / "scenes" / name) for name in ("hotel_room.glb", "bookstore.glb")]
+        specs += [str(shared / "scenes" / name) for name in ("hotel_room.glb?up=z", "bookstore.glb?up=z")]
     except pytest.skip.Exception:
         pass  # the procedural scenes alone then share the fifty episodes
     scenes = [load_scene(spec) for spec in specs]

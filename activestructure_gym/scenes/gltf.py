@@ -13,6 +13,7 @@ import json
 import operator
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +49,29 @@ _READ = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp")
 _HARMLESS_PREFIXES = ("KHR_materials_", "KHR_lights_", "EXT_lights_", "KHR_animation_", "KHR_xmp", "KHR_node_")
 
 
-def read_gltf(path: Path, textures: TextureStore) -> list[MeshPart]:
+@dataclass(frozen=True)
+class GltfFile:
+    """The parts in file axes, and what the file says about them."""
+
+    parts: list[MeshPart]
+    up: str | None  # the text under "up" in the extras of the asset or of the default scene, None without one
+
+
+def read_gltf(path: Path, textures: TextureStore) -> GltfFile:
     """All triangles of the default scene. Raises `InputError` for what cannot be read, with the reason."""
     header, binary = _read_container(path, textures.budget.read(path))
     _check_extensions(path, header)
-    return list(_Document(path, header, binary, textures).parts())
+    return GltfFile(list(_Document(path, header, binary, textures).parts()), _declared_up(header))
+
+
+def _declared_up(header: dict[str, Any]) -> str | None:
+    """Our own marker: glTF has one up axis, +y (glTF 2.0, section 3.4), and no field for files that have another."""
+    scenes = header.get("scenes") or [{}]
+    for holder in (header.get("asset", {}), scenes[header.get("scene", 0)]):
+        extras = holder.get("extras")  # of any type, and any program's
+        if isinstance(extras, dict) and isinstance(extras.get("up"), str):
+            return extras["up"].strip().lower()
+    return None
 
 
 def _read_container(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:

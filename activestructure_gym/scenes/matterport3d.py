@@ -1,7 +1,7 @@
 """Matterport3D scenes in the folder layout of the Habitat download: ``mp3d/<id>/<id>.glb``, metres, z up.
 
-Beside the mesh lie ``<id>.house``, ``<id>.navmesh`` and ``<id>_semantic.ply``; they are not needed to see or walk.
-Source of the layout: Matterport3D's data_organization.md.
+Beside the mesh lie ``<id>.house``, ``<id>.navmesh`` and ``<id>_semantic.ply``; they are not needed to see or walk, but
+they are what a scene of this dataset is known by. Source of the layout: Matterport3D's data_organization.md.
 """
 
 from __future__ import annotations
@@ -12,6 +12,9 @@ from pathlib import Path
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.mesh_loader import load_mesh_scene
 from activestructure_gym.scenes.scene import Scene
+
+# Of this dataset alone: other scenes have navmeshes too, and anybody's file may be called house/house.glb.
+_OWN_FILES = (".house", "_semantic.ply")
 
 
 def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> Scene:
@@ -38,7 +41,8 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
 
 
 def is_matterport3d(path: Path) -> bool:
-    """Whether the path looks like a Matterport3D scene (used to guess what a bare path is)."""
-    if path.is_dir():
-        return (path / f"{path.name}.glb").is_file()
-    return path.suffix.lower() == ".glb" and path.with_suffix(".house").is_file()
+    """Whether the path is a Matterport3D scene, by the files of the dataset (used to tell what a bare path is)."""
+    mesh_file = path / f"{path.name}.glb" if path.is_dir() else path
+    if mesh_file.suffix.lower() != ".glb" or not mesh_file.is_file():
+        return False
+    return any(mesh_file.with_name(mesh_file.stem + suffix).is_file() for suffix in _OWN_FILES)

@@ -7,6 +7,7 @@ sentence, and a scale check tells the user whether the units were guessed right.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, InputWarning, unknown_name
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
+from activestructure_gym.scenes.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
 
 if TYPE_CHECKING:
     from activestructure_gym.scenes.mesh_parts import MeshPart, TextureStore
@@ -23,20 +25,19 @@ if TYPE_CHECKING:
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae")
 METRES_PER_UNIT = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
-# Rows are the world's x, y, z in file axes; all are proper rotations, so nothing is mirrored.
+# The world's x, y, z as axes of the file and their signs; all are proper rotations, so nothing is mirrored.
 _WORLD_FROM_FILE = {
-    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+    "z": ((0, 1, 2), (1, 1, 1)),
+    "-z": ((0, 1, 2), (1, -1, -1)),
+    "y": ((0, 2, 1), (1, -1, 1)),
+    "-y": ((0, 2, 1), (1, 1, -1)),
+    "x": ((2, 1, 0), (-1, 1, 1)),
+    "-x": ((2, 1, 0), (1, 1, -1)),
 }
 
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
 _FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once: 50 MB, where a scan would take gigabytes
-_PLAUSIBLE_CEILING = (1.9, 6.0)  # metres, floor to ceiling
 
 
 def load_mesh_scene(
@@ -53,13 +54,15 @@ def load_mesh_scene(
         path: a .glb, .gltf, .obj, .ply, .stl or .dae file.
         units: "m", "dm", "cm", "mm", "in", "ft", or metres per file unit. None = what the file declares (only
             COLLADA does), else metres.
-        up: which file axis points up: "x", "y", "z", "-x", "-y" or "-z". None = what the file declares (COLLADA),
-            else z. glTF from modelling tools is usually y-up: pass "y" there.
+        up: which file axis points up: "x", "y", "z", "-x", "-y" or "-z"; "auto" = what the geometry says. None = what
+            the file declares (COLLADA; glTF under "up" in the extras of its asset or scene), else y for glTF, as its
+            standard says, and z for the others, which have no rule; refused if the geometry clearly says otherwise.
         name: of the scene; default is the file's name.
         max_texture: pixels; larger textures are shrunk.
 
     Raises:
-        InputError: the file is missing, unsupported, corrupt, empty, not finite, or of an implausible size.
+        InputError: the file is missing, unsupported, corrupt, empty, not finite, of an implausible size, or lies on
+            its side. Doubts that do not stop it are given as `InputWarning`, and stand in the scene's notes.
     """
     from activestructure_gym.scenes.mesh_parts import TextureStore, assemble
 
@@ -67,20 +70,27 @@ def load_mesh_scene(
     if max_texture < 1:
         raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")
     textures = TextureStore(max_texture)
+    if up not in (None, "auto", *UP_AXES):
+        raise unknown_name("up axis", str(up), ("auto", *UP_AXES))
     parts, declared_scale, declared_up = _read(path, textures)
     scale = declared_scale if units is None else _metres_per_unit(units)
-    assumed = up is None and path.suffix.lower() in (".glb", ".gltf")
-    up = declared_up if up is None else up
-    if up not in _WORLD_FROM_FILE:
-        raise unknown_name("up axis", str(up), _WORLD_FROM_FILE)
     _check_parts(path, parts)
     mesh = assemble(parts, textures.images)
-    rotation = np.asarray(_WORLD_FROM_FILE[up], dtype=np.float64)
-    mesh = replace(mesh, vertices=(mesh.vertices.astype(np.float64) @ rotation.T * scale).astype(np.float32))
-    notes = texture_notes(textures)
-    if assumed:
-        notes.append("z is taken as up, as scanned scenes have it; glTF of modelling tools is y-up: give up=y there")
-    return finished_scene(mesh, path, name=name or path.stem, notes=notes, scale=scale)
+    vertices = mesh.vertices.astype(np.float64) * scale
+    try:
+        up, doubts = choose_up(path, vertices, mesh.faces, given=up, declared=declared_up)
+    except InputError:
+        _check_extent(path, vertices, scale)  # a wrong unit is the likelier reason
+        raise
+    mesh = replace(mesh, vertices=upright(vertices, up).astype(np.float32))
+    doubts = [*texture_notes(textures), *doubts]
+    return finished_scene(mesh, path, name=name or path.stem, doubts=doubts, scale=scale)
+
+
+def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
+    """File axes turned so that ``up`` becomes z, exactly: files that differ in nothing else give equal numbers."""
+    axes, signs = _WORLD_FROM_FILE[up]
+    return vertices[:, axes] * signs + 0.0  # no -0.0: it has other bytes than 0.0, and the content hash counts bytes
 
 
 def check_mesh_file(path: str | os.PathLike[str]) -> Path:
@@ -100,11 +110,14 @@ def finished_scene(
     path: Path,
     *,
     name: str,
-    notes: Sequence[str] = (),
+    doubts: Sequence[str] = (),
     scale: float = 1.0,  # metres per file unit that were applied; the messages name better ones
     labels: PartLabels | None = None,
 ) -> Scene:
-    """A checked scene: faces without area dropped, size checked, scale noted."""
+    """A checked scene: faces without area dropped, size checked, scale noted.
+
+    Doubts about its orientation, its textures or its scale stand in its notes and are given as one `InputWarning`.
+    """
     keep = _has_area(mesh)
     dropped = int((~keep).sum())
     if dropped:
@@ -115,18 +128,22 @@ def finished_scene(
     mesh = _without_loose_vertices(mesh)
     _check_extent(path, mesh.vertices, scale)
     scene = Scene(name=name, mesh=mesh, source=str(path), labels=labels)
-    notes = list(notes)
+    doubts, notes = list(doubts), []
     if dropped:
         notes.append(f"{dropped} triangles without area were dropped")
     farthest = np.abs(mesh.vertices).max()
     if np.spacing(farthest) > _COARSEST_STEP:
-        notes.append(
+        doubts.append(
             f"the mesh lies {farthest:.0f} m from the origin, where positions are kept in steps of "
             f"{1000 * np.spacing(farthest):.0f} mm: move it to the origin"
         )
     if not mesh.textures and not np.ptp(mesh.colors, axis=0).any():
         notes.append("the mesh has one colour only: images of it are flat, and PSNR and SSIM say little")
-    return replace(scene, notes=(scale_note(scene, scale), *notes))
+    size, plausible = scale_note(scene, scale)
+    said = doubts if plausible else [size, *doubts]
+    if said:
+        warnings.warn(f"{path.name}: {'; '.join(said)}", InputWarning, stacklevel=3)
+    return replace(scene, notes=(size, *doubts, *notes))
 
 
 def texture_notes(textures: TextureStore) -> list[str]:
@@ -150,22 +167,26 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
-def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, str]:
-    """Parts in file units, metres per unit and up axis as far as the file declares them."""
+def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, DeclaredUp]:
+    """Parts in file units, metres per unit and up axis as the file, or else its format, declares them."""
     suffix = path.suffix.lower()
     try:
         if suffix in (".glb", ".gltf"):
             from activestructure_gym.scenes.gltf import read_gltf
 
-            return read_gltf(path, textures), 1.0, "z"
+            gltf = read_gltf(path, textures)
+            if gltf.up is not None:
+                return gltf.parts, 1.0, DeclaredUp(gltf.up, "by its extras", explicit=True)
+            return gltf.parts, 1.0, DeclaredUp("y", "in glTF")
         if suffix == ".dae":
             from activestructure_gym.scenes.collada import read_collada
 
             collada = read_collada(path, textures)
-            return collada.parts, collada.metres_per_unit, collada.up
+            return collada.parts, collada.metres_per_unit, DeclaredUp(collada.up, "by its up_axis")
         from activestructure_gym.scenes.trimesh_reader import read_with_trimesh
 
-        return read_with_trimesh(path, textures), 1.0, "z"
+        declared = DeclaredUp("z", f"for {suffix[1:].upper()} files, which do not say")
+        return read_with_trimesh(path, textures), 1.0, declared
     except InputError:
         raise
     except MemoryError as error:
@@ -244,23 +265,17 @@ def _units_hint(file_length: float, low: float, high: float) -> str:
     return f"try units={' or units='.join(fitting)}" if fitting else "pass units= as metres per file unit"
 
 
-def scale_note(scene: Scene, scale: float = 1.0) -> str:
+def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
     """Whether the scene has the size of rooms: the height from floor to ceiling, measured by vertical rays."""
     low, high = scene.bounds
     size = " x ".join(f"{side:.2f}" for side in high - low)
     height = ceiling_height(scene)
-    shorter, (lowest, highest) = float((high - low)[:2].min()), _PLAUSIBLE_CEILING
-    # A corridor or a closet is higher than wide; it lies on its side only if that width could be a height.
-    narrow = height is not None and lowest <= height <= highest and shorter < lowest
-    if high[2] - low[2] > 1.5 * shorter and not narrow:
-        side = "its height is not its shortest side; if the scene lies on its side, try up=y"
-        return f"{size} m (x, y, z): {side}"
     if height is None:
-        return f"{size} m (x, y, z), no ceiling found: check that the unit is metres (option units)"
-    if _PLAUSIBLE_CEILING[0] <= height <= _PLAUSIBLE_CEILING[1]:
-        return f"{size} m (x, y, z), ceiling height {height:.2f} m: plausible"
+        return f"{size} m (x, y, z), no ceiling found: check that the unit is metres (option units)", False
+    if CEILING_HEIGHTS[0] <= height <= CEILING_HEIGHTS[1]:
+        return f"{size} m (x, y, z), ceiling height {height:.2f} m: plausible", True
     hint = _units_hint(height / scale, 2.2, 4.0)
-    return f"{size} m (x, y, z), ceiling height {height:.2f} m: unusual; if the unit is wrong, {hint}"
+    return f"{size} m (x, y, z), ceiling height {height:.2f} m: unusual; if the unit is wrong, {hint}", False
 
 
 def ceiling_height(scene: Scene) -> float | None:

@@ -27,7 +27,7 @@ def scene_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     table.apply_translation((3.0, 1.0, 0.35))
     mesh = trimesh.util.concatenate([room.subdivide().subdivide(), table])
     mesh.visual.vertex_colors = (mesh.vertices / (4.0, 3.0, 2.5) * 255).astype("uint8")
-    mesh.export(folder / "room.glb")
+    trimesh.Scene(mesh, metadata={"up": "z"}).export(folder / "room.glb")
     replica = folder / "replica_v1" / "room_0"
     replica.mkdir(parents=True)
     mesh.export(replica / "mesh.ply")

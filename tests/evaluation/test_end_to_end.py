@@ -264,7 +264,7 @@ def test_nothing_was_written_outside(place, finished):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["hotel_room.glb", "bookstore.glb", "replica_fixture/room_fix"])
+@pytest.mark.parametrize("scene", ["hotel_room.glb?up=z", "bookstore.glb?up=z", "replica_fixture/room_fix"])
 def test_real_scenes(shared, scene, tmp_path):
     out = tmp_path / "out"
     assert main(

@@ -171,7 +171,7 @@ def test_real_scenes(shared, name, volume):
     """Volumes measured once and looked at in plan and in views; the hotel's glass front is open."""
     from activestructure_gym.scenes.mesh_loader import load_mesh_scene
 
-    scene = load_mesh_scene(shared / "scenes" / f"{name}.glb")
+    scene = load_mesh_scene(shared / "scenes" / f"{name}.glb", up="z")
     space = free_space_of(scene)
     assert volume[0] < space.volume < volume[1]
     assert len(space.start_poses) == 16

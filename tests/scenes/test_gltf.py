@@ -39,7 +39,7 @@ def test_trimesh_reads_the_same_geometry_and_colours(tmp_path, rng):
     path = tmp_path / "scene.glb"
     path.write_bytes(scene.export(file_type="glb"))
 
-    parts = read_gltf(path, textures := TextureStore())
+    parts = read_gltf(path, textures := TextureStore()).parts
     expected = trimesh.load_scene(path, process=False)
     assert len(parts) == 3 and len(textures.images) == 1
 
@@ -63,7 +63,7 @@ def test_factors_are_linear_and_multiply_vertex_colours_and_textures(tmp_path, g
     gltf.header["textures"] = [{"source": 0}]
     pbr = {"baseColorFactor": [0.21404, 1.0, 1.0, 1.0], "baseColorTexture": {"index": 0}}
     gltf.header["materials"] = [{"pbrMetallicRoughness": pbr}]
-    (part,) = read_gltf(gltf.write(tmp_path / "a.glb"), textures := TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "a.glb"), textures := TextureStore()).parts
     assert part.texture == 0 and tuple(textures.images[0][0, 0]) == (200, 100, 50)
     # By hand: 0.21404 linear is 0.5 in sRGB; 128 / 255 = 0.502 linear is 0.7366, and 0.502 * 0.214 is 0.3615.
     np.testing.assert_allclose(part.colors, [[0.5, 1, 1], [0.3615, 0.7366, 0.7366], [0, 0, 0]], atol=2e-4)
@@ -85,7 +85,7 @@ def test_quantised_positions_and_uv_are_normalised(tmp_path, gltf):
     gltf.header["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
     gltf.header["nodes"] = [{"mesh": 0, "scale": [4, 4, 4], "translation": [1, 0, 0]}]
     gltf.header["extensionsRequired"] = ["KHR_mesh_quantization", "KHR_materials_unlit"]
-    (part,) = read_gltf(gltf.write(tmp_path / "q.glb"), TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "q.glb"), TextureStore()).parts
     np.testing.assert_allclose(part.vertices, [[1, 0, 0], [5, 0, 0], [1, -4, 0]], atol=1e-6)
     np.testing.assert_allclose(part.uv, [[0, 0], [1, 0], [0, 0.5]], atol=1e-4)
 
@@ -98,7 +98,7 @@ def test_sparse_accessors_replace_single_vertices(tmp_path, gltf):
         "indices": {"bufferView": gltf.view(np.array([2], np.uint16).tobytes()), "componentType": 5123},
         "values": {"bufferView": gltf.view(np.array([7, 8, 9], np.float32).tobytes())},
     }
-    (part,) = read_gltf(gltf.write(tmp_path / "s.glb"), TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "s.glb"), TextureStore()).parts
     np.testing.assert_array_equal(part.vertices, [[0, 0, 0], [2, 0, 0], [7, 8, 9]])
 
 
@@ -112,7 +112,7 @@ def test_texture_transform_as_in_the_extension_s_own_example(tmp_path, gltf):
     transform = {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5], "texCoord": 1}
     info = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
     gltf.header["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": info}}]
-    (part,) = read_gltf(gltf.write(tmp_path / "t.glb"), TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "t.glb"), TextureStore()).parts
     # Image corners: top left -> (0, 1), top right -> (0, 0.5), bottom left -> (0.5, 1).
     np.testing.assert_allclose(part.uv, [[0, 1], [0, 0.5], [0.5, 1]], atol=1e-6)
 
@@ -128,7 +128,7 @@ def test_a_rotated_child_inside_a_matrix_parent(tmp_path, gltf):
         {"mesh": 0},  # in no scene: not shown
     ]
     gltf.header["scenes"] = [{"nodes": [0]}]
-    (part,) = read_gltf(gltf.write(tmp_path / "n.glb"), TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "n.glb"), TextureStore()).parts
     np.testing.assert_allclose(part.vertices, [[10, 0, 0], [10, 4, 0], [8, 0, 0]], atol=1e-6)
 
 
@@ -147,14 +147,14 @@ def test_triangles_strips_and_fans(tmp_path, gltf, mode, expected):
     del primitive["indices"]
     if mode == 4:
         primitive["indices"] = gltf.accessor(np.array([0, 1, 2], np.uint8))
-    (part,) = read_gltf(gltf.write(tmp_path / "m.glb"), TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "m.glb"), TextureStore()).parts
     assert part.faces.tolist() == expected
 
 
 def test_points_and_lines_are_passed_over(tmp_path, gltf):
     gltf.triangle_mesh(TRIANGLE, FACE, mode=0)
     gltf.triangle_mesh(TRIANGLE, FACE, mode=1)
-    assert read_gltf(gltf.write(tmp_path / "p.glb"), TextureStore()) == []
+    assert read_gltf(gltf.write(tmp_path / "p.glb"), TextureStore()).parts == []
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_gltf_finds_its_buffer_and_a_texture_above_its_folder(tmp_path, gltf):
     gltf.header["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for k in (0, 1)]
     missing = gltf.triangle_mesh(TRIANGLE, FACE, material=1)
     missing["attributes"]["TEXCOORD_0"] = primitive["attributes"]["TEXCOORD_0"]
-    parts = read_gltf(gltf.write(tmp_path / "models" / "room.gltf"), textures := TextureStore())
+    parts = read_gltf(gltf.write(tmp_path / "models" / "room.gltf"), textures := TextureStore()).parts
     assert [part.texture for part in parts] == [0, -1]
     assert textures.unreadable == ["gone.png"]
 
@@ -197,6 +197,6 @@ def test_a_black_surface_that_shines_shows_its_emission(tmp_path, gltf):
     gltf.header["textures"] = [{"source": 0}]
     black = {"pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}}
     gltf.header["materials"] = [{**black, "emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}]
-    (part,) = read_gltf(gltf.write(tmp_path / "e.glb"), TextureStore())
+    (part,) = read_gltf(gltf.write(tmp_path / "e.glb"), TextureStore()).parts
     assert part.texture == 0
     np.testing.assert_allclose(part.colors, 1.0)

@@ -134,6 +134,7 @@ def test_replica_and_matterport_are_recognised(replica_folder, tmp_path, gltf, m
     folder.mkdir(parents=True)
     gltf.triangle_mesh(*make_box((0, 0, 0), (4, 3, 2.5)))
     gltf.write(folder / "abc.glb")
+    (folder / "abc.house").touch()
     for spec in (f"{folder}", f"matterport3d:{folder}", f"matterport3d:{folder}/abc.glb", f"{folder}/abc.glb"):
         assert load_scene(spec).name == "abc"
     with pytest.raises(InputError, match="is a folder of scenes; give one of them: .*abc"):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.scenes import load_scene
 from activestructure_gym.scenes.matterport3d import is_matterport3d, load_matterport3d_scene
 
 
@@ -30,6 +31,26 @@ def test_a_folder_with_another_name_and_one_mesh(house):
     renamed = house.rename(house.with_name("my_house"))
     assert load_matterport3d_scene(renamed).name == "17DRP5sb8fy"
     assert not is_matterport3d(renamed)
+
+
+def test_a_folder_of_that_shape_is_no_matterport_scene(tmp_path, gltf, make_box):
+    """house/house.glb is anybody's; glTF's rule holds for it, and the option `up` is free."""
+    (tmp_path / "house").mkdir()
+    vertices, faces = make_box((-3, -2, 0), (3, 2, 2.6))
+    gltf.triangle_mesh(vertices[:, [0, 2, 1]] * (1, 1, -1), faces)
+    mesh_file = gltf.write(tmp_path / "house" / "house.glb")
+    mesh_file.with_suffix(".navmesh").write_bytes(b"of any Habitat scene")
+    for path in (mesh_file, mesh_file.parent):
+        assert not is_matterport3d(path)
+        assert load_scene(f"{path}?up=y").bounds[1].tolist() == pytest.approx([3, 2, 2.6])
+        assert load_scene(f"{path}?up=-y").bounds[1].tolist() == pytest.approx([3, 2, 0])
+
+
+@pytest.mark.parametrize("name", [".house", "_semantic.ply"])
+def test_one_file_of_the_dataset_is_enough(house, name):
+    for other in {".house", ".navmesh", "_semantic.ply"} - {name}:
+        (house / f"17DRP5sb8fy{other}").unlink()
+    assert is_matterport3d(house) and is_matterport3d(house / "17DRP5sb8fy.glb")
 
 
 def test_what_is_no_matterport_scene(tmp_path, house):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.scenes.mesh_loader import load_mesh_scene
 
 DAE = """<COLLADA><asset><unit meter="{meter}"/><up_axis>{up}_UP</up_axis></asset>
@@ -20,12 +20,17 @@ DAE = """<COLLADA><asset><unit meter="{meter}"/><up_axis>{up}_UP</up_axis></asse
 
 @pytest.fixture
 def write_box(tmp_path, make_box):
-    """Writes a box of 4 x 3 x 2.5 (times a factor) in the format of the suffix, and returns the path."""
+    """Writes a box of 4 x 3 x 2.5 (times a factor) in the format of the suffix, and returns the path.
+
+    glTF has y up, as its standard says.
+    """
     import trimesh
 
     def write(suffix: str, factor: float = 1.0):
         path = tmp_path / f"room{suffix}"
         vertices, faces = make_box((0, 0, 0), np.array([4, 3, 2.5]) * factor)
+        if suffix in (".glb", ".gltf"):
+            vertices = vertices[:, [0, 2, 1]] * (1, 1, -1)
         if suffix == ".dae":
             numbers = (" ".join(map(str, array.reshape(-1))) for array in (vertices, faces))
             path.write_text(DAE.format(meter=1, up="Z", positions=next(numbers), faces=next(numbers)))
@@ -45,9 +50,10 @@ def test_every_format_gives_the_same_room(write_box, suffix):
     np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [4, 3, 2.5]], atol=1e-6)
     assert len(scene.mesh.faces) == 12 and scene.name == "room" and scene.source.endswith(suffix)
     assert scene.notes[0] == "4.00 x 3.00 x 2.50 m (x, y, z), ceiling height 2.50 m: plausible"
-    # What the user has to know to trust a picture of it: only glTF leaves open which axis is up.
-    assert any("y-up" in note for note in scene.notes) == (suffix in (".glb", ".gltf"))
-    assert not any("y-up" in note for note in load_mesh_scene(scene.source, up="z").notes)
+    # What the user has to know to trust a picture of it: an empty box does not tell its floor from its ceiling.
+    up = "y" if suffix in (".glb", ".gltf") else "z"
+    assert any(note.startswith(f"{up} is up") for note in scene.notes)
+    assert not any("is up" in note for note in load_mesh_scene(scene.source, up=up).notes)
     assert any("one colour only" in note for note in scene.notes)
     mesh = scene.mesh
     assert (mesh.vertices.dtype, mesh.faces.dtype, mesh.colors.dtype) == (np.float32, np.int32, np.float32)
@@ -195,12 +201,16 @@ def test_the_scale_check_names_units_that_make_a_room(write_box, factor, said):
     assert "unusual" in note and said in note
 
 
-def test_a_scene_on_its_side_is_noticed(tmp_path, make_box):
+def test_a_scene_on_its_side_is_refused(tmp_path, make_box):
     import trimesh
 
     trimesh.Trimesh(*make_box((0, 0, 0), (6, 2.5, 5)), process=False).export(tmp_path / "side.stl")
-    assert "try up=y" in load_mesh_scene(tmp_path / "side.stl").notes[0]
+    message = _error(tmp_path / "side.stl")
+    assert "z is up for STL files, which do not say, but the geometry says y or -y" in message
+    assert message.endswith("give up=y or up=-y to follow the geometry, or up=z to insist")
     assert "plausible" in load_mesh_scene(tmp_path / "side.stl", up="y").notes[0]
+    with pytest.warns(InputWarning, match="up=z, though the geometry says y or -y"):
+        load_mesh_scene(tmp_path / "side.stl", up="z")
 
 
 @pytest.mark.parametrize("size", [(30.0, 1.6, 2.5), (1.2, 1.2, 2.4)])
@@ -244,7 +254,7 @@ def test_real_scenes_agree_with_trimesh(shared, name):
     import trimesh
 
     path = shared / "scenes" / f"{name}.glb"
-    scene = load_mesh_scene(path)
+    scene = load_mesh_scene(path, up="z")
     expected = trimesh.load_scene(path, process=False)
     np.testing.assert_allclose(scene.bounds, expected.bounds, atol=1e-5)
     corners = scene.mesh.vertices.astype(float)[scene.mesh.faces]

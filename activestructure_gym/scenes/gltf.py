@@ -27,12 +27,13 @@ from activestructure_gym.scenes.mesh_parts import (
     TextureStore,
     find_reference,
     placed,
-    srgb_from_linear,
 )
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_WRAPS = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
 
 _PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # linear; the specification's white would hide all shading
 
@@ -181,13 +182,15 @@ class _Document:
             linear = colors[:, :3] * np.asarray(material.get("factor", [1.0] * 4)[:3])
         else:
             linear = np.asarray(material.get("factor", _PLAIN)[:3], dtype=np.float64)
-        texture, uv = self._texture(material.get("texture"), attributes, used)
+        texture, uv, wrap = self._texture(material.get("texture"), attributes, used)
         return MeshPart(
             vertices=placed(positions[used].astype(np.float64), world_from_node),
             faces=_triangles(indices.astype(np.int64), mode),
-            colors=srgb_from_linear(linear),
+            colors=np.clip(linear, 0.0, 1.0),
             uv=uv,
             texture=texture,
+            wrap=wrap,
+            linear=True,
         )
 
     def _material(self, index: int | None) -> dict[str, Any]:
@@ -202,19 +205,22 @@ class _Document:
             metallic = material.get("pbrMetallicRoughness", {})
             factor, texture = metallic.get("baseColorFactor", [1.0] * 4), metallic.get("baseColorTexture")
         # Baked scenes are often exported as a black surface that shines with its texture.
-        if material.get("emissiveTexture") and (max(factor[:3]) < 1e-3 or texture is None):
+        if material.get("emissiveTexture") and max(factor[:3]) < 1e-3:
             factor, texture = material.get("emissiveFactor", [1.0] * 3), material["emissiveTexture"]
         return {"factor": factor, "texture": texture}
 
     def _texture(
         self, info: dict[str, Any] | None, attributes: dict[str, int], used: slice | np.ndarray
-    ) -> tuple[int, np.ndarray | None]:
+    ) -> tuple[int, np.ndarray | None, tuple[int, int]]:
+        """Index of the image, its coordinates [V, 2] and how it goes on across and down."""
+        nothing = -1, None, (REPEAT, REPEAT)
         if info is None:
-            return -1, None
+            return nothing
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
         uv_name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
         if uv_name not in attributes:
-            return -1, None
+            self.textures.without_uv.append(f"texture {info['index']}")
+            return nothing
         uv = self.accessor(attributes[uv_name])[used].astype(np.float64)
         if transform:
             angle = transform.get("rotation", 0.0)
@@ -225,8 +231,10 @@ class _Document:
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
         if source is None:
             self.textures.note_unreadable(f"texture {info['index']}")
-            return -1, None
-        return self._image(source), uv
+            return nothing
+        sampler = self.header["samplers"][texture["sampler"]] if "sampler" in texture else {}
+        across, down = (_WRAPS.get(sampler.get(key), REPEAT) for key in ("wrapS", "wrapT"))
+        return self._image(source), uv, (across, down)
 
     def _image(self, index: int) -> int:
         if index not in self._images:

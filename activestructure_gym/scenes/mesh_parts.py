@@ -18,7 +18,7 @@ import numpy as np
 
 from activestructure_gym.scenes.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.images import opened_image
-from activestructure_gym.scenes.scene import SceneMesh
+from activestructure_gym.scenes.scene import REPEAT, SceneMesh
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -37,9 +37,11 @@ class MeshPart:
 
     vertices: np.ndarray  # [V, 3] float64, file units, node transforms applied
     faces: np.ndarray  # [F, 3] integers
-    colors: np.ndarray  # [V, 3] or [3], display-referred 0..1: vertex colour times material colour
+    colors: np.ndarray  # [V, 3] or [3] in 0..1: vertex colour times material colour
     uv: np.ndarray | None = None  # [V, 2], v down from the image's top row
     texture: int = -1  # index in the `TextureStore`, -1 = none
+    wrap: tuple[int, int] = (REPEAT, REPEAT)  # of the texture, across and down
+    linear: bool = False  # colours are linear light; else display-referred
 
 
 @dataclass
@@ -159,18 +161,30 @@ def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1.0 / 2.4) - 0.055)
 
 
+def linear_from_srgb(srgb: np.ndarray) -> np.ndarray:
+    """The inverse of `srgb_from_linear`."""
+    srgb = np.clip(srgb, 0.0, 1.0)
+    return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4))
+
+
 def assemble(parts: Sequence[MeshPart], textures: Sequence[np.ndarray]) -> SceneMesh:
-    """One mesh from all parts, in their order."""
+    """One mesh from all parts, in their order.
+
+    The mesh has linear colours only where that makes a difference: where those of a part vary.
+    """
+    linear = any(part.linear and _varies(part.colors) for part in parts)
+    wrapped = _WrappedTextures(list(textures))
     vertices, faces, colors, uv, face_texture = [], [], [], [], []
     offset = 0
     for part in parts:
         count = len(part.vertices)
         vertices.append(np.asarray(part.vertices, dtype=np.float32))
         faces.append(np.asarray(part.faces, dtype=np.int32) + np.int32(offset))
-        colors.append(np.broadcast_to(np.asarray(part.colors, dtype=np.float32), (count, 3)))
+        colors.append(np.broadcast_to(np.asarray(_colors(part, linear), dtype=np.float32), (count, 3)))
         textured = part.texture >= 0 and part.uv is not None
         uv.append(np.asarray(part.uv, np.float32) if textured else np.zeros((count, 2), np.float32))
-        face_texture.append(np.full(len(part.faces), part.texture if textured else -1, np.int32))
+        texture = wrapped.index(part.texture, part.wrap) if textured else -1
+        face_texture.append(np.full(len(part.faces), texture, np.int32))
         offset += count
     return SceneMesh(
         vertices=np.concatenate(vertices),
@@ -178,5 +192,43 @@ def assemble(parts: Sequence[MeshPart], textures: Sequence[np.ndarray]) -> Scene
         colors=np.concatenate(colors),
         uv=np.concatenate(uv),
         face_texture=np.concatenate(face_texture),
-        textures=tuple(textures),
+        textures=tuple(wrapped.images),
+        texture_wrap=wrapped.wraps,
+        linear_colors=linear,
     )
+
+
+def _varies(colors: np.ndarray) -> bool:
+    return colors.ndim == 2 and bool((colors != colors[:1]).any())
+
+
+def _colors(part: MeshPart, linear: bool) -> np.ndarray:
+    if part.linear == linear:
+        return part.colors
+    return linear_from_srgb(part.colors) if linear else srgb_from_linear(part.colors)
+
+
+@dataclass
+class _WrappedTextures:
+    """An image goes on outside of itself in one way: one that is used in two ways is listed twice."""
+
+    images: list[np.ndarray]
+    _places: dict[tuple[int, tuple[int, int]], int] = field(default_factory=dict)
+
+    def index(self, image: int, wrap: tuple[int, int]) -> int:
+        """Where the image stands with this way to go on."""
+        if (image, wrap) not in self._places:
+            place = image
+            if any(image == known for known, _ in self._places):
+                place = len(self.images)
+                self.images.append(self.images[image])
+            self._places[image, wrap] = place
+        return self._places[image, wrap]
+
+    @property
+    def wraps(self) -> tuple[tuple[int, int], ...]:
+        """Of each image; () where all repeat."""
+        wraps = [(REPEAT, REPEAT)] * len(self.images)
+        for (_, wrap), place in self._places.items():
+            wraps[place] = wrap
+        return tuple(wraps) if any(map(any, wraps)) else ()

@@ -21,12 +21,17 @@ if TYPE_CHECKING:
     from activestructure_gym.scenes.sequence import PosedSequence
 
 
+# How a texture goes on outside of its image, along one axis.
+REPEAT, CLAMP, MIRROR = 0, 1, 2
+
+
 @dataclass(frozen=True)
 class SceneMesh:
     """Triangles with colour: texture (where a face has one) times vertex colour, clipped to [0, 1].
 
     Vertices are repeated along texture seams (the layout of glTF), so one uv per vertex is enough. Colours and
-    textures are display-referred (sRGB); vertex colours may exceed 1 where baked light does.
+    textures are display-referred (sRGB); vertex colours may exceed 1 where baked light does. With ``linear_colors``
+    the vertex colours are linear light, and become display-referred after they are interpolated (glTF 2.0, 3.9.2).
     """
 
     vertices: np.ndarray  # [V, 3] float32 metres, world (z up)
@@ -34,7 +39,9 @@ class SceneMesh:
     colors: np.ndarray  # [V, 3] float32
     uv: np.ndarray  # [V, 2] float32, v down from the image's top row; 0 where unused
     face_texture: np.ndarray  # [F] int32 index into textures, -1 = none
-    textures: tuple[np.ndarray, ...] = ()  # each [h, w, 3] uint8, wrapping around
+    textures: tuple[np.ndarray, ...] = ()  # each [h, w, 3] uint8
+    texture_wrap: tuple[tuple[int, int], ...] = ()  # of each texture across and down; () = all of them repeat
+    linear_colors: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,8 @@ class Scene:
         for array in (mesh.vertices, mesh.faces, mesh.colors, mesh.uv, mesh.face_texture, *mesh.textures):
             digest.update(str((array.shape, array.dtype.str)).encode())
             digest.update(np.ascontiguousarray(array).tobytes())
+        if mesh.texture_wrap or mesh.linear_colors:  # the exception, so that the keys of all other scenes stay
+            digest.update(str((mesh.texture_wrap, mesh.linear_colors)).encode())
         return digest.hexdigest()
 
     @cached_property

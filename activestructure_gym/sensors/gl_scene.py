@@ -24,9 +24,10 @@ import pyrender.mesh
 from OpenGL import EGL, GL
 from pyrender.constants import GLTF
 from pyrender.platforms.egl import EGLPlatform, get_device_by_index
+from pyrender.shader_program import ShaderProgramCache
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.scenes.scene import Scene, SceneMesh
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, SceneMesh
 
 if not hasattr(np, "infty"):
     # pyrender.Mesh.bounds needs the alias numpy 2 has dropped; give it to that module alone.
@@ -34,6 +35,7 @@ if not hasattr(np, "infty"):
 
 # Nearer surfaces are not drawn. With 24 bits of depth this leaves steps of 3e-5 m at 5 m.
 _NEAR = 0.05
+_WRAPS = {REPEAT: GLTF.REPEAT, CLAMP: GLTF.CLAMP_TO_EDGE, MIRROR: GLTF.MIRRORED_REPEAT}
 # OpenGL cameras look along -z with y up.
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -96,6 +98,23 @@ class _Renderer(pyrender.Renderer):
         return np.frombuffer(rgb, np.uint8).reshape(height, width, 3)[::-1], depth
 
 
+class _LinearColorPrograms(ShaderProgramCache):
+    """pyrender's shaders, with vertex colours that become display-referred after they are interpolated."""
+
+    def get_program(
+        self, vertex_shader: str, fragment_shader: str, geometry_shader: str | None = None, defines: Any = None
+    ) -> Any:
+        # pyrender replaces what is defined wherever it stands in the text of a shader.
+        defines = {**(defines or {}), "base_color *= color_multiplier;": _DISPLAYED}
+        return super().get_program(vertex_shader, fragment_shader, geometry_shader, defines)
+
+
+_DISPLAYED = (
+    "vec3 light = clamp(color_multiplier.rgb, 0.0, 1.0);"
+    "base_color.rgb *= mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, light));"
+)
+
+
 def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
     """One primitive per texture (and one for the faces without), holding the vertices it uses."""
     primitives = []
@@ -104,11 +123,14 @@ def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
         material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0))
         uv = None
         if texture >= 0:
+            across, down = mesh.texture_wrap[texture] if mesh.texture_wrap else (REPEAT, REPEAT)
             # Bilinear without mip maps, as the ray caster does; pyrender counts v from the bottom row.
             material.baseColorTexture = pyrender.Texture(
                 source=mesh.textures[texture],
                 source_channels="RGB",
-                sampler=pyrender.Sampler(magFilter=GLTF.LINEAR, minFilter=GLTF.LINEAR),
+                sampler=pyrender.Sampler(
+                    magFilter=GLTF.LINEAR, minFilter=GLTF.LINEAR, wrapS=_WRAPS[across], wrapT=_WRAPS[down]
+                ),
             )
             uv = np.stack([mesh.uv[used, 0], 1.0 - mesh.uv[used, 1]], axis=1)
         primitives.append(
@@ -153,6 +175,8 @@ class GLScene:
         GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
         GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
         self._platform, self._renderer = platform, _Renderer(1, 1)
+        if scene.mesh.linear_colors:
+            self._renderer._program_cache = _LinearColorPrograms()
         platform.make_uncurrent()
         self.close = weakref.finalize(self, _release, platform, self._renderer, os.getpid())
 

@@ -114,7 +114,7 @@ class RaycastRenderer:
             shade_pixels(
                 hits.face, hits.u, hits.v, rays_per_pixel, samples, tables.faces, tables.colors, tables.uv,
                 tables.face_texture, tables.texels, tables.texture_start, tables.texture_size,
-                rgb[rows].reshape(-1, 3),
+                tables.texture_wrap, tables.linear_colors, rgb[rows].reshape(-1, 3),
             )  # fmt: skip
 
         step = max(1, _RAYS_PER_BAND // (camera.width * rays_per_pixel))

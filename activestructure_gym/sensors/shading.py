@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.scenes.scene import Scene, SceneMesh
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, SceneMesh
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,8 @@ class ShadingTables:
     texels: np.ndarray  # [T, 3] uint8: the texels of all textures, one after the other, row by row
     texture_start: np.ndarray  # [K] int64: first texel of each texture
     texture_size: np.ndarray  # [K, 2] int64: height, width
+    texture_wrap: np.ndarray  # [K, 2] int64: how each goes on across and down
+    linear_colors: bool  # the vertex colours are linear light
 
 
 def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
@@ -46,6 +48,8 @@ def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
     for texture in textures:
         if texture.ndim != 3 or texture.shape[2] != 3 or texture.dtype != np.uint8 or not texture.size:
             raise ValueError(f"a texture must be [h, w, 3] uint8, got {texture.shape} {texture.dtype}")
+    if len(mesh.texture_wrap) not in (0, len(textures)):
+        raise ValueError(f"texture_wrap needs one entry for each of {len(textures)} textures, or none at all")
     sizes = np.array([texture.shape[:2] for texture in textures], np.int64).reshape(-1, 2)
     counts = sizes.prod(axis=1)
     return ShadingTables(
@@ -56,6 +60,8 @@ def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
         texels=np.concatenate([texture.reshape(-1, 3) for texture in textures] or [np.zeros((1, 3), np.uint8)]),
         texture_start=np.cumsum(counts) - counts,
         texture_size=sizes,
+        texture_wrap=np.array(mesh.texture_wrap or [(REPEAT, REPEAT)] * len(textures), np.int64).reshape(-1, 2),
+        linear_colors=bool(mesh.linear_colors),
     )
 
 
@@ -72,15 +78,23 @@ def shading_tables_of(scene: Scene) -> ShadingTables:
 
 
 @kernel
-def _wrapped_texel(coordinate, size):
-    """Lower texel, upper texel and the upper one's share along one axis that repeats; texel i is centred at i + 0.5."""
-    coordinate -= np.floor(coordinate)
-    if not coordinate >= 0.0:  # infinite or not a number: any texel, but one inside the texture
+def _wrapped_texel(coordinate, size, wrap):
+    """Lower texel, upper texel and the upper one's share along one axis; texel i is centred at i + 0.5."""
+    if wrap == CLAMP:
+        coordinate = min(coordinate, np.float32(1.0))
+    elif wrap == MIRROR:
+        coordinate -= np.float32(2.0) * np.floor(np.float32(0.5) * coordinate)
+        coordinate = min(coordinate, np.float32(2.0) - coordinate)
+    else:
+        coordinate -= np.floor(coordinate)
+    if not coordinate >= 0.0:  # before a clamped edge, infinite or not a number: a texel inside the texture
         coordinate = np.float32(0.0)
     position = coordinate * np.float32(size) - np.float32(0.5)
     lower = int(np.floor(position))
     share = position - np.float32(lower)
     upper = lower + 1
+    if wrap != REPEAT:  # the texel beside an edge is the edge's own, clamped or mirrored
+        return min(max(lower, 0), size - 1), min(upper, size - 1), share
     if lower < 0:
         lower += size
     if upper >= size:
@@ -88,6 +102,15 @@ def _wrapped_texel(coordinate, size):
     if lower >= size:  # coordinate just below 1 rounds up to size
         lower -= size
     return lower, upper, share
+
+
+@kernel
+def _displayed(linear):
+    """The display-referred value of a linear one (IEC 61966-2-1)."""
+    linear = min(max(linear, np.float32(0.0)), np.float32(1.0))
+    if linear <= np.float32(0.0031308):
+        return np.float32(12.92) * linear
+    return np.float32(1.055) * linear ** np.float32(1.0 / 2.4) - np.float32(0.055)
 
 
 @kernel
@@ -104,6 +127,8 @@ def shade_pixels(
     texels,
     texture_start,
     texture_size,
+    texture_wrap,
+    linear_colors,
     rgb,  # [P, 3] uint8, written
 ):
     """Mean colour of each pixel's samples; a sample that hit nothing counts as black."""
@@ -122,11 +147,14 @@ def shade_pixels(
             r = a * colors[i, 0] + b * colors[j, 0] + c * colors[k, 0]
             g = a * colors[i, 1] + b * colors[j, 1] + c * colors[k, 1]
             l = a * colors[i, 2] + b * colors[j, 2] + c * colors[k, 2]
+            if linear_colors:
+                r, g, l = _displayed(r), _displayed(g), _displayed(l)
             texture = face_texture[triangle]
             if texture >= 0:
                 height, width = texture_size[texture, 0], texture_size[texture, 1]
-                x0, x1, sx = _wrapped_texel(a * uv[i, 0] + b * uv[j, 0] + c * uv[k, 0], width)
-                y0, y1, sy = _wrapped_texel(a * uv[i, 1] + b * uv[j, 1] + c * uv[k, 1], height)
+                across, down = texture_wrap[texture, 0], texture_wrap[texture, 1]
+                x0, x1, sx = _wrapped_texel(a * uv[i, 0] + b * uv[j, 0] + c * uv[k, 0], width, across)
+                y0, y1, sy = _wrapped_texel(a * uv[i, 1] + b * uv[j, 1] + c * uv[k, 1], height, down)
                 top, bottom = texture_start[texture] + y0 * width, texture_start[texture] + y1 * width
                 w00, w01 = (one - sy) * (one - sx) * to_unit, (one - sy) * sx * to_unit
                 w10, w11 = sy * (one - sx) * to_unit, sy * sx * to_unit

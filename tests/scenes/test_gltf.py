@@ -9,7 +9,8 @@ from PIL import Image
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.gltf import read_gltf
-from activestructure_gym.scenes.mesh_parts import TextureStore, srgb_from_linear
+from activestructure_gym.scenes.mesh_parts import TextureStore, assemble, srgb_from_linear
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 TRIANGLE = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]], dtype=np.float32)
 FACE = np.array([[0, 1, 2]])
@@ -51,7 +52,7 @@ def test_trimesh_reads_the_same_geometry_and_colours(tmp_path, rng):
     theirs = soup([mesh.triangles for mesh in expected.dump(concatenate=False)])
     np.testing.assert_allclose(ours, theirs, atol=2e-4)
     ball = next(part for part in parts if part.texture < 0)
-    np.testing.assert_allclose(ball.colors, srgb_from_linear(colored.visual.vertex_colors[:, :3] / 255.0), atol=1e-6)
+    np.testing.assert_allclose(ball.colors, colored.visual.vertex_colors[:, :3] / 255.0, atol=1e-6)
 
 
 def test_factors_are_linear_and_multiply_vertex_colours_and_textures(tmp_path, gltf):
@@ -66,7 +67,9 @@ def test_factors_are_linear_and_multiply_vertex_colours_and_textures(tmp_path, g
     (part,) = read_gltf(gltf.write(tmp_path / "a.glb"), textures := TextureStore()).parts
     assert part.texture == 0 and tuple(textures.images[0][0, 0]) == (200, 100, 50)
     # By hand: 0.21404 linear is 0.5 in sRGB; 128 / 255 = 0.502 linear is 0.7366, and 0.502 * 0.214 is 0.3615.
-    np.testing.assert_allclose(part.colors, [[0.5, 1, 1], [0.3615, 0.7366, 0.7366], [0, 0, 0]], atol=2e-4)
+    expected = [[0.5, 1, 1], [0.3615, 0.7366, 0.7366], [0, 0, 0]]
+    np.testing.assert_allclose(srgb_from_linear(part.colors), expected, atol=2e-4)
+    assert part.linear  # and are interpolated so
     np.testing.assert_array_equal(part.uv, UV)
 
 
@@ -200,3 +203,29 @@ def test_a_black_surface_that_shines_shows_its_emission(tmp_path, gltf):
     (part,) = read_gltf(gltf.write(tmp_path / "e.glb"), TextureStore()).parts
     assert part.texture == 0
     np.testing.assert_allclose(part.colors, 1.0)
+
+
+def test_a_white_surface_that_shines_stays_white(tmp_path, gltf):
+    gltf.triangle_mesh(TRIANGLE, FACE, material=0)["attributes"]["TEXCOORD_0"] = gltf.accessor(UV)
+    gltf.header["images"] = [{"bufferView": gltf.view(_png())}]
+    gltf.header["textures"] = [{"source": 0}]
+    gltf.header["materials"] = [{"emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}]
+    (part,) = read_gltf(gltf.write(tmp_path / "e.glb"), TextureStore()).parts
+    assert part.texture == -1
+    np.testing.assert_allclose(part.colors, 1.0)
+
+
+def test_samplers_say_how_a_texture_goes_on(tmp_path, gltf):
+    uv = gltf.accessor(UV)
+    for material in range(3):
+        gltf.triangle_mesh(TRIANGLE, FACE, material=material)["attributes"]["TEXCOORD_0"] = uv
+    gltf.header["images"] = [{"bufferView": gltf.view(_png())}]
+    gltf.header["samplers"] = [{"wrapS": 33071, "wrapT": 33648}, {"magFilter": 9729}]
+    gltf.header["textures"] = [{"source": 0, "sampler": 0}, {"source": 0, "sampler": 1}, {"source": 0}]
+    gltf.header["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for k in range(3)]
+    parts = read_gltf(gltf.write(tmp_path / "w.glb"), textures := TextureStore()).parts
+    assert [part.wrap for part in parts] == [(CLAMP, MIRROR), (REPEAT, REPEAT), (REPEAT, REPEAT)]
+    mesh = assemble(parts, textures.images)
+    # One image, used in two ways: listed twice.
+    assert mesh.face_texture.tolist() == [0, 1, 1] and mesh.texture_wrap == ((CLAMP, MIRROR), (REPEAT, REPEAT))
+    assert mesh.textures[0] is mesh.textures[1]

@@ -79,3 +79,23 @@ def test_parts_keep_their_order_and_their_own_vertices():
     assert mesh.face_texture.tolist() == [-1, 0, -1]
     np.testing.assert_array_equal(mesh.uv[3:6], uv)
     np.testing.assert_array_equal(mesh.colors[0], [1, 0, 0])
+
+
+def test_colours_are_linear_only_where_it_makes_a_difference():
+    triangle, face = np.eye(3), np.array([[0, 1, 2]])
+    plain = MeshPart(triangle, face, np.full(3, 0.21404), linear=True)
+    grey = MeshPart(triangle, face, np.full(3, 0.5))
+    shaded = MeshPart(triangle, face, np.eye(3), linear=True)
+    mesh = assemble([plain, grey], ())
+    assert not mesh.linear_colors
+    np.testing.assert_allclose(mesh.colors, 0.5, atol=1e-4)
+    mesh = assemble([plain, grey, shaded], ())
+    assert mesh.linear_colors
+    np.testing.assert_allclose(mesh.colors[:6], 0.21404, atol=1e-4)
+    np.testing.assert_array_equal(mesh.colors[6:], np.eye(3))
+
+
+def test_textures_that_repeat_keep_their_places():
+    part = MeshPart(np.eye(3), np.array([[0, 1, 2]]), np.ones(3), uv=np.zeros((3, 2)), texture=1)
+    mesh = assemble([part, part], [np.zeros((2, 2, 3), np.uint8)] * 3)
+    assert mesh.face_texture.tolist() == [1, 1] and len(mesh.textures) == 3 and mesh.texture_wrap == ()

@@ -6,13 +6,14 @@ import subprocess
 import sys
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene
 from activestructure_gym.sensors import make_renderer
 from activestructure_gym.sensors.pyrender_backend import PyrenderRenderer
 
@@ -35,6 +36,17 @@ def test_agrees_with_ray_casting(needs_gl, cluttered_room, room_poses, supersamp
     assert (errors > 0.01).mean() < 1e-3
     # Same filter, so the same colours: half a grey level of rounding and some pixels along silhouettes.
     assert np.mean(colors) < 0.5
+
+
+def test_linear_colours_and_wrapped_textures_agree_with_ray_casting(needs_gl, cluttered_room, room_poses):
+    mesh = cluttered_room.mesh
+    colors = np.random.default_rng(3).random(mesh.colors.shape, np.float32)
+    wraps = ((CLAMP, MIRROR), (MIRROR, CLAMP), (REPEAT, CLAMP))
+    mesh = replace(mesh, colors=colors, uv=3 * mesh.uv - 1, texture_wrap=wraps, linear_colors=True)
+    scene = Scene("odd", mesh, "tests")
+    for pose in room_poses[:3]:
+        seen = [make_renderer(name, scene).render(CAMERA, pose)[0].astype(int) for name in ("raycast", "pyrender")]
+        assert np.abs(seen[0] - seen[1]).mean() < 0.5
 
 
 def test_nothing_ahead_is_black_with_depth_0(needs_gl, box_room):

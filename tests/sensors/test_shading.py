@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, transform_points
-from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene
 from activestructure_gym.sensors.raycast import RaycastRenderer
 from activestructure_gym.sensors.shading import make_shading_tables
 
@@ -45,10 +45,10 @@ def test_agrees_with_plain_numpy(cluttered_room, room_poses, supersample):
         assert rgb.std() > 20  # the room is not grey
 
 
-def ahead(make_quad, merge, uv, texture, color=(1, 1, 1)):
+def ahead(make_quad, merge, uv, texture, color=(1, 1, 1), **changes):
     """The colour of one pixel looking at the centre of a quad whose corners have the given uv."""
     corners = [[-2, -1, 1], [2, -1, 1], [2, 1, 1], [-2, 1, 1]]
-    scene = Scene("quad", merge([make_quad(corners, color, uv, 0)], [texture]), "tests")
+    scene = Scene("quad", replace(merge([make_quad(corners, color, uv, 0)], [texture]), **changes), "tests")
     return RaycastRenderer(scene).render(PinholeCamera(1, 1, 1.0, 1.0, 0.5, 0.5), np.eye(4), supersample=1)[0][0, 0]
 
 
@@ -61,6 +61,36 @@ def test_textures_repeat_and_blend_across_the_seam(make_quad, merge):
             np.testing.assert_allclose(color, expected, atol=1)
 
 
+# Four texels centred at 1/8, 3/8, 5/8, 7/8; what stands outside of the image, at u, by the definition of each mode.
+OUTSIDE = [
+    (REPEAT, 1.125, 0), (REPEAT, -0.125, 240), (REPEAT, 1.0, 120), (REPEAT, 2.375, 80),
+    (CLAMP, 1.125, 240), (CLAMP, -0.125, 0), (CLAMP, 1.0, 240), (CLAMP, 40.0, 240), (CLAMP, -40.0, 0),
+    (CLAMP, 0.5, 120), (MIRROR, 1.125, 240), (MIRROR, -0.125, 0), (MIRROR, 1.0, 240), (MIRROR, 1.375, 160),
+    (MIRROR, 2.375, 80), (MIRROR, -1.875, 0), (MIRROR, 1.5, 120), (MIRROR, 0.5, 120), (MIRROR, 2.0, 0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrap, u, expected", OUTSIDE)
+@pytest.mark.parametrize("down", [False, True])
+def test_how_a_texture_goes_on(make_quad, merge, wrap, u, expected, down):
+    texture = np.repeat(np.array([[0, 80, 160, 240]], np.uint8)[..., None], 3, axis=2)
+    uv, wraps = [u, 0.5], (wrap, CLAMP)
+    if down:
+        texture, uv, wraps = texture.transpose(1, 0, 2), uv[::-1], wraps[::-1]
+    color = ahead(make_quad, merge, np.tile(uv, (4, 1)), texture, texture_wrap=(wraps,))
+    np.testing.assert_allclose(color, expected, atol=1)
+
+
+def test_linear_vertex_colours_become_display_values_after_interpolation(make_quad, merge):
+    """Half way between black and white, in light: 0.5 linear is 188 in sRGB; interpolated as sRGB it would be 128."""
+    colors = np.array([[0, 0, 0], [1, 1, 1], [1, 1, 1], [0, 0, 0]], float)
+    white = np.full((1, 1, 3), 255, np.uint8)
+    seen = [ahead(make_quad, merge, np.zeros((4, 2)), white, colors, linear_colors=linear) for linear in (True, False)]
+    np.testing.assert_allclose(seen, [[188] * 3, [128] * 3], atol=1)
+    dark = np.full((4, 3), 0.002)  # below the break of the curve: 12.92 * 0.002 * 255 = 6.6
+    assert ahead(make_quad, merge, np.zeros((4, 2)), white, dark, linear_colors=True).tolist() == [7, 7, 7]
+
+
 def test_texture_times_vertex_colour_is_clipped(make_quad, merge):
     texture = np.full((2, 2, 3), (100, 100, 200), np.uint8)
     color = ahead(make_quad, merge, np.zeros((4, 2)), texture, color=(0.5, 1.5, 2.0))
@@ -68,9 +98,11 @@ def test_texture_times_vertex_colour_is_clipped(make_quad, merge):
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 3e38, -3e38])
-def test_unusable_uv_stays_inside_the_texture(make_quad, merge, wrong):
+@pytest.mark.parametrize("wrap", [REPEAT, CLAMP, MIRROR])
+def test_unusable_uv_stays_inside_the_texture(make_quad, merge, wrong, wrap):
     texture = np.full((3, 5, 3), 77, np.uint8)
-    assert ahead(make_quad, merge, np.full((4, 2), wrong), texture).tolist() == [77, 77, 77]
+    color = ahead(make_quad, merge, np.full((4, 2), wrong), texture, texture_wrap=((wrap, wrap),))
+    assert color.tolist() == [77, 77, 77]
 
 
 @pytest.mark.parametrize(
@@ -81,6 +113,7 @@ def test_unusable_uv_stays_inside_the_texture(make_quad, merge, wrong):
         ({"face_texture": np.zeros(3, np.int32)}, "one entry for each of 12 faces"),
         ({"uv": np.zeros((3, 2), np.float32)}, "one row per vertex"),
         ({"textures": (np.zeros((2, 2, 4), np.uint8),) * 3}, "a texture must be"),
+        ({"texture_wrap": ((REPEAT, CLAMP),)}, "texture_wrap needs one entry for each of 3"),
     ],
 )
 def test_a_mesh_the_kernel_could_not_index_is_refused(box_room, change, message):

@@ -32,7 +32,7 @@ Begin with `asg compare`: two planners in a furnished room, in less than a minut
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
+    if not arguments or arguments[0] in ("-h", "--help") or arguments == ["help"]:
         print(HELP)
         return 0
     if arguments[0] == "--version":
@@ -41,10 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"activestructure-gym {__version__}")
         return 0
     set_passive_waiting()
-    # As `python -m` does: "my_policy:MyPolicy" is found in the working directory.
-    if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.insert(0, os.getcwd())
     try:
+        _find_in_working_directory()
         return _run(arguments)
     except InputError as error:
         print(f"asg: {error}", file=sys.stderr)
@@ -58,17 +56,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
 
 
-def _run(arguments: Sequence[str]) -> int:
-    import tyro
+def _find_in_working_directory() -> None:
+    """Let ``my_policy:MyPolicy`` be found there, but nothing in the place of an installed package."""
+    try:
+        here = os.getcwd()
+    except FileNotFoundError:  # deleted meanwhile
+        raise InputError("the working directory does not exist any more; change into another one") from None
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
 
+
+def _run(arguments: Sequence[str]) -> int:
     from activestructure_gym.errors import unknown_name
-    from activestructure_gym.evaluation.cli.commands import COMMANDS, Command
+    from activestructure_gym.evaluation.cli.commands import COMMANDS
+    from activestructure_gym.evaluation.cli.parsing import parse
 
     name, *rest = arguments
+    if name == "help":
+        name, rest = rest[0], ["--help"]
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     try:
-        command: Command = tyro.cli(COMMANDS[name], prog=f"asg {name}", args=rest)
-    except SystemExit as end:  # help, or a mistyped option; tyro has printed what there is to say
-        return end.code if isinstance(end.code, int) else 2
+        command = parse(COMMANDS[name], name, rest)
+    except SystemExit:  # after help
+        return 0
     return command.run()

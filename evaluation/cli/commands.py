@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import tyro
 
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+def _option(metavar: str, default: str | None = None) -> Any:
+    """What help calls a value, and what it says of the default where the value itself says nothing."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=default)
+
+
+Names = Annotated[tuple[str, ...], _option("NAME [NAME ...]")]
+NoNames = Annotated[tuple[str, ...], _option("NAME [NAME ...]", "")]
+Changes = Annotated[tuple[str, ...], _option("FIELD=VALUE [FIELD=VALUE ...]", "")]
+Text = Annotated[str | None, _option("TEXT", "")]
+Path = Annotated[str | None, _option("PATH", "")]
+Count = Annotated[int | None, _option("N", "")]
+Runs = Annotated[tuple[str, ...], tyro.conf.Positional, _option("[RUN ...]", "")]
 
 
 @dataclass(frozen=True)
@@ -17,46 +31,53 @@ class Compare:
     Without any option: `random` against `pixel_only` in a furnished room, in less than a minute.
     """
 
-    scenes: tuple[str, ...] = ()
+    scenes: Annotated[tuple[str, ...], _option("SCENE [SCENE ...]", "(default: room)")] = ()
     """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
-    policies: tuple[str, ...] = ("random", "pixel_only")
-    """Who explores: names, package.module:Class, `ladder` (the paper's ablation, A to E), or `all`. Options stand
-    behind a question mark: "active_gs?travel=shared" is a planner with everybody's travel term (docs/planners.md)."""
-    seeds: tuple[str, ...] = ("0",)
+    policies: Names = ("random", "pixel_only")
+    (
+        "Who explores: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A to E), or "
+        '`all`. Options stand behind a question mark: "active_gs?travel=shared" is a planner with everybody\'s travel '
+        "term."
+    )
+    seeds: Annotated[tuple[str, ...], _option("N [N ...]")] = ("0",)
     """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
-    preset: str | None = None
-    """fast, default or paper."""
-    frames: int | None = None
+    preset: Annotated[str | None, _option("fast|default|paper", "(default: default)")] = None
+    """What `asg config PRESET` prints."""
+    frames: Count = None
     """Frame budget of every episode; the preset's if not given."""
-    out: str | None = None
+    out: Path = None
     """Directory for the results; runs/<date>-<time> if not given."""
     resume: Switch = False
-    """Go on with the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given as
-    well are added to it; everything else stays as it was."""
-    engine: str = "local"
-    """local: one process per run, several at a time; inline: one after the other in this process; ray: on a cluster
-    (docs/grid.md)."""
+    (
+        "Go on with the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given "
+        "as well are added to it; everything else stays as it was."
+    )
+    engine: Annotated[str, _option("local|inline|ray")] = "local"
+    (
+        "local: one process per run, several at a time; inline: one after the other in this process; ray: on a Ray "
+        "cluster."
+    )
     workers: int = 0
     """Runs at a time; 0 is one per core."""
     timeout: float = 0.0
     """Minutes after which a run is stopped and tried again; 0 is any time."""
     retries: int = 1
     """How often a run is tried again that was killed or ran out of time."""
-    start: str | None = None
+    start: Annotated[str | None, _option("X,Y,Z,YAW", "")] = None
     """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
-    set: tuple[str, ...] = ()
-    """Changes of the configuration, e.g. sensor.depth_noise=kinect mapper.iterations=8."""
-    views: int | None = None
+    set: Changes = ()
+    """Changes of the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
+    views: Annotated[int | None, _option("N", "(default: 64)")] = None
     """Held-out views that PSNR and SSIM are measured on."""
-    protocols: tuple[str, ...] = ("standard",)
-    """What finished maps are measured by: standard always is, activegamer can be as well (docs/protocols.md)."""
-    lpips_weights: str | None = None
-    """Folder with AlexNet's and LPIPS's weights; see docs/protocols.md. Also: ASG_LPIPS_WEIGHTS, torch's hub cache."""
-    samples: int | None = None
-    """Points of the true surface that geometry is measured on, seen or not; 200000 if not given."""
+    protocols: Names = ("standard",)
+    """What finished maps are measured by: standard always is, activegamer can be as well."""
+    lpips_weights: Path = None
+    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+    samples: Annotated[int | None, _option("N", "(default: 200000)")] = None
+    """Points of the true surface that geometry is measured on, seen or not."""
     view_source: Literal["free_space", "recorded"] = "free_space"
     """Drawn in the scene's free space, or recorded with the scene."""
-    baseline: str | None = None
+    baseline: Text = None
     """The policy the report measures the others against; see `asg report --help`."""
 
     def run(self) -> int:
@@ -70,9 +91,9 @@ class Compare:
 class Scenes:
     """List the scenes known by name, or check one: size, free space, what of it can be seen."""
 
-    spec: Annotated[str | None, tyro.conf.Positional] = None
+    spec: Annotated[str | None, tyro.conf.Positional, _option("[SCENE]", "")] = None
     """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=y) or a folder."""
-    picture: str | None = None
+    picture: Path = None
     """Write a picture of the scene to this PNG file."""
 
     def run(self) -> int:
@@ -104,20 +125,24 @@ class Bench:
         tyro.conf.Positional,
     ]
     """The part to measure."""
-    scene: str | None = None
-    """The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), that are mapped (two
-    apartments), that a grid explores (room), where policies decide or that steps are taken in (apartment?rooms=3);
-    separated by commas."""
-    out: str | None = None
+    scene: Annotated[str | None, _option("SCENE,...", "")] = None
+    (
+        "The scenes the sensor looks at (room), whose planes are sought (a room and an apartment), that are mapped "
+        "(two apartments), that a grid explores (room), where policies decide or that steps are taken in "
+        "(apartment?rooms=3); separated by commas."
+    )
+    out: Path = None
     """Directory for the figure and the numbers of mapping and growth; only printed if not given."""
     quick: Switch = False
     """Planes, mapping, growth, grid, evaluation, policies and env in small, to see that they run."""
-    preset: Annotated[str, tyro.conf.arg(metavar="fast|default|paper")] = "fast"
+    preset: Annotated[str, _option("fast|default|paper")] = "fast"
     """Of env."""
 
-    workloads: tuple[str, ...] = ("W1", "W2", "W3", "W4")
-    """Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k
-    (W3), and 64 candidate views of 50k (W4)."""
+    workloads: Names = ("W1", "W2", "W3", "W4")
+    (
+        "Of splatting: mapping iterations at 160x120 with 20k Gaussians (W1), 320x240 with 80k (W2), 640x480 with 300k "
+        "(W3), and 64 candidate views of 50k (W4)."
+    )
     repeats: int = 15
     """How often everything of splatting is timed."""
     baseline: bool = True
@@ -137,20 +162,20 @@ class Evaluate:
     With --map and --scene: measure a map of any origin.
     """
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    runs: Runs = ()
     """Run directories, or a comparison's directory for all of its runs."""
-    protocol: tuple[str, ...] = ()
+    protocol: NoNames = ()
     """standard, activegamer, or both; those that the run was measured by if not given. New numbers are kept."""
-    map: str | None = None
+    map: Path = None
     """A map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
-    scene: str | None = None
+    scene: Annotated[str | None, _option("SCENE", "")] = None
     """The scene of --map."""
-    poses: str | None = None
+    poses: Path = None
     """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
-    out: str | None = None
+    out: Path = None
     """Write the numbers of --map to this JSON file."""
-    lpips_weights: str | None = None
-    """Folder with AlexNet's and LPIPS's weights; see docs/protocols.md. Also: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+    lpips_weights: Path = None
+    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
 
     def run(self) -> int:
         """See `evaluate.evaluate`."""
@@ -164,12 +189,11 @@ class Train:
     """Train a learned policy on procedural apartments, or score policies on layouts nobody was trained on.
 
     bc copies an expert, rank learns the order of its gains, ppo learns from rewards (best from a checkpoint of bc).
-    Commands and what they write: docs/learning.md.
     """
 
     what: Annotated[Literal["bc", "rank", "ppo", "score"], tyro.conf.Positional]
     """The method, or score."""
-    out: str | None = None
+    out: Path = None
     """The run's directory; runs/<method>-<date>-<time> if not given. Its policy is learned:DIRECTORY."""
     resume: Switch = False
     """Go on with the run in --out, with everything as it was begun; no other option is needed."""
@@ -178,34 +202,34 @@ class Train:
     workers: int = 0
     """Processes at a time; 0 is one per core. Changes no result."""
 
-    preset: str = "fast"
-    """fast, default or paper."""
-    frames: int | None = None
+    preset: Annotated[str, _option("fast|default|paper")] = "fast"
+    """What `asg config PRESET` prints."""
+    frames: Count = None
     """Frame budget of every episode; the preset's if not given."""
-    set: tuple[str, ...] = ()
-    """Changes of the configuration, e.g. mapper.iterations=0."""
-    layouts: int | None = None
+    set: Changes = ()
+    """Changes of the configuration (see `asg config`), e.g. mapper.iterations=0."""
+    layouts: Count = None
     """Procedural apartments to train on (240 if not given); of score: to test on, one episode each (24)."""
-    rooms: tuple[int, ...] = (1, 2, 3)
+    rooms: Annotated[tuple[int, ...], _option("N [N ...]")] = (1, 2, 3)
     """Rooms of the layouts, in turn."""
-    gains: tuple[str, ...] = ("pixel", "hole_area")
-    """What the policy is told about every candidate."""
+    gains: Names = ("pixel", "hole_area")
+    """What the policy is told about every candidate (see `asg features`)."""
     noise: bool = True
     """Another sensor noise in every training episode; validation and score are without."""
     reward: Literal["rate", "auc", "env"] = "rate"
     """What PPO is paid: new surface per frame spent, the area under the coverage, or the environment's reward."""
 
-    teacher: str = "oracle"
+    teacher: Annotated[str, _option("NAME")] = "oracle"
     """bc, rank: oracle (the true new surface of every candidate), or the gain a greedy expert goes by (hole_area)."""
     episodes: int = 480
     """bc, rank: episodes of the expert, two on each layout."""
     temperature: float = 0.04
     """bc: how sharply its probabilities fall with the expert's score; what PPO begins from draws from them."""
-    data: str | None = None
+    data: Path = None
     """bc, rank: directory of the expert's episodes, to share it between runs; --out's own if not given."""
     epochs: int = 60
     """bc, rank."""
-    start: str | None = None
+    start: Path = None
     """ppo: the checkpoint to begin from (a run's directory or a file)."""
     iterations: int = 40
     """ppo: of --envs times --steps steps each."""
@@ -215,20 +239,20 @@ class Train:
     """ppo: environments at a time; changes results, unlike --workers."""
     gamma: float = 0.3
     """ppo: discount per decision."""
-    learning_rate: float | None = None
+    learning_rate: Annotated[float | None, _option("X", "")] = None
     """1e-3; of ppo 3e-4, from a checkpoint 5e-5."""
     validate_every: int = 10
     """Epochs or iterations between validations."""
     validation_layouts: int = 36
     """Apartments to validate on, one episode each."""
 
-    policies: tuple[str, ...] = ("pixel_only", "hole_area")
+    policies: Names = ("pixel_only", "hole_area")
     """score: who plays, beside random and the one-step oracle."""
-    scenes: tuple[str, ...] = ()
+    scenes: Annotated[tuple[str, ...], _option("SCENE [SCENE ...]", "")] = ()
     """score: further scenes, each with an episode per seed."""
-    seeds: tuple[str, ...] = tuple(str(seed) for seed in range(20))
+    seeds: Annotated[tuple[str, ...], _option("N [N ...]", "(default: 0 to 19)")] = tuple(str(n) for n in range(20))
     """score: of the episodes on --scenes; each takes the scene's next start pose."""
-    baseline: tuple[str, ...] = ()
+    baseline: NoNames = ()
     """score: whom the others are measured against, a column for each; pixel_only if not given, where it plays."""
 
     def run(self) -> int:
@@ -242,13 +266,15 @@ class Train:
 class Report:
     """Write the report of finished runs: one page that needs nothing else, and tables as Markdown, CSV and LaTeX."""
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, _option("RUN [RUN ...]", "")]
     """Directories of comparisons, of single runs, or both; made under the same conditions."""
-    out: str | None = None
+    out: Path = None
     """Directory for the report; that of the comparison if one is given, else runs/report-<date>-<time>."""
-    baseline: str | None = None
-    """The policy the others are measured against; if not given, the first of activestructure-a, pixel_only and random
-    that took part."""
+    baseline: Text = None
+    (
+        "The policy the others are measured against; if not given, the first of activestructure-a, pixel_only and "
+        "random that took part."
+    )
 
     def run(self) -> int:
         """See `report.report`."""
@@ -261,11 +287,11 @@ class Report:
 class Export:
     """Write a run's map in a format that other programs read."""
 
-    run_directory: Annotated[str, tyro.conf.Positional]
+    run_directory: Annotated[str, tyro.conf.Positional, _option("RUN")]
     """The directory of a finished run."""
     format: Literal["ply", "splatam"] = "ply"
     """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splatam: SplaTAM's params.npz, with the path."""
-    out: str | None = None
+    out: Path = None
     """The file; map.ply or params.npz in the working directory if not given."""
 
     def run(self) -> int:

@@ -50,9 +50,7 @@ class Bar:
     tone: str = ""  # "good" or "bad": the interval excludes 0
 
 
-def line_chart(
-    lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()
-) -> Html:
+def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()) -> Html:
     """Curves with bands over an axis from 0; the vertical axis reaches what it ``holds``, wherever the curves are."""
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
@@ -155,9 +153,7 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
     parts.append(_words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"))
     middle = height / 2
     parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
-    return element(
-        "svg", *parts, class_="chart panels", viewBox=f"0 0 {width} {height}", role="img", aria_label=title
-    )
+    return element("svg", *parts, class_="chart panels", viewBox=f"0 0 {width} {height}", role="img", aria_label=title)
 
 
 def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Html:

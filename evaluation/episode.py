@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation import machine, store
 from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.plane_record import graph_arrays, graph_summary
@@ -170,7 +170,7 @@ class _Episode:
         truncated = False
         while not (ended or truncated):
             began = time.perf_counter()
-            action = int(policy.act(observation))
+            action = self._chosen(policy.act(observation))
             self._policy_seconds += time.perf_counter() - began
             step = self._describe(observation, action)
             observation, _, ended, truncated, info = env.step(action)
@@ -184,6 +184,12 @@ class _Episode:
             self.tell(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
         self.ended = "frame budget used up" if truncated else "no candidate left"
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
+
+    def _chosen(self, row: Any) -> int:
+        if not self.env.action_space.contains(row):
+            last = int(self.env.action_space.n) - 1
+            raise InputError(f"policy '{self.job.policy}': act() must return a row from 0 to {last}, got {shown(row)}")
+        return int(row)
 
     @property
     def last_ratio(self) -> float | None:

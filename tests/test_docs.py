@@ -65,8 +65,9 @@ def readme_with(policy: str, scene: str) -> str:
     return text
 
 
-def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    exec(compile(blocks("README.md")[0], "README.md", "exec"), {})
+@pytest.mark.parametrize("page", ["README.md", "docs/package_index.md"])
+def test_the_first_example_of_a_page_runs(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(blocks(page)[0], page, "exec"), {})
     assert re.search(r"Gaussians after 100 frames and \d+\.\d m\n$", capsys.readouterr().out)
 
 

@@ -247,6 +247,22 @@ def test_a_failing_job_leaves_nothing(runs, tmp_path, monkeypatch):
     assert not any((tmp_path / "jobs").iterdir())
 
 
+def test_a_policy_that_returns_no_row_is_told(runs, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    from activestructure_gym.errors import InputError
+    from activestructure_gym.policies import POLICIES, Random
+
+    class Silent(Random):
+        def act(self, observation):
+            self.rng.random()
+
+    monkeypatch.setitem(POLICIES._entries, "silent", Silent)
+    job = replace(runs[0].job, policy="silent", frame_budget=3)
+    with pytest.raises(InputError, match=r"policy 'silent': act\(\) must return a row from 0 to \d+, got None"):
+        episode.run_job(job, tmp_path / "jobs" / job.name)
+
+
 def test_every_executed_step_is_cast_against_the_true_mesh(place):
     from activestructure_gym.scenes import load_scene
 

@@ -56,6 +56,15 @@ def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
     assert [line for line in shown[number].splitlines() if line.strip()] == program(text)
 
 
+def test_any_policy_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example = load("play")
+    for policy in ("hole_area", "activestructure"):
+        args = example.Args(policy=policy, scene="box", frames=20, picture=tmp_path / "last.png")
+        rows = example.main(args)
+        assert capsys.readouterr().out.count("reward") == len(rows) >= 2
+        assert (tmp_path / "last.png").stat().st_size > 1000
+
+
 def test_ppo_in_a_single_file(capsys: pytest.CaptureFixture[str]) -> None:
     example = load("ppo_single_file")
     args = example.Args(frames=12, num_envs=2, num_steps=6, total_steps=24, minibatch=8, update_epochs=1)

@@ -1,0 +1,57 @@
+"""Any policy on any scene, step by step: the loop inside `asg compare`, to copy and change.
+
+    python examples/play.py --policy "active_gs?travel=shared" --scene "apartment?rooms=2" --picture last.png
+
+The env offers the gains that the policy asks for, and the policy knows by name in which column of the observation each
+stands: nothing else has to fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from PIL import Image
+
+from activestructure_gym.policies import make_env_and_policy
+
+
+@dataclass
+class Args:
+    """Options."""
+
+    policy: str = "hole_area"
+    """A name with its options, package.module:Class, or learned:CHECKPOINT."""
+    scene: str = "room"
+    """A name with its options, a mesh file, or a folder of Replica or Matterport3D."""
+    preset: str = "fast"
+    frames: int | None = None
+    """Frame budget of the episode; the preset's if not given."""
+    seed: int = 0
+    picture: Path | None = None
+    """Where to put a picture of the end: camera, map and plan."""
+
+
+def main(args: Args) -> list[int]:
+    """One episode; returns the rows that were chosen."""
+    env, policy = make_env_and_policy(
+        args.policy, args.scene, preset=args.preset, frame_budget=args.frames, render_mode="rgb_array"
+    )
+    policy.reset(args.seed)
+    observation, info = env.reset(seed=args.seed)
+    rows, ended = list[int](), not observation["action_mask"].any()
+    while not ended:
+        rows.append(policy.act(observation))
+        observation, reward, terminated, truncated, info = env.step(rows[-1])
+        ended = terminated or truncated
+        print(f"frame {info['frames']}: view {rows[-1]}, reward {float(reward):.2f}, {policy.trace()}", flush=True)
+    print(f"{info['gaussians']} Gaussians and {info['planes']} planes after {info['metres']:.1f} m")
+    if args.picture is not None:
+        Image.fromarray(env.render()).save(args.picture)  # type: ignore[arg-type]
+    env.close()
+    return rows
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

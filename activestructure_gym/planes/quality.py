@@ -98,7 +98,7 @@ class Interior:
     mask: np.ndarray  # [R, C] uint8: I, seen cells after closing, enclosed holes filled
     missing_share: float  # g = |I \\ O| / |I|
     cells: int  # of I
-    hull_cells: int  # cells of the convex hull of the seen cells
+    hull_cells: int  # cells with their centre in the convex hull of the seen cells
     missing: np.ndarray  # [R', C'] bool: I \\ O in the rectangle that holds the seen cells
     corner: np.ndarray  # [2] array cell of its first row and column
 
@@ -126,9 +126,8 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = np.zeros(padded.shape, np.uint8)
     cv2.drawContours(filled, outlines, -1, 1, thickness=cv2.FILLED)
-    hull = np.zeros(padded.shape, np.uint8)
     points = outlines[0] if len(outlines) == 1 else np.concatenate(outlines)
-    cv2.fillConvexPoly(hull, cv2.convexHull(points), 1)
+    hull_cells = cells_in_polygon(cv2.convexHull(points)[:, 0])
     inner = filled[pad:-pad, pad:-pad]
     mask = np.zeros(seen.shape, np.uint8)
     mask[part] = inner
@@ -137,7 +136,19 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
         missing &= surface.beside[part] == kernels.UNKNOWN
     total = cv2.countNonZero(mask)
     share = int(np.count_nonzero(missing)) / max(total, 1)
-    return Interior(mask, share, total, cv2.countNonZero(hull), missing, np.array([top, left]))
+    return Interior(mask, share, total, hull_cells, missing, np.array([top, left]))
+
+
+def cells_in_polygon(corners: np.ndarray) -> int:
+    """Cells whose centre lies in or on a convex polygon [N, 2] with cells as corners.
+
+    By Pick's theorem: area + half of the cells on its border + 1. Drawing it would count the cells that its outline
+    touches as well, a third more on a narrow strip that runs askew.
+    """
+    steps = np.roll(corners, -1, axis=0).astype(np.int64) - corners
+    doubled_area = abs(int((corners[:, 0] * steps[:, 1] - corners[:, 1] * steps[:, 0]).sum()))
+    border = int(np.gcd(steps[:, 0], steps[:, 1]).sum())
+    return (doubled_area + border) // 2 + 1
 
 
 def holes(surface: SurfaceGrid, config: QualityConfig) -> tuple[np.ndarray, np.ndarray]:  # [D, 2] array cells, [D]

@@ -19,7 +19,8 @@ from activestructure_gym.planes import (
     find_deficiencies,
 )
 from activestructure_gym.planes import graph as graph_module
-from activestructure_gym.planes.quality import boundary_closure, normal_consistency
+from activestructure_gym.planes.quality import boundary_closure, cells_in_polygon, interior, normal_consistency
+from activestructure_gym.planes.surface import SurfaceGrid
 
 # A board of 2.4 x 1.4 m, 2 m in front of the camera and all in view; 2.5 m behind it a wall.
 EYE, AHEAD = (0.0, 0.0, 1.5), (1.0, 0.0, 0.0)
@@ -291,3 +292,28 @@ def test_scores_weigh_by_type(rectangles, new_graph):
 def test_bad_configuration_is_refused(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         QualityConfig(**bad)
+
+
+@pytest.mark.parametrize("angle", [0, 10, 27, 45, 60, 83, 90])
+@pytest.mark.parametrize("width", [1.5, 2.0, 4.0, 12.0])  # cells
+def test_a_strip_that_fills_its_hull_is_covered_wholly(angle, width):
+    row, column = np.mgrid[-50:51, -50:51]
+    x, y = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    along, across = column * x + row * y, row * x - column * y
+    surface = SurfaceGrid(np.zeros(3), np.eye(3), 0.05)
+    surface.seen = ((np.abs(along) <= 40) & (np.abs(across) <= width / 2)).astype(np.uint8)
+    surface.beside = np.zeros_like(surface.seen)
+    inside = interior(surface, QualityConfig())
+    assert inside.hull_cells > 0 and inside.cells / inside.hull_cells == pytest.approx(1.0, abs=0.02)
+
+
+def test_cells_of_a_polygon_against_asking_every_cell(rng):
+    from scipy.spatial import ConvexHull
+
+    points = rng.integers(0, 40, (12, 2))
+    cells = np.stack(np.mgrid[0:40, 0:40], axis=-1).reshape(-1, 2)
+    for corners in (points[ConvexHull(points).vertices], np.array([[3, 4], [9, 4], [9, 8], [3, 8]])):
+        sides = ConvexHull(corners).equations  # normal, offset: at most 0 inside
+        assert cells_in_polygon(corners) == (cells @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1).sum()
+    assert cells_in_polygon(np.array([[5, 5]])) == 1
+    assert cells_in_polygon(np.array([[5, 5], [11, 8]])) == 4  # (5, 5), (7, 6), (9, 7), (11, 8)

@@ -304,8 +304,8 @@ def _write_pictures(
     with open(part / "pictures.npz", "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     run_views(arrays, title=job.title).save(part / "views.png")
-    run_plan(arrays, _path_arrays(reconstruction), title=job.title).save(part / "plan.png")
     graph = graph_arrays(reconstruction.planes)
+    run_plan(arrays, _path_arrays(reconstruction), graph, title=job.title).save(part / "plan.png")
     for name, (page, panels) in (
         ("psg_plan", run_planes_plan(graph, arrays, title=job.title)),
         ("psg_3d", run_planes_3d(graph, title=job.title)),

@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 
 Box = tuple[int, int, int, int]  # pixels: left, upper, right and lower edge
 
-_PANELS = "asg:panels"  # entry of a picture's file
+_PANELS = "asg:panels-2"  # entry of a picture's file
 GAP = 6  # pixels between tiles
 MARGIN = 14
 _TITLE, _LABELS = 30, 22  # pixels above the tiles

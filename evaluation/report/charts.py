@@ -17,6 +17,7 @@ _LABEL, _DIGIT = 24, 8  # to the left of a tick's text stands the axis' label
 _PANEL = (184, 104)  # of one policy among many
 _LETTERS = 27  # of a name beside or above a curve
 _BETWEEN = (12, 30)  # panels, to the right and downwards
+_EMPTY = 0.2  # share of the horizontal axis that may lie before the first curve
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
 _MARKS = (
     "M-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", "M-3.6 -3.6h7.2v7.2h-7.2z", "M0 -4.8L4.6 3.4H-4.6z", "M0 -5L5 0L0 5L-5 0z",
@@ -51,18 +52,20 @@ class Bar:
 
 
 def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()) -> Html:
-    """Curves with bands over an axis from 0; the vertical axis reaches what it ``holds``, wherever the curves are."""
+    """Curves with bands; the vertical axis reaches what it ``holds``, wherever the curves are.
+
+    The horizontal axis begins at 0, or where the first curve does if that would leave too much of it empty.
+    """
     width, height = _SIZE
     right = max((float(line.x[-1]) for line in lines), default=1.0) or 1.0
-    everything = np.concatenate(
-        [values for line in lines for values in (line.y, line.low, line.high) if values is not None] or [np.zeros(1)]
-    )
-    everything = np.concatenate([everything, np.asarray(holds, np.float64)])
-    x_ticks = [tick for tick in ticks(0.0, right) if tick <= right * (1 + 1e-9)]
-    y_ticks = ticks(float(everything.min()), float(everything.max()))
+    first = min((float(line.x[0]) for line in lines), default=0.0)
+    begin = 0.0 if first <= _EMPTY * right else max(tick for tick in ticks(0.0, right, 20) if tick < first)
+    bottom, top = span(lines, holds)
+    x_ticks = [tick for tick in ticks(begin, right) if begin <= tick <= right * (1 + 1e-9)]
+    y_ticks = ticks(bottom, top)
     left = max(_LEFT, _LABEL + _DIGIT * max(len(tick_text(tick, y_ticks)) for tick in y_ticks))
-    x_range = (0.0, right)
-    y_range = (min(y_ticks[0], float(everything.min())), max(y_ticks[-1], float(everything.max())))
+    x_range = (begin, right)
+    y_range = (min(y_ticks[0], bottom), max(y_ticks[-1], top))
 
     def x_of(value: float) -> float:
         return left + (value - x_range[0]) / (x_range[1] - x_range[0]) * (width - left - _RIGHT)
@@ -101,6 +104,15 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
         data_frame=frame, data_x=f"{x_range[0]:g} {x_range[1]:g}", data_y=f"{y_range[0]:g} {y_range[1]:g}",
         data_unit=f"{x_label}|{y_label}",
     )  # fmt: skip
+
+
+def span(lines: Sequence[Line], holds: Sequence[float] = ()) -> tuple[float, float]:
+    """The lowest and the highest value of curves, their bands, and what an axis is to hold besides."""
+    drawn = [values for line in lines for values in (line.y, line.low, line.high) if values is not None]
+    everything = np.concatenate([*drawn, np.asarray(holds, np.float64)])
+    if not len(everything):
+        return 0.0, 0.0
+    return float(everything.min()), float(everything.max())
 
 
 def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, columns: int = 5) -> Html:

@@ -35,6 +35,11 @@ class Column:
         return " ".join(part for part in (self.header, f"({self.unit})" if self.unit else "", self.arrow) if part)
 
     @property
+    def tie(self) -> float:
+        """Half a unit of the last digit that is printed: what differs by no more is printed alike."""
+        return 0.5 * 10.0**-self.digits
+
+    @property
     def sign(self) -> int:
         """What makes larger better."""
         return -1 if self.best == "lowest" else 1
@@ -106,7 +111,7 @@ class Aspect:
 
     name: str  # of its tables' files; empty for the run's own protocol
     title: str
-    columns: tuple[Column, ...]  # those that the runs know, defined or not
+    columns: tuple[Column, ...]  # those that at least one run has a number for
 
     def of(self, table: str) -> str:
         """The name of one of its tables."""
@@ -117,11 +122,12 @@ def aspects(runs: Sequence[Run]) -> list[Aspect]:
     """The runs' own protocol, its TSDF surface if there is one, and every further protocol."""
     surface = tuple(replace(column, key=f"tsdf_{column.key}") for column in QUALITY[:5])
     own = runs[0].job.protocol.name
-    found = [Aspect("", own, _known(QUALITY, runs)), Aspect("tsdf", f"{own}, TSDF surface", _known(surface, runs))]
+    found = [Aspect("", own, tuple(measured(QUALITY, runs)))]
+    found.append(Aspect("tsdf", f"{own}, TSDF surface", tuple(measured(surface, runs))))
     others = dict.fromkeys(name for run in runs for name in run.protocols if name != own)
     for name in others:
         columns = tuple(replace(column, key=f"{name}/{column.key}") for column in QUALITY)
-        found.append(Aspect(name, name, _known(columns, runs)))
+        found.append(Aspect(name, name, tuple(measured(columns, runs))))
     return [aspect for aspect in found if aspect.columns]
 
 
@@ -131,11 +137,6 @@ def reason_of(run: Run, key: str) -> str:
     content = run.protocols.get(protocol or run.job.protocol.name)
     notes = content["metrics"].get("notes") or {} if content else {}
     return notes.get(name) or notes.get(name.partition("_")[0], "")
-
-
-def _known(columns: Sequence[Column], runs: Sequence[Run]) -> tuple[Column, ...]:
-    """The columns that a run has a number for, or a reason why it has none."""
-    return tuple(c for c in columns if any(value_of(run, c.key) is not None or reason_of(run, c.key) for run in runs))
 
 
 def measured(columns: Sequence[Column], runs: Sequence[Run]) -> list[Column]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.evaluation.report.charts import Line
+from activestructure_gym.evaluation.report.charts import Line, line_chart, span
+from activestructure_gym.evaluation.report.html import Html
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
 from activestructure_gym.evaluation.store import Run
@@ -80,6 +81,25 @@ def convergence(
         value, low, high = curve_band(on_one, statistic)
         lines.append(Line(policy, index, axis, value, low, high))
     return lines
+
+
+def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Html]]:
+    """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
+    rows = []
+    for measure in MEASURES:
+        curves = [convergence(results, cost.key, measure.key, scene, statistic) for cost in COSTS]
+        holds = span([line for lines in curves for line in lines])
+        rows.append([
+            line_chart(
+                lines,
+                title=f"{measure.label} over {cost.label}, {scene or 'all scenes'}",
+                x_label=cost.label,
+                y_label=measure.label,
+                holds=holds,
+            )
+            for cost, lines in zip(COSTS, curves)
+        ])  # fmt: skip
+    return rows
 
 
 def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:

@@ -51,9 +51,9 @@ def html_table(table: Table, *, colours: Sequence[str] = ()) -> Html:
         )
     cells = []
     for k, heading in enumerate(table.headings):
-        content: str = heading.text
+        content: str = heading.text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑")  # no arrow begins a line
         if table.sortable:
-            content = element("button", heading.text, type="button", data_column=k)
+            content = element("button", content, type="button", data_column=k)
         cells.append(element("th", content, scope="col", class_="n" if heading.numeric else None, title=heading.note))
     head.append(element("tr", *cells))
     blocks: list[list[Html]] = [[]]
@@ -63,7 +63,11 @@ def html_table(table: Table, *, colours: Sequence[str] = ()) -> Html:
         blocks[-1].append(_row(table, index, row, colours))
     bodies = [element("tbody", *block) for block in blocks]
     whole = element("table", element("thead", *head), *bodies, class_="sortable" if table.sortable else None)
-    caption = element("figcaption", element("b", f"{table.title}."), f" {table.caption}." if table.caption else "")
+    # The script shows the hint while there are columns to the right.
+    hint = element("span", "more columns: scroll sideways →", class_="hint", aria_hidden="true")
+    caption = element(
+        "figcaption", element("b", f"{table.title}."), f" {table.caption}." if table.caption else "", hint
+    )
     return element(
         "figure", caption, element("div", whole, class_="wide", tabindex="0", role="region", aria_label=table.title),
         class_="table", id_=f"table-{table.name}",

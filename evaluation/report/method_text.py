@@ -2,13 +2,54 @@
 
 from __future__ import annotations
 
+from activestructure_gym.evaluation.report.columns import QUALITY, aspects, measured, reason_of, value_of
 from activestructure_gym.evaluation.report.html import Html, element
+from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import resampling
 
 
+def meanings(results: Results) -> dict[str, str]:
+    """What each of the quality columns says, by its header."""
+    protocol = results.runs[0].job.protocol
+    near = f"{100 * protocol.threshold_m:g} cm"
+    every = {
+        "accuracy_cm": "mean distance from the reconstructed points to the true surface",
+        "completion_cm": "mean distance from the true surface to the reconstructed points; what was missed counts",
+        "completion_ratio": f"completion ratio, the share of the true surface with a point nearer than {near}",
+        "precision": f"share of the reconstructed points nearer than {near} to the true surface",
+        "f_score": "harmonic mean of completion ratio and precision",
+        "psnr": "how closely rendered views that no policy has chosen match the true ones; 1 dB more is a fifth less "
+        "squared error",
+        "ssim": "likeness of structure in the same views; 1 is equal",
+        "ms_ssim": "the same over five scales",
+        "lpips": "distance of the same views as a network sees them",
+        "depth_l1_cm": "mean error of the depth in the same views",
+    }
+    return {column.header: every[column.key] for column in measured(QUALITY, results.runs)}
+
+
+def absences(results: Results) -> list[str]:
+    """Why columns were left out, or stand with gaps: one sentence each."""
+    shown = {column.key for aspect in aspects(results.runs) for column in aspect.columns}
+    columns = [(column.header, column.key) for column in QUALITY] + [("The TSDF surface", "tsdf_accuracy_cm")]
+    reasons: dict[str, list[str]] = {}
+    for name in results.runs[0].protocols:
+        own = name == results.runs[0].job.protocol.name
+        for header, metric in columns:
+            key = metric if own else f"{name}/{metric}"
+            found = [reason_of(run, key) for run in results.runs if value_of(run, key) is None]
+            reason = next((without_places(reason) for reason in found if reason), None)
+            if reason is None:
+                continue
+            where = "is left out" if key not in shown else f"is missing in {len(found)} of {len(results.runs)} runs"
+            reasons.setdefault(f"{header} {where}: {reason}.", []).append(name)
+    several = len(results.runs[0].protocols) > 1
+    return [f"Protocol {' and '.join(names)}: {text}" if several else text for text, names in reasons.items()]
+
+
 def protocol_texts(results: Results) -> list[str]:
-    """The protocols in words, and why numbers are missing."""
+    """The protocols in words."""
     texts = [protocol_text(results)]
     if "activegamer" in results.runs[0].protocols:
         texts.append(
@@ -16,16 +57,11 @@ def protocol_texts(results: Results) -> list[str]:
             "the 1 cm voxels of the whole surface, seen or not, so that floaters do not count; images masked where the "
             "truth has no depth, from one small circle of views; PSNR by channel."
         )
-    reasons: dict[str, None] = {}
-    for run in results.runs:
-        for name, content in run.protocols.items():
-            for key, reason in (content["metrics"].get("notes") or {}).items():
-                reasons[f"{key} is not defined in protocol `{name}`: {reason}."] = None
-    return [*texts, *reasons]
+    return texts
 
 
 def protocol_text(results: Results) -> str:
-    """The metrics of the protocol in words."""
+    """How the protocol measures, in words; what its numbers mean stands in `meanings`."""
     run = results.runs[0]
     protocol = run.job.protocol
     views = (
@@ -37,10 +73,8 @@ def protocol_text(results: Results) -> str:
         f"Protocol `{protocol.name}`, version {protocol.version}. Reconstructed points are the means of Gaussians "
         f"with opacity of at least {protocol.opacity_threshold:g}; the truth is the surface that some free pose "
         f"can see (those of {protocol.surface_samples:,} samples on the whole mesh that are seen). "
-        "Acc: mean distance from the points to that surface. "
-        "Com.: mean distance from the surface to the points. C.R. and Prec.: shares of surface and of points "
-        f"nearer than {100 * protocol.threshold_m:g} cm; F: their harmonic mean. PSNR (pooled over the channels), SSIM "
-        f"and Depth (mean absolute error): means over {views}, {protocol.view_width} x {protocol.view_height} pixels, "
+        "Images are compared (PSNR pooled over the channels, depth by its mean absolute error) "
+        f"in {views}, {protocol.view_width} x {protocol.view_height} pixels, "
         f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy; PSNR of "
         f"the curves is over the first {run.metrics['curve_views']} of them. Time: wall clock of the episode without "
         "loading and evaluation."
@@ -60,8 +94,8 @@ def statistics_text() -> list[str]:
         "n seeds; with one run on a scene there is none.",
         "Differences are paired: runs of the same scene and seed share start, sensor noise and candidates. "
         "P(improvement) is the probability that a run of one policy is better than a run of the other on the same "
-        "scene, ties counted half: Mann and Whitney's U over the number of pairs. Several metrics and policies are "
-        "tested at once and no interval is widened for that.",
+        "scene, ties (what is printed alike) counted half: Mann and Whitney's U over the number of pairs. Several "
+        "metrics and policies are tested at once and no interval is widened for that.",
     ]
 
 

@@ -9,10 +9,12 @@ from typing import Any
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import Bar, interval_chart, key_mark
 from activestructure_gym.evaluation.report.columns import MAIN, aspects, measured
-from activestructure_gym.evaluation.report.html import Html, element, folded, html_table
+from activestructure_gym.evaluation.report.first_sight import first_sight
+from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, with_interval
-from activestructure_gym.evaluation.report.method_text import definitions
-from activestructure_gym.evaluation.report.paper_tables import ablation_table, quality_table, time_table
+from activestructure_gym.evaluation.report.method_text import absences, definitions, meanings
+from activestructure_gym.evaluation.report.paper_tables import ablation_table, quality_table
+from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.scene_section import chart_grid, policy_panels, scene_section
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
@@ -30,7 +32,7 @@ def html_page(results: Results) -> str:
     everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
     title = f"{everyone} on {_counted(len(results.scenes), 'scene')}"
     sections = [
-        _header(results, title),
+        _header(results, title, anchors[0]),
         _glance(results),
         _tables(results),
         _against(results),
@@ -39,15 +41,10 @@ def html_page(results: Results) -> str:
         *(scene_section(results, scene, anchor) for scene, anchor in zip(results.scenes, anchors)),
         _how(results),
     ]
-    links = [("glance", "At a glance"), ("quality", "Quality"), ("against", "Differences")]
-    links += [
-        ("convergence", "Convergence"),
-        ("costs", "Costs"),
-        *zip(anchors, results.scenes),
-        ("how", "How measured"),
-    ]
-    if results.baseline is None:
-        links = [(anchor, text) for anchor, text in links if anchor != "against"]
+    named = {"glance": "At a glance", "quality": "Quality", "against": "Differences", "convergence": "Convergence"}
+    named |= {"costs": "Costs", **dict(zip(anchors, results.scenes)), "how": "How measured"}
+    body = joined(*sections)
+    links = [(anchor, text) for anchor, text in named.items() if f' id="{anchor}"' in body]
     navigation = element(
         "nav",
         element("div", *(element("a", text, href=f"#{anchor}") for anchor, text in links), class_="links"),
@@ -65,11 +62,19 @@ def html_page(results: Results) -> str:
         element("style", Html(_colours() + (_ASSETS / "report.css").read_text(encoding="utf-8"))),
     )
     script = element("script", Html((_ASSETS / "report.js").read_text(encoding="utf-8")))
-    body = element("body", navigation, element("main", *sections), script)
-    return f'<!doctype html>\n<html lang="en">{head}{body}</html>\n'
+    whole = element("body", navigation, element("main", body), _overlay(), script)
+    return f'<!doctype html>\n<html lang="en">{head}{whole}</html>\n'
 
 
-def _header(results: Results, title: str) -> Html:
+def _overlay() -> Html:
+    """What a picture is shown in when it is enlarged; the script fills it."""
+    close = element("button", "close", type="button", aria_label="close the enlarged picture")
+    return element(
+        "dialog", close, element("figure", element("figcaption", "")), id_="enlarged", aria_label="enlarged picture"
+    )
+
+
+def _header(results: Results, title: str, anchor: str) -> Html:
     first = results.runs[0]
     facts = [
         f"{_counted(len(results.runs), 'finished run')}: {_counted(len(results.scenes), 'scene')}, "
@@ -92,7 +97,10 @@ def _header(results: Results, title: str) -> Html:
             )  # fmt: skip
         )
     if results.missing:
-        items = (element("li", element("b", name), f": {why}") for name, why in results.missing.items())
+        items = (
+            element("li", element("b", without_places(name)), f": {without_places(why)}")
+            for name, why in results.missing.items()
+        )
         count = f"{_counted(len(results.missing), 'run')} missing. "
         alarms.append(
             element(
@@ -109,6 +117,7 @@ def _header(results: Results, title: str) -> Html:
         element("h1", title),
         element("p", "; ".join(facts) + "."),
         *alarms,
+        first_sight(results, anchor),
     )
 
 
@@ -119,14 +128,18 @@ def _glance(results: Results) -> Html:
         lines = [
             element("span", column.title, class_="metric"),
             element("strong", f"{lead.mean.value:.{column.digits}f}", element("small", f" {column.unit}")),
-            element("span", _dot(results, lead.policy), lead.policy, class_="winner"),
+            *(element("span", _dot(results, p), p, class_="winner") for p in (lead.policy, *lead.level)),
         ]
+        if lead.level:
+            lines.append(element("span", "equal as printed", class_="badge"))
         if lead.ahead is not None and lead.runner_up is not None:
             found = lead.ahead.difference
             value, _, interval = with_interval(found, column.digits, signed=True).text.partition(" ")
             text = f"{value} to {lead.runner_up} {interval}"
             words, tone = verdicts.verdict(lead.ahead, column)
-            lines += [element("span", text), element("span", words, class_=f"badge {tone}")]
+            lines.append(element("span", text))
+            if words:
+                lines.append(element("span", words, class_=f"badge {tone}"))
         cards.append(element("div", *lines, class_="card"))
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     words, tone = ("must be 0", "alarm") if collisions else ("as it must be", "good")
@@ -138,44 +151,65 @@ def _glance(results: Results) -> Html:
             class_="card",
         )
     )  # fmt: skip
-    legend = element(
-        "p",
-        "First of each metric, by the mean over the scenes; behind it the paired difference to the second with its "
-        "95 % interval.",
-        class_="facts",
-    )
+    first, *others = aspects(results.runs)
+    words = (element("div", element("dt", name), element("dd", f"{text}.")) for name, text in meanings(results).items())
     return element(
         "section",
         element("h2", "At a glance"),
         element("div", *cards, class_="cards"),
-        legend,
-        html_table(ablation_table(results, aspects(results.runs)[0]), colours=results.policies),
+        element("p", _cards_say(results), class_="facts"),
+        element("dl", *words, class_="meanings"),
+        html_table(ablation_table(results, first), colours=results.policies),
         _rank_key(),
-        *(html_table(ablation_table(results, other), colours=results.policies) for other in aspects(results.runs)[1:]),
+        *(element("p", text, class_="facts") for text in absences(results)),
+        *(html_table(ablation_table(results, other), colours=results.policies) for other in others),
         id_="glance",
     )
 
 
-def _tables(results: Results) -> Html:
-    first, *others = aspects(results.runs)
+def _cards_say(results: Results) -> str:
+    """What stands in the cards, and, said here once, why there may be no interval."""
+    several = len(results.scenes) > 1
+    text = "First of each metric" + (", by the mean over the scenes" if several else "")
+    if len(results.policies) > 1:
+        text += "; behind it the paired difference to the second"
+    if verdicts.can_tell(results):
+        return f"{text} with its 95 % interval."
+    if len(results.policies) == 1:
+        return f"{text}."
+    seeds = "a single seed" if len(results.seeds) == 1 else "a single pair on a scene"
+    return (
+        f"{text}. With {seeds} there are no intervals: whether a difference is chance cannot be told from these runs."
+    )
+
+
+def _tables(results: Results) -> Html | None:
+    """What the table at a glance does not say: of single scenes, and other statistics than the mean."""
+    if len(results.scenes) == 1 and len(results.seeds) == 1:
+        return None
+    aggregates = html_table(verdicts.aggregate_table(results))
+    if len(results.scenes) == 1:
+        return element("section", element("h2", "Mean, median, interquartile mean"), aggregates, id_="quality")
+    first, *others = (
+        (aspect, html_table(quality_table(results, aspect, average=False), colours=results.policies))
+        for aspect in aspects(results.runs)
+    )
     return element(
         "section",
         element("h2", "Quality on every scene"),
-        html_table(quality_table(results, first), colours=results.policies),
-        _rank_key(),
-        *(
-            folded(f"Protocol {other.title}", html_table(quality_table(results, other), colours=results.policies))
-            for other in others
-        ),
-        folded("Mean, median and interquartile mean", html_table(verdicts.aggregate_table(results))),
+        first[1],
+        *(folded(f"Protocol {aspect.title}", table) for aspect, table in others),
+        folded("Mean, median and interquartile mean", aggregates),
         id_="quality",
     )
 
 
 def _against(results: Results) -> Html | None:
+    """Nothing where one pair of runs is all there is: its difference stands at a glance."""
     table = verdicts.difference_table(results)
-    if table is None:
+    if table is None or (len(results.scenes) == 1 and not verdicts.can_tell(results)):
         return None
+    intervals = verdicts.can_tell(results)
     charts = []
     for column in measured(MAIN, results.runs):
         bars = [
@@ -188,6 +222,7 @@ def _against(results: Results) -> Html | None:
             label = f"{column.header} [{column.unit}], better is {'left' if column.sign < 0 else 'right'}"
             caption = element("figcaption", element("b", title))
             charts.append(element("figure", caption, interval_chart(bars, title=title, label=label)))
+    says = "Marks are mean differences, bars their 95 % intervals; where a bar stays clear of 0, chance is unlikely."
     matrices = [
         html_table(found, colours=results.policies)
         for column in measured(MAIN, results.runs)
@@ -196,9 +231,10 @@ def _against(results: Results) -> Html | None:
     return element(
         "section",
         element("h2", f"Differences to {results.baseline}"),
-        element("div", *charts, class_="charts"),
+        element("p", says, class_="facts") if intervals else None,
+        element("div", *charts, class_="charts") if intervals else None,
         html_table(table, colours=results.policies),
-        folded("Probability of improvement, every policy against every other", *matrices),
+        folded("Probability of improvement, every policy against every other", *matrices) if intervals else None,
         id_="against",
     )
 
@@ -222,7 +258,6 @@ def _costs(results: Results) -> Html:
         "section",
         element("h2", "Costs"),
         html_table(verdicts.cost_table(results), colours=results.policies),
-        html_table(time_table(results)),
         id_="costs",
     )
 
@@ -232,7 +267,7 @@ def _how(results: Results) -> Html:
     configurations: dict[str, dict[str, str]] = {}
     for run in results.runs:
         for name, value in _flat(run.config["configuration"]):
-            configurations.setdefault(name, {}).setdefault(str(value), run.job.policy)
+            configurations.setdefault(name, {}).setdefault(without_places(str(value)), run.job.policy)
     rows = [
         [Cell(name), Cell(", ".join(values) if len(values) == 1 else "; ".join(f"{p}: {v}" for v, p in values.items()))]
         for name, values in configurations.items()
@@ -249,12 +284,16 @@ def _how(results: Results) -> Html:
             f"protocol-{name}",
             f"Protocol {name}",
             _two("parameter", "value"),
-            [[Cell(key), Cell(str(value))] for key, value in content["parameters"].items()],
+            [[Cell(key), Cell(without_places(str(value)))] for key, value in content["parameters"].items()],
         )
         for name, content in first.protocols.items()
     ]
     places = [
-        [Cell(str(source.directory)), Cell(source.command or "single run"), Cell(str(source.workers or ""))]
+        [
+            Cell(source.directory.name),
+            Cell(without_places(source.command) or "single run"),
+            Cell(str(source.workers or "")),
+        ]
         for source in results.sources
     ]
     made = Table("sources", "Where the runs are", [*_two("directory", "command"), Heading("jobs at a time")], places)

@@ -28,10 +28,10 @@ LADDER = {
 }
 
 
-def quality_table(results: Results, aspect: Aspect) -> Table:
+def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> Table:
     """Tables 1 and 2: a row per method and metric, a column per scene, and the average over the scenes."""
     columns = aspect.columns
-    scenes = [*results.scenes, None] if len(results.scenes) > 1 else results.scenes
+    scenes = [*results.scenes, None] if average and len(results.scenes) > 1 else results.scenes
     cells: dict[tuple[str, str, str | None], Cell] = {}
     for column in columns:
         for scene in scenes:
@@ -73,10 +73,15 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
         for k, policy in enumerate(results.policies)
     ]
     headings = [Heading("Variant" if ladder else "Policy", numeric=False), *map(Heading.of, columns)]
-    caption = (
-        f"Means over {_counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified bootstrap "
-        "intervals of 95 %; none where a scene has a single run. Only policies that finished on every scene"
-    )
+    if all(len(results.of(policy, scene)) < 2 for policy in results.policies for scene in results.scenes):
+        caption = "One run each" if len(results.scenes) == 1 else f"Means over {len(results.scenes)} scenes, a run each"
+    else:
+        caption = (
+            f"Means over {_counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
+            "bootstrap intervals of 95 %; none where a scene has a single run"
+        )
+    if len(results.scenes) > 1:
+        caption += ". Only policies that finished on every scene"
     return Table(aspect.of("variants"), f"Policies side by side, protocol {aspect.title}", headings, rows, caption)
 
 

@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from activestructure_gym.evaluation.report.canvas import corner_label, text_width, tile_grid, to_image
-from activestructure_gym.evaluation.report.plan import draw_plan, legend, plan_arrays
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import (
+    GAP,
+    MARGIN,
+    corner_label,
+    text_width,
+    tile_grid,
+    to_image,
+    write,
+)
+from activestructure_gym.evaluation.report.plan import draw_plan, flight, legend, plan_arrays
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
@@ -18,6 +27,7 @@ if TYPE_CHECKING:
 
 _STORED_VIEWS = 8  # the first of the held-out views, which are in random order
 _SHOWN_VIEWS = 4
+BLACK = "Black: nothing of the map is there."
 
 
 def picture_arrays(
@@ -39,13 +49,19 @@ def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
     """Truth above, the run's rendering below, PSNR in the corner."""
     shown = telling_views(arrays["true"])
     rows = [[to_image(arrays["true"][i]) for i in shown], [_rendered_tile(arrays, i) for i in shown]]
-    return tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]])
+    return _with_note(tile_grid(rows, title=f"{title}: held-out views", row_labels=[["true"], ["rendered"]]), BLACK)
 
 
-def run_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
+def run_plan(
+    arrays: Mapping[str, np.ndarray],
+    trajectory: Mapping[str, np.ndarray],
+    graph: Mapping[str, np.ndarray] | None,
+    *,
+    title: str,
+) -> Image.Image:
     """The map seen from above, with what was known to be free, the path, the keyframes and the start."""
     plan = draw_plan(arrays, trajectory)
-    return _with_legend(tile_grid([[plan]], title=title))
+    return _with_note(_with_legend(tile_grid([[plan]], title=title)), flight([(trajectory, graph)]))
 
 
 def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
@@ -58,7 +74,7 @@ def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
         rows.append([_rendered_tile(run.pictures, i) for i in shown])
         labels.append(_run_label(run, f"{run.metrics['metrics']['psnr']:.2f} dB mean"))
     columns = [f"view {i + 1}" for i in shown]
-    return tile_grid(rows, title=title, row_labels=labels, column_labels=columns)
+    return _with_note(tile_grid(rows, title=title, row_labels=labels, column_labels=columns), BLACK)
 
 
 def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
@@ -69,7 +85,30 @@ def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
     width = max(max(plan.width for plan in plans), *(text_width(label, 14) for label in labels))
     size = width, max(plan.height for plan in plans)
     tiles = [_on_page(plan, size) for plan in plans]
-    return _with_legend(tile_grid([tiles], title=title, column_labels=labels))
+    page = _with_legend(tile_grid([tiles], title=title, column_labels=labels))
+    return _with_note(page, flight([(run.trajectory, run.graph) for run in runs]))
+
+
+def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
+    """The typical view as it is and as each run renders it; below each its plan with the path."""
+    index = typical_view(runs)
+    truth = to_image(runs[0].pictures["true"][index])
+    plans = [_within(draw_plan(run.pictures, run.trajectory), truth.width) for run in runs]
+    size = truth.width, truth.height + GAP + max(plan.height for plan in plans)
+    columns, labels = [_on_page(truth, size)], ["true view"]
+    for run, plan in zip(runs, plans):
+        column = _on_page(_rendered_tile(run.pictures, index), size)
+        column.paste(plan, ((truth.width - plan.width) // 2, truth.height + GAP))
+        columns.append(column)
+        labels.append(f"{run.job.policy}, C.R. {run.metrics['metrics']['completion_ratio']:.1f} %")
+    page = _with_legend(tile_grid([columns], title=title, column_labels=labels, frames=False))
+    return _with_note(page, f"{BLACK} {flight([(run.trajectory, run.graph) for run in runs])}")
+
+
+def typical_view(runs: Sequence[Run]) -> int:
+    """Of the stored views that with the median PSNR, averaged over the runs; of an even number the lower middle."""
+    order = np.argsort(np.mean([run.pictures["psnr"] for run in runs], axis=0), kind="stable")
+    return int(order[(len(order) - 1) // 2])
 
 
 def telling_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
@@ -94,14 +133,27 @@ def _cost(metrics: Mapping[str, Any]) -> str:
 
 
 def _on_page(image: Image.Image, size: tuple[int, int]) -> Image.Image:
-    page = Image.new("RGB", size, (255, 255, 255))
+    page = Image.new("RGB", size, style.PAPER)
     page.paste(image, (0, 0))
     return page
 
 
+def _within(image: Image.Image, width: int) -> Image.Image:
+    """The image, made smaller where it is wider than ``width``."""
+    if image.width <= width:
+        return image
+    return image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+
+
+def _with_note(page: Image.Image, note: str) -> Image.Image:
+    width = max(page.width, 2 * MARGIN + text_width(note, 13))
+    whole = _on_page(page, (width, page.height + 30))
+    write(whole, (MARGIN, page.height + 4), note, size=13, fill=style.FAINT_INK)
+    return whole
+
+
 def _with_legend(page: Image.Image) -> Image.Image:
     key = legend()
-    whole = Image.new("RGB", (max(page.width, key.width), page.height + key.height), (255, 255, 255))
-    whole.paste(page, (0, 0))
+    whole = _on_page(page, (max(page.width, key.width), page.height + key.height))
     whole.paste(key, (0, page.height))
     return whole

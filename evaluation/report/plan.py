@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,13 @@ _LONGEST_SIDE = 640  # pixels; larger scenes are drawn smaller
 _SMOOTH = 3  # everything drawn by line is drawn this much larger and averaged
 _BAND_M = 0.5  # free and occupied are those of this height above and below the camera
 _HEADROOM_M = 0.35  # Gaussians higher than this above the camera's start (ceiling, lamps) would hide the rest
-_FILLS = {"not seen": style.UNKNOWN, "free": style.FREE, "occupied": style.OCCUPIED}
+# What shows where the map has no surface.
+FILLS = {
+    "not seen": style.UNKNOWN,
+    "free, nothing mapped below": style.FREE,
+    "occupied, not mapped": style.OCCUPIED,
+}
+_LEVEL, _FLOOR_M2 = 0.8, 0.5  # a floor's normal has at least this z, and it has been seen on this area
 _ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as parallel
 
 
@@ -68,7 +74,7 @@ def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
 
 def legend() -> Image.Image:
     """The key to `draw_plan`'s signs, as a strip."""
-    entries = ("start", "end", "path, first to last frame", "keyframe, looking ahead", *_FILLS)
+    entries = ("start", "end", "path, first to last frame", "keyframe, looking ahead", *FILLS)
     widths = [44 + text_width(entry, 13) + 18 for entry in entries]
     strip = Image.new("RGB", (2 * MARGIN + sum(widths), 34), style.PAPER)
     draw, x, y = ImageDraw.Draw(strip), MARGIN, 12
@@ -83,10 +89,29 @@ def legend() -> Image.Image:
         elif entry.startswith("keyframe"):
             _keyframe(draw, (x + 10, y), (1.0, 0.0), 1)
         else:
-            draw.rectangle([x + 6, y - 7, x + 28, y + 7], fill=_FILLS[entry], outline=style.FAINT_INK)
+            draw.rectangle([x + 6, y - 7, x + 28, y + 7], fill=FILLS[entry], outline=style.FAINT_INK)
         write(strip, (x + 38, y), entry, size=13, anchor="lm")
         x += width
     return strip
+
+
+def flight(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray] | None]]) -> str:
+    """How high the camera flew, of trajectories with their graphs: above the lowest floor that each has seen.
+
+    Without a floor in every graph the heights are the world's z.
+    """
+    floors = [None if graph is None else _floor(graph) for _, graph in paths]
+    known = [floor for floor in floors if floor is not None]
+    ground, datum = ("above the floor", known) if len(known) == len(paths) else ("in z", [0.0] * len(paths))
+    heights = [path["world_from_camera"][:, 2, 3] - zero for (path, _), zero in zip(paths, datum)]
+    low, high = (f"{end:.1f}" for end in (min(h.min() for h in heights), max(h.max() for h in heights)))
+    at = f"at {low} m" if low == high else f"at {low} to {high} m"
+    return f"The camera flies {at} {ground}, so a path may cross furniture that is lower."
+
+
+def _floor(graph: Mapping[str, np.ndarray]) -> float | None:
+    level = (graph["normals"][:, 2] >= _LEVEL) & (graph["areas"] >= _FLOOR_M2)
+    return float(graph["centroids"][level, 2].min()) if level.any() else None
 
 
 def _from_above(

@@ -9,7 +9,7 @@ from activestructure_gym.evaluation.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import write
 from activestructure_gym.evaluation.report.patches import NOTHING, Projection, extremes, fitted, nearest_planes
-from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_graph
+from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_edges, draw_nodes
 
 _WIDTH, _HEIGHT = 620, 520  # pixels a panel has at most
 _MARGIN = 14
@@ -23,8 +23,9 @@ _SHADE = 0.2  # share of lightness between planes towards the light and away fro
 def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Image.Image]:
     """By type with edges and tree, and by deficit with deficiency centres.
 
-    Only faces towards the eye are drawn, so one looks through the near walls and the ceiling into the rooms; ``side``
-    0 or 1 is the corner one looks from. Depth is resolved per pixel.
+    Only faces towards the eye are drawn, so one looks through the near walls and the ceiling into the rooms; what
+    belongs to a plane that is not drawn (its node, its edges, its holes) is left out with it. ``side`` 0 or 1 is the
+    corner one looks from. Depth is resolved per pixel.
     """
     if not len(arrays["ids"]):
         return _empty(), _empty()
@@ -36,10 +37,14 @@ def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Ima
     types = 0.62 * types + 0.38 * 255.0  # lighter than the graph that is drawn over them
     deficits = np.array([style.deficit_colour(float(deficit)) for deficit in arrays["deficit"]], float)
     by_type = _painted(owner, borders, types * shade[:, None])
-    by_type = draw_graph(by_type, arrays, view.pixels(arrays["centroids"]))
+    facing = arrays["normals"] @ view.towards > 0
+    centroids = view.pixels(arrays["centroids"])
+    by_type = draw_edges(by_type, arrays, centroids, facing)
+    draw_nodes(by_type, arrays, centroids, facing)
     by_deficit = _painted(owner, borders, deficits * (1.0 - 0.4 * (1.0 - shade[:, None])))
-    places = view.pixels(arrays["deficiency_centres"])
-    draw_centres(by_deficit, arrays, places, _hidden(arrays, view, places, nearness))
+    holes = _facing_holes(arrays, view)
+    places = view.pixels(holes["deficiency_centres"])
+    draw_centres(by_deficit, holes, places, _hidden(holes, view, places, nearness))
     caption = f"seen from the {compass(view.towards)}"
     pair = _reduced(by_type, caption), _reduced(by_deficit, caption)
     # Faces that look away leave the lower part empty.
@@ -70,11 +75,16 @@ def view_of(arrays: GraphArrays, side: int) -> Projection:
     return fitted(points, right, towards, scale * SMOOTH, _MARGIN * SMOOTH)
 
 
+def _facing_holes(arrays: GraphArrays, view: Projection) -> GraphArrays:
+    """The deficiency centres on planes that face the eye."""
+    facing = arrays["deficiency_normals"] @ view.towards > 0
+    return {name: arrays[name][facing] for name in ("deficiency_centres", "deficiency_normals", "deficiency_areas")}
+
+
 def _hidden(arrays: GraphArrays, view: Projection, places: np.ndarray, nearness: np.ndarray) -> np.ndarray:  # [D] bool
-    """Centres on planes that face away, or behind other planes."""
+    """Centres behind other planes."""
     x, y = np.clip(np.round(places).astype(int), 0, np.array(view.size) - 1).T
-    behind = nearness[y, x] > view.nearness(arrays["deficiency_centres"]) + 0.1
-    return behind | (arrays["deficiency_normals"] @ view.towards <= 0)
+    return nearness[y, x] > view.nearness(arrays["deficiency_centres"]) + 0.1
 
 
 def _borders(owner: np.ndarray) -> np.ndarray:  # [H, W] bool

@@ -21,21 +21,32 @@ _ROW = 24  # pixels per row of the key
 Painter = Callable[[ImageDraw.ImageDraw, float, float], None]  # draws around a place
 
 
-def draw_graph(picture: Image.Image, arrays: GraphArrays, places: np.ndarray) -> Image.Image:
-    """Edges, tree and centroids over an enlarged picture; ``places`` [N, 2] are the centroids in its pixels."""
+def draw_edges(
+    picture: Image.Image,
+    arrays: GraphArrays,
+    places: np.ndarray,  # [N, 2] the centroids in its pixels
+    shown: np.ndarray,  # [N] bool: planes that are in the picture
+) -> Image.Image:
+    """Edges and tree over an enlarged picture, light enough to leave the planes to be seen; between shown planes."""
     layer = Image.new("RGBA", picture.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
-    thin, tree = (arrays["edges"][arrays["edge_in_tree"] == kind] for kind in (False, True))
-    opacity = round(110 * min(1.0, (150 / max(len(thin), 1)) ** 0.5))  # hundreds of edges must not become a surface
+    edges = arrays["edges"].reshape(-1, 2)
+    kept = shown[edges].all(axis=1)
+    thin, tree = (edges[kept & (arrays["edge_in_tree"] == kind)] for kind in (False, True))
+    opacity = round(70 * min(1.0, (100 / max(len(thin), 1)) ** 0.5))  # hundreds of edges must not become a surface
     for i, j in thin:
         draw.line([*places[i], *places[j]], fill=(*style.EDGE, opacity), width=SMOOTH)
     for i, j in tree:
-        draw.line([*places[i], *places[j]], fill=(*style.PAPER, 200), width=5 * SMOOTH)
-    for i, j in tree:
-        draw.line([*places[i], *places[j]], fill=(*style.TREE, 255), width=2 * SMOOTH)
-    for place, structural in zip(places, arrays["structural"]):
-        _disc(draw, place[0], place[1], _NODE * SMOOTH, style.plane_colour(bool(structural)), SMOOTH)
+        draw.line([*places[i], *places[j]], fill=(*style.TREE, 170), width=round(1.4 * SMOOTH))
     return Image.alpha_composite(picture.convert("RGBA"), layer).convert("RGB")
+
+
+def draw_nodes(picture: Image.Image, arrays: GraphArrays, places: np.ndarray, shown: np.ndarray) -> None:
+    """The centroids of shown planes over an enlarged picture; arguments as of `draw_edges`."""
+    draw = ImageDraw.Draw(picture)
+    for k in np.flatnonzero(shown):
+        colour = style.plane_colour(bool(arrays["structural"][k]))
+        _disc(draw, places[k, 0], places[k, 1], _NODE * SMOOTH, colour, SMOOTH)
 
 
 def draw_centres(
@@ -66,7 +77,7 @@ def type_key(*, flat: bool = False) -> list[tuple[str, Painter]]:
         ("structural plane", _swatch(style.STRUCTURAL)),
         ("object plane", _swatch(style.OBJECT)),
         ("centroid", lambda draw, x, y: _disc(draw, x, y, _NODE, style.STRUCTURAL, 1)),
-        ("spanning tree", _line(style.TREE, 3)),
+        ("spanning tree", _line(style.TREE, 2)),
         ("other edge", _line(style.EDGE, 1)),
         *([("facing down, as the ceiling", outline)] if flat else []),
     ]
@@ -84,7 +95,7 @@ def deficit_key(*, depth: bool = False) -> list[tuple[str, Painter]]:
     def dot(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
         _disc(draw, x, y, 2, style.FAINT_INK, 0)
 
-    return [*classes, ("deficiency centre, by area", hole), *([("one out of sight", dot)] if depth else [])]
+    return [*classes, ("deficiency centre, by area", hole), *([("one behind a plane", dot)] if depth else [])]
 
 
 def with_key(page: Image.Image, *rows: Sequence[tuple[str, Painter]]) -> Image.Image:

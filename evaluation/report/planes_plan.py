@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.plane_record import GraphArrays, seen_cells
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.patches import Projection, borders, extremes, silhouette
 from activestructure_gym.evaluation.report.plan import draw_scale_bar, pixel_size, plan_base
-from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_graph
+from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_edges, draw_nodes
 
 _LEVEL = 0.8  # |z| of the normal from which a plane is an area of the plan and not a stroke
 _FLOOR_M = 0.2  # level planes this near to the lowest are floor
@@ -35,8 +35,13 @@ def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tup
     view = view_from_above(arrays, plan)
     ground, shapes = _ground(plan, view), _shapes(arrays, view)
     types = [style.plane_colour(bool(structural)) for structural in arrays["structural"]]
-    by_type = _drawn(ground, shapes, types)
-    by_type = draw_graph(by_type, arrays, view.pixels(arrays["centroids"]))
+    # The graph runs between the areas and the walls: over the former nothing of it could be seen, over the latter it
+    # would be all that is seen.
+    places, everyone = view.pixels(arrays["centroids"]), np.ones(len(arrays["ids"]), bool)
+    by_type = _drawn(ground, [shape for shape in shapes if not shape.stroke], types)
+    by_type = draw_edges(by_type, arrays, places, everyone)
+    by_type = _drawn(by_type, [shape for shape in shapes if shape.stroke], types)
+    draw_nodes(by_type, arrays, places, everyone)
     deficits = [style.deficit_colour(float(deficit)) for deficit in arrays["deficit"]]
     by_deficit = _drawn(ground, shapes, deficits)
     centres = arrays["deficiency_centres"]

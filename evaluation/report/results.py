@@ -94,11 +94,23 @@ class Results:
         ]
         return found if all(len(values) for values in found) else None
 
-    def typical(self, policy: str, scene: str, key: str = "completion_ratio") -> Run | None:
-        """The run with the median result: of an even number the lower of the middle two; None without runs."""
-        runs = self.of(policy, scene)
-        ordered = sorted(runs, key=lambda run: (value_of(run, key) or 0.0, run.job.seed))
-        return ordered[(len(ordered) - 1) // 2] if ordered else None
+    def shown(self, scene: str, key: str = "completion_ratio") -> list[Run]:
+        """The runs on a scene whose pictures stand side by side: of one seed, so that all began at the same place.
+
+        Of the seeds that most policies finished it is the one with the median result, averaged over the policies; of
+        an even number the lower of the middle two.
+        """
+        by_seed: dict[int, list[Run]] = {}
+        for policy in self.policies:
+            for run in self.of(policy, scene):
+                by_seed.setdefault(run.job.seed, []).append(run)
+        most = max(map(len, by_seed.values()), default=0)
+        means = [
+            (float(np.mean([value_of(run, key) or 0.0 for run in runs])), seed)
+            for seed, runs in by_seed.items()
+            if len(runs) == most
+        ]
+        return by_seed[sorted(means)[(len(means) - 1) // 2][1]] if means else []
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:

@@ -9,13 +9,15 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
-from activestructure_gym.evaluation.report.charts import line_chart, panel_chart
-from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
+from activestructure_gym.evaluation.report.charts import panel_chart
+from activestructure_gym.evaluation.report.columns import COLUMNS
+from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, chart_rows, convergence
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
 from activestructure_gym.evaluation.report.phases import plot_phases, stored_timeline
-from activestructure_gym.evaluation.report.pictures import telling_views
-from activestructure_gym.evaluation.report.plan import draw_plan
+from activestructure_gym.evaluation.report.pictures import BLACK, telling_views
+from activestructure_gym.evaluation.report.places import without_places
+from activestructure_gym.evaluation.report.plan import FILLS, draw_plan, flight
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
 from activestructure_gym.evaluation.report.results import Results
@@ -25,6 +27,11 @@ from activestructure_gym.evaluation.statistics import Statistic, mean
 from activestructure_gym.evaluation.store import Run
 
 _TIMELINE = 900  # pixels; its words must be legible
+_SEEN = {  # what there is to see in the pictures of planes
+    ("type", "from above"): "which planes carry the layout, and how the graph connects them",
+    ("type", "in 3D"): "the same; walls that look away are cut away, with their nodes",
+    ("deficit", "in 3D"): "on which walls and floors the holes lie",
+}
 
 
 def _css(colour: tuple[int, int, int]) -> str:
@@ -37,8 +44,8 @@ _CLASSES = (f"deficit < {style.DEFICIT_BOUNDS[0]:g}", *(f"{bound:g} +" for bound
 PLAN_KEY = (
     ("start", "disc", _css(style.START)), ("end", "square", _css(style.END)),
     ("path, first to last frame", "line", f"linear-gradient(90deg,{_WAY})"),
-    ("keyframe, looking ahead", "dotted", _css(style.INK)), ("not seen", "box", _css(style.UNKNOWN)),
-    ("free", "box", _css(style.FREE)), ("occupied", "box", _css(style.OCCUPIED)),
+    ("keyframe, looking ahead", "dotted", _css(style.INK)),
+    *((label, "box", _css(colour)) for label, colour in FILLS.items()),
 )  # fmt: skip
 TYPE_KEY = (
     ("structural plane", "box", _css(style.STRUCTURAL)), ("object plane", "box", _css(style.OBJECT)),
@@ -52,14 +59,16 @@ DEFICIT_KEY = (
 
 
 def scene_section(results: Results, scene: str, anchor: str) -> Html:
-    """Everything about one scene; pictures are of each policy's run with the median C.R."""
-    shown = [run for policy in results.policies if (run := results.typical(policy, scene)) is not None]
-    parts = [
-        element("h2", scene),
-        scene_facts(shown[0]),
-        html_table(overview(table_rows(results.of(None, scene)), name=anchor), colours=results.policies),
-        element("h3", "Convergence"),
-        chart_grid(results, scene),
+    """Everything about one scene that does not stand further up on the page."""
+    shown = results.shown(scene)
+    parts: list[Html | None] = [element("h2", scene), scene_facts(shown[0])]
+    if len(results.scenes) > 1:
+        # Its quality stands among that of all scenes; here its spread over the seeds, if there is one, and its costs.
+        columns = COLUMNS if len(results.seeds) > 1 else [column for column in COLUMNS if column.best is None]
+        table = overview(table_rows(results.of(None, scene)), name=anchor, columns=columns)
+        parts += [html_table(table, colours=results.policies), element("h3", "Convergence"), chart_grid(results, scene)]
+    parts += [
+        element("p", which_runs(results, scene), class_="facts"),
         element("h3", "Held-out views"),
         views_strip(shown, results.policies),
         element("h3", "Paths"),
@@ -73,30 +82,36 @@ def scene_section(results: Results, scene: str, anchor: str) -> Html:
     return element("section", *parts, id_=anchor)
 
 
+def which_runs(results: Results, scene: str) -> str:
+    """Whose pictures are shown, and who has none."""
+    runs = results.shown(scene)
+    shown = {run.job.policy for run in runs}
+    text = f"All pictures are of seed {runs[0].job.seed}, so that every path begins at the same place"
+    if len({run.job.seed for run in results.of(None, scene)}) > 1:
+        text += "; of the seeds it is the one with the median C.R., averaged over the policies"
+    others = [p for p in results.policies if p not in shown and results.of(p, scene)]
+    return f"{text}." + (f" Without a run of this seed: {', '.join(others)}." if others else "")
+
+
 def scene_facts(run: Run) -> Html:
     """What the scene is."""
     info, metrics = run.config["scene"], run.metrics["metrics"]
     size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
     seen = f"{metrics['true_area_m2']:.1f} m² of surface can be seen ({metrics['true_samples']:,} samples)"
     notes = "".join(f" Note: {note}." for note in info["notes"])
-    return element(
-        "p", f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}", class_="facts"
-    )
+    text = f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.{notes}"
+    return element("p", without_places(text), class_="facts")
 
 
 def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Html:
     """C.R. and PSNR over frames, metres and seconds."""
-    charts = [
-        line_chart(
-            convergence(results, cost.key, measure.key, scene, statistic),
-            title=f"{measure.label} over {cost.label}, {scene or 'all scenes'}",
-            x_label=cost.label,
-            y_label=measure.label,
-        )
-        for measure in MEASURES
-        for cost in COSTS
-    ]
-    return element("div", *charts, class_="charts")
+    charts = [chart for row in chart_rows(results, scene, statistic) for chart in row]
+    caption = element(
+        "figcaption",
+        "The higher and the further left, the better. Charts side by side have one vertical axis; seconds begin where "
+        "the first decision has ended.",
+    )
+    return element("figure", caption, element("div", *charts, class_="charts"))
 
 
 def policy_panels(results: Results) -> list[Html]:
@@ -131,8 +146,8 @@ def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> Html:
         rows.append(_view_row(run.job.policy, _result(run), tiles, policies.index(run.job.policy)))
     caption = element(
         "figcaption",
-        "PSNR in dB in the corner, the best of a view in gold. The views are those with most detail in the true image. "
-        "Of each policy the run with the median C.R. is shown.",
+        "The nearer a picture comes to the true one above it, the better: PSNR in dB in the corner, the best of a view "
+        f"in gold. The views are those with most detail in the true image. {BLACK}",
     )
     return element("figure", caption, element("div", *rows, class_="strip"))
 
@@ -143,7 +158,12 @@ def plans(runs: Sequence[Run], policies: Sequence[str]) -> Html:
     for run in runs:
         drawn = picture(draw_plan(run.pictures, run.trajectory), f"plan with the path of {run.job.policy}")
         tiles.append(_tile(run, policies, drawn))
-    return element("figure", key(PLAN_KEY), element("div", *tiles, class_="tiles"))
+    caption = element(
+        "figcaption",
+        "The map from above without ceilings, and the way through it: places the path never looked into are grey. "
+        f"{flight([(run.trajectory, run.graph) for run in runs])}",
+    )
+    return element("figure", caption, key(PLAN_KEY), element("div", *tiles, class_="tiles"))
 
 
 def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
@@ -161,9 +181,13 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
                 if (place, what) == ("from above", "deficit"):
                     plans_by_deficit.append(_tile(run, policies, drawing))
                 else:
-                    pictures.append(element("figure", drawing, element("figcaption", f"by {what}, {place}")))
+                    caption = element("figcaption", element("strong", f"by {what}, {place}"), f": {_SEEN[what, place]}")
+                    pictures.append(element("figure", drawing, caption))
         history = picture(_history(run), f"timeline of {run.job.policy}", drawing=True, widest=_TIMELINE)
-        over_time = element("figure", history, class_="over-time")
+        caption = element(
+            "figcaption", "What is still missing, and what decided, frame by frame: deficits should fall."
+        )
+        over_time = element("figure", caption, history, class_="over-time")
         count, structural = len(run.graph["ids"]), int(run.graph["structural"].sum())
         holes = run.graph["deficiency_areas"]
         line = (
@@ -172,8 +196,10 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
         )
         blocks.append(folded(line, element("div", *pictures, class_="tiles paper"), over_time, class_="planes"))
     plans_above = element("div", *plans_by_deficit, class_="tiles paper")
+    says = "The darker a plane, the more of it is missing or badly seen; circles stand where to look next."
     more = element("p", "By type, in three dimensions, and over the frames:", class_="facts")
-    return element("div", key(DEFICIT_KEY), plans_above, more, key(TYPE_KEY), *blocks)
+    caption = element("p", says, class_="facts")
+    return element("div", caption, key(DEFICIT_KEY), plans_above, more, key(TYPE_KEY), *blocks)
 
 
 def _history(run: Run) -> Image.Image:

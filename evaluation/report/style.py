@@ -12,7 +12,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 INK, FAINT_INK, PAPER = (33, 37, 41), (108, 117, 125), (255, 255, 255)
 HAIR = (206, 212, 218)  # lines around pictures
-UNKNOWN, FREE, OCCUPIED = (222, 226, 230), (250, 250, 247), (73, 80, 87)
+# Of plans. None is paper, and free has a hue: a gap in the map is neither a white floor nor a place nobody saw.
+UNKNOWN, FREE, OCCUPIED = (181, 187, 193), (200, 227, 246), (73, 80, 87)
 START, END = (0, 158, 115), (213, 94, 0)
 
 

@@ -9,15 +9,22 @@ from typing import Any
 
 from activestructure_gym.evaluation.jobs import slug
 from activestructure_gym.evaluation.report import verdicts
-from activestructure_gym.evaluation.report.charts import line_chart, standalone
+from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
-from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, convergence
+from activestructure_gym.evaluation.report.curves import chart_rows
 from activestructure_gym.evaluation.report.formats import documents, markdown
 from activestructure_gym.evaluation.report.layout import Table
-from activestructure_gym.evaluation.report.method_text import machine_text, protocol_texts, statistics_text
+from activestructure_gym.evaluation.report.method_text import (
+    absences,
+    machine_text,
+    meanings,
+    protocol_texts,
+    statistics_text,
+)
 from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.paper_tables import ablation_table, tables_like_the_papers
-from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views
+from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
+from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results, source_of
 from activestructure_gym.evaluation.report.scene_section import policy_panels
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
@@ -97,30 +104,19 @@ def _endings(scenes: Sequence[str]) -> list[str]:
 
 
 def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) -> list[Path]:
-    """Curves, held-out views and plans; of every policy the run with the median C.R."""
-    shown = [run for policy in results.policies if (run := results.typical(policy, scene)) is not None]
-    views, plans = directory / f"views{ending}.png", directory / f"plans{ending}.png"
+    """One view with the plans, curves, held-out views and plans; pictures of the seed that `Results.shown` picks."""
+    shown = results.shown(scene)
+    strip, views, plans = (directory / f"{name}{ending}.png" for name in ("strip", "views", "plans"))
+    compare_strip(shown, title=f"{scene}, seed {shown[0].job.seed}").save(strip)
     compare_views(shown, title=f"Held-out views of {scene}").save(views)
     compare_plans(shown, title=f"{scene} from above").save(plans)
-    return [_curves(directory / f"convergence{ending}.svg", results, scene), views, plans]
+    return [_curves(directory / f"convergence{ending}.svg", results, scene), strip, views, plans]
 
 
 def _curves(path: Path, results: Results, scene: str | None) -> Path:
     """C.R. and PSNR over frames, metres and seconds as one SVG."""
-    charts = [
-        [
-            line_chart(
-                convergence(results, cost.key, measure.key, scene),
-                title=f"{measure.label} over {cost.label}",
-                x_label=cost.label,
-                y_label=measure.label,
-            )
-            for cost in COSTS
-        ]
-        for measure in MEASURES
-    ]
     title = f"Convergence on {scene}" if scene else f"Convergence, mean over {len(results.scenes)} scenes"
-    return _written(path, standalone(charts, results.policies, title=title))
+    return _written(path, standalone(chart_rows(results, scene), results.policies, title=title))
 
 
 def _scene_section(results: Results, scene: str, pictures: Sequence[Path], directory: Path) -> str:
@@ -129,8 +125,13 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
     size = " x ".join(f"{side:.1f}" for side in info["extent_m"])
     metrics = runs[0].metrics["metrics"]
     seen = f"{metrics['true_area_m2']:.1f} m2 of surface can be seen ({metrics['true_samples']:,} samples)"
-    lines = [f"## {scene}", "", f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}."]
+    lines = [
+        f"## {scene}",
+        "",
+        f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.",
+    ]
     lines += [f"Note: {note}." for note in info["notes"]]
+    lines = [without_places(line) for line in lines]
     for path in pictures:
         lines += ["", f"![{path.stem.partition('-')[0]}](./{path.name})"]
     return "\n".join([*lines, "", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""])
@@ -143,15 +144,16 @@ def _link(run: Run, directory: Path) -> str:
 
 def _summary(results: Results, sections: Sequence[str]) -> str:
     seeds = len(results.seeds)
-    missing = [f"- {name}: {reason}" for name, reason in results.missing.items()]
+    missing = [f"- {without_places(name)}: {without_places(reason)}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
+    meaning = [f"- {name}: {text}." for name, text in meanings(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
     compared += [verdicts.difference_table(results), verdicts.area_table(results), verdicts.cost_table(results)]
     parts = [
         "# Comparison",
         "",
-        *(f"`{source.command}`\n" for source in results.sources if source.command),
+        *(f"`{without_places(source.command)}`\n" for source in results.sources if source.command),
         f"The same with curves, pictures and every decision: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
         f"[{TABLES}](./{TABLES}/).",
         "",
@@ -159,6 +161,9 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         f"{spread}; the first three of each scene marked. Executed steps through the true mesh: {collisions}"
         f"{' (must be 0!)' if collisions else ''}.",
         "",
+        *meaning,
+        "",
+        *(f"{text}\n" for text in absences(results)),
         *([f"Not finished, and not counted ({len(missing)}):", "", *missing, ""] if missing else []),
     ]
     for table in compared:

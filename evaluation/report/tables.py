@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.evaluation.report import layout
-from activestructure_gym.evaluation.report.columns import COLUMNS, value_of
+from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
 from activestructure_gym.evaluation.report.layout import Heading, Table
 from activestructure_gym.evaluation.store import Run
 
@@ -95,24 +95,25 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
     return table
 
 
-def overview(rows: Sequence[Row], *, name: str = "overview") -> Table:
+def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[Column] = COLUMNS) -> Table:
     """The same for documents, with the first three of every block marked; of one scene without its name."""
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []
     for start, end in zip([0, *blocks], [*blocks, len(rows)]):
         block = rows[start:end]
-        columns = [
+        numbers = [
             layout.ranked([layout.Cell(row.cells[c.key].text(c.digits), row.cells[c.key].mean) for row in block], c)
-            for c in COLUMNS
+            for c in columns
         ]
         names = [[layout.Cell(row.scene) for row in block]] if blocks else []
         names.append([layout.Cell(row.policy) for row in block])
-        marked += [list(cells) for cells in zip(*names, *columns)]
+        marked += [list(cells) for cells in zip(*names, *numbers)]
     headings = [Heading("scene", numeric=False)] if blocks else []
-    headings += [Heading("policy", numeric=False), *map(Heading.of, COLUMNS)]
+    headings += [Heading("policy", numeric=False), *map(Heading.of, columns)]
     title = "Every scene and policy" if blocks else "Numbers"
-    caption = "Mean ± sample standard deviation over the seeds"
-    if blocks:
+    single = all(row.runs == 1 for row in rows if row.scene != AVERAGE)
+    caption = "One run each" if single else "Mean ± sample standard deviation over the seeds"
+    if rows and rows[-1].scene == AVERAGE:
         caption += "; the average counts every scene the same"
     return Table(name, title, headings, marked, caption, blocks=blocks)
 

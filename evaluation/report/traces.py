@@ -23,7 +23,7 @@ def run_trace(run: Run) -> Html:
         if (value := numbers[key]) is not None:
             parts.append(form.format(value))
     parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
-    where = element("p", "Job ", element("code", run.job.hash), ", files in ", element("code", str(run.directory)), ".")
+    where = element("p", "Job ", element("code", run.job.hash), ", files in ", element("code", run.directory.name), ".")
     return folded(" · ".join(parts), timeline(run), html_table(trace_table(run)), where, class_="trace")
 
 

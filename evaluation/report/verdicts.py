@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +39,7 @@ class Lead:
     column: Column
     policy: str
     mean: Estimate
+    level: tuple[str, ...] = ()  # policies whose mean is printed alike; then nobody leads
     runner_up: str | None = None
     ahead: PairedDifference | None = None
 
@@ -55,10 +57,11 @@ def leads(results: Results) -> list[Lead]:
             continue
         order = sorted(means, key=lambda policy: -column.sign * means[policy].value)
         first, second = order[0], order[1] if len(order) > 1 else None
+        level = tuple(p for p in order[1:] if _printed(means[p].value, column) == _printed(means[first].value, column))
         ahead = None
-        if second is not None:
+        if second is not None and not level:
             ahead = paired_difference(results.cells(first, column.key), results.cells(second, column.key))
-        found.append(Lead(column, first, means[first], second, ahead))
+        found.append(Lead(column, first, means[first], level, second, ahead))
     return found
 
 
@@ -68,18 +71,35 @@ def differences(results: Results, column: Column) -> dict[str, PairedDifference]
     if base is None:
         return {}
     theirs = results.cells(base, column.key)
-    pairs = {p: paired_difference(results.cells(p, column.key), theirs) for p in results.policies if p != base}
+    pairs = {
+        policy: paired_difference(results.cells(policy, column.key), theirs, tie=column.tie)
+        for policy in results.policies
+        if policy != base
+    }
     return {policy: pair for policy, pair in pairs.items() if pair is not None}
 
 
-def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
-    """In words, and its tone: whether the interval excludes 0, and towards which side.
+def can_tell(results: Results) -> bool:
+    """Whether chance can be judged at all: a policy shares two seeds or more with the baseline wherever both ran."""
+    finished = {policy: {(run.scene, run.job.seed) for run in results.of(policy)} for policy in results.policies}
+    theirs = finished.pop(results.baseline or "", set())
+    pairs = [Counter(scene for scene, _ in own & theirs) for own in finished.values()]
+    return any(shared and min(shared.values()) > 1 for shared in pairs)
 
-    A resampled interval of very few pairs excludes 0 as soon as all of them agree, so below `_FEW` that is said.
+
+def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
+    """In words, and its tone: whether the interval excludes 0, and towards which side; nothing without an interval.
+
+    The numbers are judged as they are printed: what is smaller than the last digit is neither better nor worse. A
+    resampled interval of very few pairs excludes 0 as soon as all of them agree, so below `_FEW` that is said.
     """
-    found = pair.difference
-    if not found.has_interval:
-        return "no interval: a scene with one pair", ""
+    exact = pair.difference
+    if exact.low is None or exact.high is None:
+        return "", ""
+    found = replace(exact, value=_printed(exact.value, column), low=_printed(exact.low, column),
+                    high=_printed(exact.high, column))  # fmt: skip
+    if found.low == found.high == 0.0:
+        return "equal as printed", ""
     if not found.excludes(0.0):
         return "0 not excluded", ""
     better = found.value * column.sign > 0
@@ -93,6 +113,7 @@ def difference_table(results: Results) -> Table | None:
     """A row per policy and metric: the paired difference to the baseline with its interval, and what it excludes."""
     rows: list[list[Cell]] = []
     blocks: list[int] = []
+    chance_known = can_tell(results)
     for policy in results.policies:
         if policy == results.baseline:
             continue
@@ -101,28 +122,29 @@ def difference_table(results: Results) -> Table | None:
             pair = differences(results, column).get(policy)
             if pair is None:
                 continue
-            words, tone = verdict(pair, column)
             wins, losses = (pair.higher, pair.lower) if column.sign > 0 else (pair.lower, pair.higher)
-            chance = _improvement(results, policy, results.baseline or "", column)
-            own.append([
-                Cell(policy), Cell(column.title), with_interval(pair.difference, column.digits, signed=True),
-                Cell(words, tone=tone), Cell(f"{wins} / {pair.equal} / {losses}", wins / pair.pairs),
-                with_interval(chance, 2),
-            ])  # fmt: skip
+            row = [Cell(policy), Cell(column.title), with_interval(pair.difference, column.digits, signed=True)]
+            row.append(Cell(f"{wins} / {pair.equal} / {losses}", wins / pair.pairs))
+            if chance_known:
+                words, tone = verdict(pair, column)
+                row.insert(3, Cell(words or MISSING, tone=tone))
+                row.append(with_interval(_improvement(results, policy, results.baseline or "", column), 2))
+            own.append(row)
         if own and rows:
             blocks.append(len(rows))
         rows += own
     if not rows:
         return None
-    headings = [
-        Heading("Policy", numeric=False), Heading("Metric", numeric=False), Heading("Difference"),
-        Heading("Verdict", numeric=False), Heading("better / equal / worse", note="pairs of scene and seed"),
-        Heading("P(improvement)"),
-    ]  # fmt: skip
-    caption = (
-        f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes; 95 % stratified "
-        "bootstrap intervals"
-    )
+    headings = [Heading("Policy", numeric=False), Heading("Metric", numeric=False), Heading("Difference")]
+    headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: as printed"))
+    caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes"
+    if chance_known:
+        headings.insert(3, Heading("Verdict", numeric=False))
+        headings.append(Heading("P(improvement)"))
+        caption += (
+            "; 95 % stratified bootstrap intervals. Verdicts are about the numbers as printed: what is smaller than "
+            "the last digit is equal"
+        )
     return Table("differences", f"Against {results.baseline}", headings, rows, caption, blocks=blocks)
 
 
@@ -226,6 +248,9 @@ def _improvement(results: Results, ours: str, theirs: str, column: Column) -> Es
     ]
     if not strata:
         return None
-    return probability_of_improvement(
-        [column.sign * mine[0] for mine, _ in strata], [column.sign * other[0] for _, other in strata]
-    )
+    ours_then_theirs = ([column.sign * runs[0] for runs in side] for side in zip(*strata))
+    return probability_of_improvement(*ours_then_theirs, tie=column.tie)
+
+
+def _printed(value: float, column: Column) -> float:
+    return round(value, column.digits)

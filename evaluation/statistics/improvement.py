@@ -9,16 +9,20 @@ import numpy as np
 from activestructure_gym.evaluation.statistics.resampling import LEVEL, REPEATS, Estimate, interval
 
 
-def win_share(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:  # [n], [m] -> [n, m]
-    """1 where ours is larger, 1/2 where both are equal; the mean is Mann and Whitney's U / (n m)."""
+def win_share(ours: np.ndarray, theirs: np.ndarray, tie: float = 0.0) -> np.ndarray:  # [n], [m] -> [n, m]
+    """1 where ours is larger, 1/2 where both are equal; the mean is Mann and Whitney's U / (n m).
+
+    What differs by no more than ``tie`` is equal.
+    """
     difference = np.asarray(ours, np.float64)[:, None] - np.asarray(theirs, np.float64)[None, :]
-    return 0.5 * (1.0 + np.sign(difference))
+    return 0.5 * (1.0 + np.where(np.abs(difference) > tie, np.sign(difference), 0.0))
 
 
 def probability_of_improvement(
     ours: Sequence[np.ndarray],  # one [n] per scene; larger is better
     theirs: Sequence[np.ndarray],  # one [m] per scene, the same scenes
     *,
+    tie: float = 0.0,  # runs that differ by no more than this are equal
     level: float = LEVEL,
     repeats: int = REPEATS,
     seed: int = 0,
@@ -30,7 +34,7 @@ def probability_of_improvement(
     """
     if len(ours) != len(theirs) or not ours or min(map(len, (*ours, *theirs))) < 1:
         raise ValueError(f"both need runs on the same scenes, got {[*map(len, ours)]} and {[*map(len, theirs)]} runs")
-    shares = [win_share(x, y) for x, y in zip(ours, theirs)]
+    shares = [win_share(x, y, tie) for x, y in zip(ours, theirs)]
     point = float(np.mean([share.mean() for share in shares]))
     runs = sum(map(len, ours)) + sum(map(len, theirs))
     if min(map(len, (*ours, *theirs))) < 2:

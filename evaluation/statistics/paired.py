@@ -33,13 +33,15 @@ def paired_difference(
     theirs: Mapping[Cell, float],
     statistic: Statistic = mean,
     *,
+    tie: float = 0.0,
     level: float = LEVEL,
     repeats: int = REPEATS,
     seed: int = 0,
 ) -> PairedDifference | None:
     """The statistic of the differences over the cells both have, pairs drawn again within every scene.
 
-    None if they have no cell in common. What only one of them finished is not counted.
+    None if they have no cell in common. What only one of them finished is not counted, and pairs that differ by no
+    more than ``tie`` count as equal.
     """
     by_scene: dict[str, list[float]] = {}
     for scene, number in sorted(ours.keys() & theirs.keys()):
@@ -47,6 +49,7 @@ def paired_difference(
     if not by_scene:
         return None
     strata = [np.array(values) for values in by_scene.values()]
-    signs = np.sign(np.concatenate(strata))
+    every = np.concatenate(strata)
     found = estimate(strata, statistic, level=level, repeats=repeats, seed=seed)
-    return PairedDifference(found, int((signs > 0).sum()), int((signs == 0).sum()), int((signs < 0).sum()))
+    higher, lower = int((every > tie).sum()), int((every < -tie).sum())
+    return PairedDifference(found, higher, len(every) - higher - lower, lower)

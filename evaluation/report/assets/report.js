@@ -51,6 +51,47 @@
     }
   }
 
+  // A hint beside every table that goes on to the right.
+  const hint = (box) => {
+    box.parentElement.classList.toggle("cut", box.scrollLeft + box.clientWidth < box.scrollWidth - 2);
+    box.parentElement.style.setProperty("--tall", `${box.offsetHeight - 2}px`);
+  };
+  const sizes = new ResizeObserver((entries) => entries.forEach((entry) => hint(entry.target)));
+  for (const box of document.querySelectorAll("figure.table > .wide")) {
+    sizes.observe(box);
+    box.addEventListener("scroll", () => hint(box), { passive: true });
+  }
+
+  // Pictures, enlarged: click or Enter opens, click or Escape closes, arrows go to the one before and after.
+  const overlay = document.getElementById("enlarged");
+  const images = [...document.querySelectorAll("main img")];
+  const large = new Image();
+  const show = (image) => {
+    overlay.dataset.at = images.indexOf(image);
+    large.src = image.src;
+    large.alt = image.alt;
+    large.style.setProperty("--ratio", image.naturalWidth / image.naturalHeight);
+    overlay.querySelector("figcaption").textContent = `${image.alt} (← →)`;
+    overlay.querySelector("figure").prepend(large);
+    if (!overlay.open) overlay.showModal();
+  };
+  for (const image of images) {
+    image.tabIndex = 0;
+    image.setAttribute("role", "button");
+    image.addEventListener("click", () => show(image));
+    image.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      show(image);
+    });
+  }
+  overlay.addEventListener("click", () => overlay.close());
+  overlay.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    const next = images[Number(overlay.dataset.at) + step];
+    if (next) show(next);
+  });
+
   // A policy's curves, hidden and shown everywhere.
   for (const button of document.querySelectorAll("button.legend")) {
     button.addEventListener("click", () => {

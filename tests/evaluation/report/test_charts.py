@@ -70,6 +70,17 @@ def test_the_axis_reaches_what_it_is_to_hold():
     assert ElementTree.fromstring(chart).get("data-y") == "0 1"
 
 
+@pytest.mark.parametrize(("first", "begin"), [(1.0, 0.0), (19.0, 0.0), (80.0, 80.0), (83.0, 80.0)])
+def test_an_axis_does_not_begin_far_before_its_curves(first, begin):
+    curve = Line("a", 0, np.array([first, 100.0]), np.array([1.0, 2.0]))
+    svg = ElementTree.fromstring(line_chart([curve], title="t", x_label="x", y_label="y"))
+    assert [float(end) for end in svg.get("data-x").split()] == pytest.approx([begin, 100.0], abs=5.0)
+    left, _, right, _ = (float(n) for n in svg.get("data-frame").split())
+    x = float(svg.find("g").find("path[@class='curve']").get("d")[1:].split()[0])
+    assert left <= x <= left + 0.2 * (right - left) + 1.0
+    ElementTree.fromstring(line_chart([Line("a", 0, np.array([7.0]), np.ones(1))], title="", x_label="", y_label=""))
+
+
 def test_every_policy_has_a_panel_with_its_own_curve_before_all_others():
     lines = [line(f"policy {k}", k, band=k != 1) for k in range(12)]
     svg = ElementTree.fromstring(panel_chart(lines, title="t", x_label="frames", y_label="C.R.", columns=5))

@@ -1,7 +1,9 @@
+import re
+
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.report.curves import areas, convergence, curve_of
+from activestructure_gym.evaluation.report.curves import areas, chart_rows, convergence, curve_of
 from activestructure_gym.evaluation.report.results import Results
 
 
@@ -27,6 +29,15 @@ def test_a_line_per_policy_with_the_mean_over_the_scenes(make_run):
     assert first.y[-1] == 60.0 and first.low[-1] == first.high[-1] == 60.0  # both seeds are alike
     (alone,) = convergence(Results(runs[:1], []), "frames", "psnr", "room")
     assert alone.low is None
+
+
+def test_charts_side_by_side_have_one_vertical_axis(make_run):
+    runs = [make_run(policy="a", completion_ratio=40.0), make_run(policy="b", seconds=90.0, metres=90.0)]
+    runs[0].timing["decisions"] = [1.0, 1.5, 2.0]
+    rows = chart_rows(Results(runs, []))
+    ranges = [[re.search(r'data-y="([^"]+)"', chart).group(1) for chart in row] for row in rows]
+    assert [len(row) for row in rows] == [3, 3] and all(len(set(own)) == 1 for own in ranges)
+    assert ranges[0] != ranges[1]
 
 
 def test_a_policy_without_runs_on_a_scene_has_no_line_over_all(make_run):

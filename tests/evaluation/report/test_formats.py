@@ -45,9 +45,7 @@ def test_latex():
 
 
 def test_what_latex_would_take_for_a_command_is_written_out():
-    assert latex_text("a_b{c}%$#~^\\") == (
-        r"a\_b\{c\}\%\$\#\textasciitilde{}\textasciicircum{}\textbackslash{}"
-    )
+    assert latex_text("a_b{c}%$#~^\\") == (r"a\_b\{c\}\%\$\#\textasciitilde{}\textasciicircum{}\textbackslash{}")
 
 
 def test_every_table_comes_in_three_forms():

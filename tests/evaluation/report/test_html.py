@@ -22,6 +22,11 @@ def test_a_table_has_ranks_values_and_buttons_to_sort_it():
     assert text.count("<button") == 2 and 'class="dot p0"' in text
 
 
+def test_an_arrow_stays_with_its_heading():
+    text = html_table(Table("t", "T", [Heading("m"), Heading("PSNR (dB) ↑")], [[Cell("a"), Cell("1")]]))
+    assert "PSNR (dB)\u00a0↑" in text
+
+
 def test_blocks_span_their_name_and_are_not_sorted():
     rows = [[Cell("a"), Cell("1")], [Cell("a"), Cell("2")], [Cell("b"), Cell("3")]]
     text = html_table(Table("t", "T", [Heading("m", numeric=False), Heading("x")], rows, blocks=[2]))

@@ -1,14 +1,18 @@
 """The page as text, and in a real browser."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from activestructure_gym.evaluation.report.page import html_page
+from activestructure_gym.evaluation.report.plan import FILLS
 from activestructure_gym.evaluation.report.results import Results, Source
+from activestructure_gym.evaluation.report.summary import PAGE, write_results
 from tests.evaluation.report import chromium
 
 HOSTILE = '<img src=x onerror="fetch(1)">'
+SCENE = "a|b<i>\n<b onclick=x>*_c"
 
 
 @pytest.fixture(scope="session")
@@ -26,11 +30,11 @@ def browser():
 
 @pytest.fixture(scope="module")
 def results(make_module_run, tmp_path_factory):
-    """2 policies x 2 scenes x 2 seeds, one of them with a name that is markup, and a run that failed."""
+    """2 policies x 2 scenes x 2 seeds, one of each with a name that is markup, and a run that failed."""
     runs = [
         make_module_run(scene, policy, seed, planes=(scene, policy, seed) == ("room", "a", 0),
                         psnr=20.0 + seed + (policy == "a"))
-        for scene in ("room", "box?seed=2") for policy in ("a", HOSTILE) for seed in range(2)
+        for scene in ("room", SCENE) for policy in ("a", HOSTILE) for seed in range(2)
     ]  # fmt: skip
     source = Source(tmp_path_factory.mktemp("c"), "asg compare --scenes room", 2, {"room · c": "RuntimeError: <no>"})
     return Results(runs, [source], "a")
@@ -67,7 +71,9 @@ def test_no_error_no_request_and_no_foreign_markup(path, browser):
     assert browser.complaints() == []
     assert browser.ask("document.images.length") > 20
     assert browser.ask("[...document.images].every((image) => image.complete && image.naturalWidth > 0 && image.alt)")
-    assert HOSTILE in browser.ask("document.body.textContent")
+    text = browser.ask("document.body.textContent")
+    assert HOSTILE in text and SCENE in text
+    assert browser.ask("document.querySelectorAll('main i:not(.dot, .sign), script').length") == 1
     # The policy of the page would stop a request that something tries all the same.
     assert browser.ask("fetch('https://example.org').then(() => 'sent', () => 'stopped')") == "stopped"
 
@@ -104,12 +110,155 @@ def test_a_policy_is_hidden_alone_where_another_has_its_colour(make_run, browser
     assert browser.ask("document.querySelectorAll('svg.panels .panel').length") == 20
 
 
+@pytest.fixture(scope="module")
+def small(make_module_run, tmp_path_factory):
+    """What a first comparison gives: 2 policies, one scene, one seed, no LPIPS."""
+    runs = [make_module_run("room", p, planes=True, lpips=None, notes={"lpips": "no weights"}) for p in ("c", "d")]
+    path = tmp_path_factory.mktemp("small") / "report.html"
+    path.write_text(html_page(Results(runs, [])), encoding="utf-8")
+    return path
+
+
+def test_pictures_come_first_then_what_the_numbers_mean_then_the_numbers(path, small):
+    for page in (path, small):
+        text = page.read_text(encoding="utf-8")
+        order = ['class="sight"', 'id="glance"', 'class="cards"', 'class="meanings"', "<table", 'id="convergence"',
+                 'id="costs"', 'id="scene-1"', 'id="how"']  # fmt: skip
+        places = [text.index(mark) for mark in order]
+        assert places == sorted(places)
+        assert "mean distance from the reconstructed points" in text[: text.index("<table")]
+
+
+@pytest.mark.parametrize("width, height", [(1280, 900), (390, 800)])
+def test_the_first_pictures_stand_on_the_first_screen(path, browser, width, height):
+    browser.size(width, height)
+    try:
+        browser.open(path)
+        assert browser.ask("document.querySelector('main img').getBoundingClientRect().bottom") < height
+    finally:
+        browser.size(1280, 900)
+
+
+def test_nothing_is_said_twice(small):
+    text = small.read_text(encoding="utf-8")
+    tables = re.findall(r'id="table-([^"]+)"', text)
+    assert tables[:3] == ["variants", "areas", "costs"] and not any(name.startswith("scene") for name in tables)
+    assert text.count(">PSNR (dB)\u00a0↑<") == 1  # one table has it
+    assert text.count("no intervals") == 1 and "P(improvement)" not in text.split('id="how"')[0]
+    assert 'href="#against"' not in text and 'href="#quality"' not in text
+    assert text.count('svg class="chart"') == 6  # curves of the only scene are those of all scenes
+    assert (
+        text.count("LPIPS") == 1 and "LPIPS is left out: no weights." in text and "n/a" not in text.split("<details")[0]
+    )
+
+
+def test_several_scenes_have_their_own_numbers_once(path):
+    text = path.read_text(encoding="utf-8")
+    quality = text[text.index('id="table-quality"') :].split("</thead>")[0]
+    assert "Avg." not in quality  # stands at a glance
+    assert 'id="table-time"' not in text and 'id="table-scene-1"' in text
+    assert "Mean ± sample standard deviation" in text
+
+
+def test_pictures_say_what_there_is_to_see(path, small):
+    for page in (path, small):
+        text = page.read_text(encoding="utf-8")
+        assert text.count("Black: nothing of the map is there") >= 2 and "The camera flies at" in text
+        for sign in (*FILLS, "start", "end", "spanning tree", "deficiency centre, by area"):
+            assert f"</i>{sign}</li>" in text
+        assert "so that every path begins at the same place" in text
+        assert "The higher and the further left" in text and "The darker a plane" in text
+
+
+def test_side_by_side_are_runs_of_one_seed(make_run):
+    ratios = {"a": (50.0, 60.0, 90.0), "b": (90.0, 60.0, 50.0)}  # the median run of each has another seed
+    runs = [make_run(policy=p, seed=s, completion_ratio=r) for p, own in ratios.items() for s, r in enumerate(own)]
+    runs += [make_run(policy="only here", seed=7)]
+    text = html_page(Results(runs, []))
+    scene = text[text.index('id="scene-1"') :]
+    seeds = set(re.findall(r"seed (\d), 100 frames", scene))
+    assert len(seeds) == 1 and "Without a run of this seed: only here." in scene
+
+
+def test_no_place_on_the_makers_disk_is_named(make_run, tmp_path):
+    home = Path.home()
+    run = make_run(f"{home}/scenes/flat.glb", "a", notes={"lpips": f"{home}/weights does not hold them"}, lpips=None)
+    run.config["scene"] |= {"source": f"{home}/scenes/flat.glb", "notes": [f"textures of {tmp_path}/t.png are missing"]}
+    run.config["configuration"]["layout"] = f"{tmp_path}/layout.json"
+    run.directory.mkdir(parents=True)
+    source = Source(tmp_path / "runs", f"asg compare --scenes {home}/scenes/flat.glb --out {tmp_path}/runs", 1,
+                    {"flat · b": f"OSError: {home}/x is full"})  # fmt: skip
+    results = Results([run], [source])
+    write_results(tmp_path / "out", results)
+    for name in (PAGE, "summary.md"):
+        text = (tmp_path / "out" / name).read_text(encoding="utf-8")
+        assert "flat.glb" in text and str(tmp_path) not in text and str(home) not in text
+
+
+def test_a_picture_opens_and_closes(path, browser):
+    browser.open(path)
+    focus = "document.querySelectorAll('main img')[1].focus();"
+    browser.ask(focus)
+
+    def key(name: str, code: int) -> None:
+        for kind in ("keyDown", "keyUp"):
+            text = {"text": "\r"} if (name, kind) == ("Enter", "keyDown") else {}
+            browser.call("Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=code, **text)
+
+    state = (
+        "(() => { const box = document.getElementById('enlarged'), image = box.querySelector('img'); "
+        "return [box.open, [...document.querySelectorAll('main img')].findIndex((one) => one.src == image.src), "
+        "Math.round(image.getBoundingClientRect().width)]; })()"
+    )
+    small_width = browser.ask("document.querySelectorAll('main img')[1].getBoundingClientRect().width")
+    key("Enter", 13)
+    opened, index, width = browser.ask(state)
+    assert opened and index == 1 and width > 1.5 * small_width
+    key("ArrowRight", 39)
+    assert browser.ask(state)[:2] == [True, 2]
+    key("Escape", 27)
+    assert browser.ask(state)[0] is False
+    browser.ask("document.querySelector('main img').click()")
+    assert browser.ask(state)[:2] == [True, 0]
+    browser.ask("document.querySelector('#enlarged img').click()")
+    assert browser.ask(state)[0] is False
+    assert browser.complaints() == [] and len(browser.requests()) == 1
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_table_that_goes_on_says_so(path, browser, width):
+    browser.size(width, 900)
+    try:
+        browser.open(path)
+        hints = browser.ask(
+            "new Promise((done) => setTimeout(() => done([...document.querySelectorAll('.wide')]"
+            ".filter((box) => box.checkVisibility()).map((box) => [box.scrollWidth > box.clientWidth + 2, "
+            "getComputedStyle(box.parentElement.querySelector('.hint')).display != 'none'])), 200))"
+        )
+        assert hints and all(longer == hint for longer, hint in hints)
+        if width == 390:
+            assert any(longer for longer, _ in hints)
+            left = browser.ask(
+                "(() => { const box = document.querySelector('#table-variants .wide'); box.scrollLeft = 200; return "
+                "box.querySelector('tbody th').getBoundingClientRect().left - box.getBoundingClientRect().left; })()"
+            )
+            assert 0 <= left <= 2  # the first column stays
+    finally:
+        browser.size(1280, 900)
+
+
 def test_it_fits_a_telephone(path, browser):
     browser.size(390, 800)
     try:
         browser.open(path)
         browser.ask("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
         assert browser.ask("document.documentElement.scrollWidth") <= 390
+        cells = browser.ask(
+            "[...document.querySelectorAll('tbody td, tbody th')].map((cell) => [cell.textContent, cell.rowSpan, "
+            "cell.getBoundingClientRect().width, cell.getBoundingClientRect().height])"
+        )
+        assert not [text for text, _, width, _ in cells if len(text.strip()) > 4 and width < 42]
+        assert not [text for text, rows, _, height in cells if rows == 1 and height > 150]  # no tower of letters
     finally:
         browser.size(1280, 900)
 

@@ -69,5 +69,11 @@ def test_a_further_protocol_and_the_surface_have_tables_of_their_own(make_run):
     assert (surface.name, other.name) == ("variants-tsdf", "variants-activegamer")
     assert [cell.text for cell in surface.rows[0]] == ["a", "0.50"]
     assert [cell.text for cell in other.rows[0]] == ["a", "30.00"]
-    lpips = cell(own, ["a"], "LPIPS ↓")
-    assert (lpips.text, lpips.note, lpips.rank) == ("n/a", "weights not supplied", 0)
+    assert not any(heading.text.startswith("LPIPS") for heading in own.headings)  # no run has it
+
+
+def test_a_number_that_some_runs_lack_says_why(make_run):
+    notes = {"lpips": "weights not supplied"}
+    runs = [make_run(policy="a", lpips=None, notes=notes), make_run(policy="b", lpips=0.25)]
+    found = cell(ablation_table(Results(runs, []), aspects(runs)[0]), ["a"], "LPIPS ↓")
+    assert (found.text, found.note, found.rank) == ("n/a", "weights not supplied", 0)

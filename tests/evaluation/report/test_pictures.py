@@ -4,8 +4,16 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import corner_label, framed, text_width, tile_grid
-from activestructure_gym.evaluation.report.pictures import compare_plans, compare_views, run_views, telling_views
-from activestructure_gym.evaluation.report.plan import draw_plan, plan_scale
+from activestructure_gym.evaluation.report.pictures import (
+    compare_plans,
+    compare_strip,
+    compare_views,
+    run_plan,
+    run_views,
+    telling_views,
+    typical_view,
+)
+from activestructure_gym.evaluation.report.plan import FILLS, draw_plan, flight, plan_scale
 
 
 def contains(page: Image.Image, tile: np.ndarray) -> bool:
@@ -55,6 +63,33 @@ def test_the_plan_stands_north_up_and_in_scale(make_run):
     np.testing.assert_allclose(at(0.2, 3.8), style.UNKNOWN, atol=3)
     np.testing.assert_allclose(at(2.2, 2.0), style.OCCUPIED, atol=3)
     assert np.abs(at(2.53, 1.0) - style.path_colour(0.5)).max() < 40
+
+
+def test_a_gap_in_the_map_can_be_told_from_paper_and_from_what_nobody_saw():
+    colours = [np.array(colour, float) for colour in (*FILLS.values(), style.PAPER)]
+    apart = [np.abs(a - b).max() for k, a in enumerate(colours) for b in colours[:k]]
+    assert min(apart) >= 50 and all("map" in name for name in list(FILLS)[1:])
+
+
+def test_how_high_the_camera_flew_is_said_above_the_floor_that_was_seen(make_run):
+    run = make_run(planes=True)
+    run.trajectory["world_from_camera"][:, 2, 3] = np.linspace(1.31, 1.52, 20)
+    assert "at 1.3 to 1.5 m above the floor" in flight([(run.trajectory, run.graph)])
+    run.graph["centroids"][0, 2] = -1.0
+    assert "at 2.3 to 2.5 m above the floor" in flight([(run.trajectory, run.graph)])
+    assert "at 1.3 to 1.5 m in z" in flight([(run.trajectory, run.graph), (run.trajectory, None)])
+    run.trajectory["world_from_camera"][:, 2, 3] = 1.5
+    assert "at 1.5 m in z" in flight([(run.trajectory, None)])
+    assert run_plan(run.pictures, run.trajectory, run.graph, title="t").width > 600  # the words have room
+
+
+def test_the_first_picture_is_the_typical_view_and_the_plans(make_run):
+    runs = [make_run(policy="a"), make_run(policy="b")]
+    runs[0].pictures["psnr"] = np.array([30.0, 10.0, 20.0, 9.0])
+    runs[1].pictures["psnr"] = np.array([20.0, 10.0, 0.0, 25.0])  # means 25, 10, 10, 17
+    assert typical_view(runs) == 2
+    page = compare_strip(runs, title="title")
+    assert contains(page, runs[0].pictures["true"][2]) and contains(page, runs[1].pictures["rendered"][2][:4, :10])
 
 
 def test_large_scenes_are_drawn_smaller():

@@ -55,10 +55,44 @@ def test_the_tree_runs_between_centroids(wall_and_floor, make_run):
     wall_and_floor["centroids"] = np.array([[0.5, 0.5, 0.0], [2.0, 1.5, 0.5]])
     view = view_from_above(wall_and_floor, plan)
     middle = [1.25, 1.0, 0.0]
-    assert at(draw_planes_plan(wall_and_floor, plan)[0], view, middle).max() < 90
+    line = at(draw_planes_plan(wall_and_floor, plan)[0], view, middle)
+    assert line.max() < 120
+    aside = at(draw_planes_plan(wall_and_floor, plan)[0], view, [1.25, 1.0 - 2.5 / 120, 0.0])
+    assert aside[2] - aside[0] > 40  # a hair line: two pixels beside it the floor is seen
     wall_and_floor["edge_in_tree"] = np.array([False])
     assert at(draw_planes_plan(wall_and_floor, plan)[0], view, middle).max() > 110
     assert near(at(draw_planes_plan(wall_and_floor, plan)[0], view, [0.5, 0.5, 0.0]), style.STRUCTURAL, 20)
+
+
+def test_the_tree_runs_under_the_walls_and_over_the_floor(wall_and_floor, make_run):
+    plan = make_run().pictures
+    wall_and_floor["centroids"] = np.array([[0.6, 1.42, 0.0], [2.6, 1.5, 0.5]])  # the line ends along the wall
+    view = view_from_above(wall_and_floor, plan)
+    by_type = draw_planes_plan(wall_and_floor, plan)[0]
+    assert near(at(by_type, view, [2.1, 1.48, 0]), style.OBJECT, 30)
+    assert at(by_type, view, [1.1, 1.44, 0]).max() < 130
+
+
+def test_what_belongs_to_a_wall_that_is_cut_away_is_cut_away_with_it(wall_and_floor):
+    """Seen from behind, the wall with its node, its edge and its holes leaves no pixel."""
+    wall_and_floor["centroids"] = np.array([[2.0, 1.5, 0.0], [2.0, 1.5, 3.0]])  # far above what is drawn
+    wall_and_floor["deficiency_centres"] = np.array([[2.0, 1.5, 3.0]])
+    wall_and_floor["deficiency_normals"] = np.array([[0.0, -1.0, 0.0]])
+
+    def marks(side: int) -> list[int]:
+        pair = draw_planes_3d(wall_and_floor, side)
+        view = view_of(wall_and_floor, side)
+        x, y = (view.pixels(np.array([2.0, 1.5, 3.0])) / SMOOTH + [(620 - view.size[0] // SMOOTH) // 2, 20]).astype(int)
+        assert 0 <= y < pair[0].height
+        return [int(np.ptp(np.asarray(page)[y - 4 : y + 5, x - 4 : x + 5])) for page in pair]
+
+    wall_and_floor["patch_corners"][0, 2] = 3.0  # a ceiling-high floor keeps that place inside of the picture
+    assert min(marks(0)) > 60
+    floor_only = {**wall_and_floor, "edges": np.zeros((0, 2), int), "edge_in_tree": np.zeros(0, bool)}
+    floor_only["deficiency_centres"], floor_only["deficiency_normals"] = np.zeros((0, 3)), np.zeros((0, 3))
+    floor_only["deficiency_areas"] = np.zeros(0)
+    for with_marks, without in zip(draw_planes_3d(wall_and_floor, 1), draw_planes_3d(floor_only, 1)):
+        np.testing.assert_array_equal(np.asarray(with_marks), np.asarray(without))
 
 
 def test_a_wall_with_a_doorway_is_two_strokes(wall_and_floor):

@@ -18,11 +18,22 @@ def test_cells_and_strata(make_run):
     assert results.strata("a", "planning_seconds", "box")[0].tolist() == [3.5]  # planning, gains, policy
 
 
-def test_the_typical_run_has_the_median_result(make_run):
-    runs = [make_run(seed=seed, completion_ratio=ratio) for seed, ratio in enumerate((70.0, 90.0, 80.0, 60.0))]
-    assert Results(runs[:3], []).typical("random", "room").job.seed == 2
-    assert Results(runs, []).typical("random", "room").job.seed == 0  # of 60, 70, 80, 90 the lower middle
-    assert Results(runs, []).typical("random", "box") is None
+def test_pictures_side_by_side_are_of_one_seed_that_with_the_median_result(make_run):
+    ratios = {"a": (70.0, 90.0, 80.0, 60.0), "b": (75.0, 65.0, 85.0, 95.0)}  # means 72.5, 77.5, 82.5, 77.5
+    runs = [
+        make_run(policy=p, seed=seed, completion_ratio=r) for p, own in ratios.items() for seed, r in enumerate(own)
+    ]
+    shown = Results(runs, []).shown("room")
+    assert [(run.job.policy, run.job.seed) for run in shown] == [("a", 1), ("b", 1)]  # of equal ones the first seed
+    odd = Results([run for run in runs if run.job.seed < 3], []).shown("room")
+    assert {run.job.seed for run in odd} == {1}
+    assert Results(runs, []).shown("box") == []
+
+
+def test_a_seed_that_all_have_finished_goes_before_the_median(make_run):
+    runs = [make_run(policy="a", seed=seed, completion_ratio=80.0 + seed) for seed in range(3)]
+    runs.append(make_run(policy="b", seed=2))
+    assert [(run.job.policy, run.job.seed) for run in Results(runs, []).shown("room")] == [("a", 2), ("b", 2)]
 
 
 def test_the_baseline_is_named_or_the_usual_one(make_run):

@@ -5,6 +5,7 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.verdicts import (
     aggregate_table,
     area_table,
+    can_tell,
     cost_table,
     difference_table,
     differences,
@@ -12,6 +13,7 @@ from activestructure_gym.evaluation.report.verdicts import (
     leads,
     verdict,
 )
+from activestructure_gym.evaluation.statistics import Estimate, PairedDifference
 
 COLUMNS = {column.key: column for column in QUALITY}
 
@@ -44,7 +46,33 @@ def test_a_difference_says_whether_zero_is_excluded_and_which_way_is_better(grid
     accuracy = differences(results, COLUMNS["accuracy_cm"])["b"]
     assert verdict(accuracy, COLUMNS["accuracy_cm"]) == ("0 excluded: worse", "bad")
     ssim = differences(results, COLUMNS["ssim"])["b"]
-    assert verdict(ssim, COLUMNS["ssim"]) == ("0 not excluded", "")
+    assert verdict(ssim, COLUMNS["ssim"]) == ("equal as printed", "")
+
+
+@pytest.mark.parametrize(
+    ("difference", "words"),
+    [
+        ((-0.003, -0.006, 0.0), "0 not excluded"),  # printed: 0.00 [-0.01, 0.00]
+        ((-0.003, -0.004, -0.001), "equal as printed"),  # printed: 0.00 [0.00, 0.00]
+        ((-0.012, -0.02, -0.004), "0 not excluded"),  # printed: -0.01 [-0.02, 0.00]
+        ((-0.012, -0.02, -0.006), "0 excluded: better"),  # printed: -0.01 [-0.02, -0.01]
+        ((0.012, 0.006, 0.02), "0 excluded: worse"),
+        ((-0.003, None, None), ""),
+    ],
+)
+def test_a_verdict_is_about_the_numbers_as_they_are_printed(difference, words):
+    pair = PairedDifference(Estimate(*difference, 16), 0, 0, 8)
+    assert verdict(pair, COLUMNS["accuracy_cm"])[0] == words
+
+
+def test_what_is_smaller_than_the_last_digit_is_neither_better_nor_worse_anywhere(make_run):
+    runs = [make_run(policy=p, seed=s, accuracy_cm=1.0 - 0.003 * (p == "b")) for p in "ab" for s in range(8)]
+    results = Results(runs, [], "a")
+    row = next(row for row in difference_table(results).rows if row[1].text.startswith("Acc"))
+    assert [cell.text for cell in row[2:5]] == ["0.00 [0.00, 0.00]", "equal as printed", "0 / 8 / 0"]
+    assert row[3].tone == "" and row[5].text == "0.50 [0.50, 0.50]"
+    lead = next(lead for lead in leads(results) if lead.column.key == "accuracy_cm")
+    assert {lead.policy, *lead.level} == {"a", "b"} and lead.ahead is None
 
 
 def test_few_pairs_are_said(grid):
@@ -53,7 +81,16 @@ def test_few_pairs_are_said(grid):
     words, tone = verdict(differences(few, COLUMNS["psnr"])["b"], COLUMNS["psnr"])
     assert words == "0 excluded: better, 4 pairs only" and not tone
     one = Results([run for run in results.runs if run.job.seed < 1], [], "a")
-    assert verdict(differences(one, COLUMNS["psnr"])["b"], COLUMNS["psnr"])[0].startswith("no interval")
+    assert verdict(differences(one, COLUMNS["psnr"])["b"], COLUMNS["psnr"]) == ("", "")
+    assert [heading.text for heading in difference_table(one).headings][2:] == ["Difference", "better / equal / worse"]
+
+
+@pytest.mark.parametrize(("seeds", "told"), [((1, 1), False), ((2, 1), False), ((2, 2), True)])
+def test_chance_can_be_told_from_two_pairs_on_every_scene(make_run, seeds, told):
+    counts = dict(zip(("room", "box"), seeds))
+    runs = [make_run(scene, policy, seed) for scene, n in counts.items() for policy in "ab" for seed in range(n)]
+    assert can_tell(Results(runs, [], "a")) is told
+    assert can_tell(Results([run for run in runs if run.job.policy == "a"], [])) is False
 
 
 def test_the_table_of_differences(grid, make_run):

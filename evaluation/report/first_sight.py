@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from activestructure_gym.evaluation.report.canvas import to_image
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import Html, element, joined
@@ -13,13 +11,11 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.scene_section import PLAN_KEY, key
 from activestructure_gym.evaluation.store import Run
 
-_MANY = 7  # policies that fit on a screen
-
 
 def first_sight(results: Results, anchor: str) -> Html:
     """The first scene's typical view, true and as every map renders it, and below it every map with its path."""
     everyone = results.shown(results.scenes[0])
-    runs = _foremost(everyone, results.baseline)
+    runs = results.foremost(results.scenes[0])
     index = typical_view(runs)
     truth = picture(to_image(runs[0].pictures["true"][index]), "the true view")
     tiles = [element("figure", element("figcaption", element("strong", "true view")), truth, key(PLAN_KEY))]
@@ -34,13 +30,6 @@ def first_sight(results: Results, anchor: str) -> Html:
         joined("More stand ", element("a", "with the scene", href=f"#{anchor}"), ". A click enlarges a picture."),
     )
     return element("figure", element("div", *tiles, class_="sight"), caption, class_="opening")
-
-
-def _foremost(runs: Sequence[Run], baseline: str | None) -> list[Run]:
-    """As many as fit, in their own order: those with the highest C.R., the baseline in any case."""
-    by_rank = sorted(runs, key=lambda run: (run.job.policy != baseline, -run.metrics["metrics"]["completion_ratio"]))
-    kept = {run.job.policy for run in by_rank[:_MANY]}
-    return [run for run in runs if run.job.policy in kept]
 
 
 def _tile(run: Run, index: int, number: int) -> Html:

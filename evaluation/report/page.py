@@ -152,13 +152,13 @@ def _glance(results: Results) -> Html:
         )
     )  # fmt: skip
     first, *others = aspects(results.runs)
-    words = (element("div", element("dt", name), element("dd", f"{text}.")) for name, text in meanings(results).items())
+    terms = (element("div", element("dt", name), element("dd", f"{text}.")) for name, text in meanings(results).items())
     return element(
         "section",
         element("h2", "At a glance"),
         element("div", *cards, class_="cards"),
         element("p", _cards_say(results), class_="facts"),
-        element("dl", *words, class_="meanings"),
+        element("dl", *terms, class_="meanings"),
         html_table(ablation_table(results, first), colours=results.policies),
         _rank_key(),
         *(element("p", text, class_="facts") for text in absences(results)),

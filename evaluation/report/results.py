@@ -17,6 +17,7 @@ from activestructure_gym.evaluation.jobs import Job, scene_labels
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.store import Run
 
+_ON_A_SCREEN = 7  # policies side by side
 # Whom the others are measured against if nobody is named: the first of these that took part.
 _BASELINES = ("activestructure-a", "pixel_only", "random")
 
@@ -111,6 +112,13 @@ class Results:
             if len(runs) == most
         ]
         return by_seed[sorted(means)[(len(means) - 1) // 2][1]] if means else []
+
+    def foremost(self, scene: str, key: str = "completion_ratio") -> list[Run]:
+        """As many of the shown runs as fit on a screen: those with the best result, the baseline in any case."""
+        runs = self.shown(scene)
+        ranks = sorted(runs, key=lambda run: (run.job.policy != self.baseline, -(value_of(run, key) or 0.0)))
+        kept = {run.job.policy for run in ranks[:_ON_A_SCREEN]}
+        return [run for run in runs if run.job.policy in kept]
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:

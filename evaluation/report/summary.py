@@ -107,7 +107,7 @@ def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) 
     """One view with the plans, curves, held-out views and plans; pictures of the seed that `Results.shown` picks."""
     shown = results.shown(scene)
     strip, views, plans = (directory / f"{name}{ending}.png" for name in ("strip", "views", "plans"))
-    compare_strip(shown, title=f"{scene}, seed {shown[0].job.seed}").save(strip)
+    compare_strip(results.foremost(scene), title=f"{scene}, seed {shown[0].job.seed}").save(strip)
     compare_views(shown, title=f"Held-out views of {scene}").save(views)
     compare_plans(shown, title=f"{scene} from above").save(plans)
     return [_curves(directory / f"convergence{ending}.svg", results, scene), strip, views, plans]

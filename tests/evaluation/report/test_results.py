@@ -36,6 +36,12 @@ def test_a_seed_that_all_have_finished_goes_before_the_median(make_run):
     assert [(run.job.policy, run.job.seed) for run in Results(runs, []).shown("room")] == [("a", 2), ("b", 2)]
 
 
+def test_of_many_policies_the_best_and_the_baseline_come_first(make_run):
+    runs = [make_run(policy=name, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", start=1)]
+    assert [run.job.policy for run in Results(runs, [], "b").foremost("room")] == list("bdefghi")
+    assert len(Results(runs[:3], []).foremost("room")) == 3
+
+
 def test_the_baseline_is_named_or_the_usual_one(make_run):
     runs = [make_run(policy=policy) for policy in ("activestructure", "random", "pixel_only")]
     assert Results(runs, []).baseline == "pixel_only"

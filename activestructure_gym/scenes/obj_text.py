@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 
-from activestructure_gym.scenes.mesh_parts import UnreadableMesh
+from activestructure_gym.scenes.damage import UnreadableMesh
 from activestructure_gym.scenes.polygons import triangulated_if_concave
 
 _RELATIVE = re.compile(r"^f[^\n]*-\d", re.MULTILINE)

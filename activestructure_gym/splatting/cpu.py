@@ -12,6 +12,7 @@ import numpy as np
 
 from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import kernels, layout
 from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, inverse_of_pose, make_grid, make_view
 
@@ -45,10 +46,7 @@ class LossWeights:
     normalised_depth: bool = True
 
     def __post_init__(self) -> None:
-        if self.image < 0 or self.depth < 0 or self.alpha < 0:
-            raise ValueError(f"loss weights must not be negative, got {self}")
-        if not 0.0 <= self.l1_share <= 1.0:
-            raise ValueError(f"l1_share must lie in [0, 1], got {self.l1_share}")
+        check_ranges(self, {**dict.fromkeys(("image", "depth", "alpha"), "[0, 1e6]"), "l1_share": "[0, 1]"})
 
 
 @dataclass(frozen=True)
@@ -75,10 +73,7 @@ class TrackingWeights:
     mean: bool = False
 
     def __post_init__(self) -> None:
-        if self.color < 0 or self.depth < 0:
-            raise ValueError(f"tracking weights must not be negative, got {self}")
-        if not 0.0 <= self.min_alpha < 1.0:
-            raise ValueError(f"min_alpha must lie in [0, 1), got {self.min_alpha}")
+        check_ranges(self, {"color": "[0, 1e6]", "depth": "[0, 1e6]", "min_alpha": "[0, 1)"})
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation
   asg train      train a learned policy (bc, rank, ppo), or score policies on layouts nobody was trained on
   asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
-  asg export     write a run's map as 3D Gaussian splatting PLY or as SplaTAM's params.npz
+  asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers
 
   asg COMMAND --help    the options of a command
@@ -73,7 +73,7 @@ def _find_in_working_directory() -> None:
 @contextmanager
 def _doubts_as_lines() -> Iterator[None]:
     """What is doubtful about the user's files, each once and as one line; Python would show where it was said."""
-    told = set()
+    told: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if not issubclass(category, InputWarning):

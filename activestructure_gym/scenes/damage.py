@@ -15,6 +15,10 @@ class UnreadableMesh(ValueError):
     """What is wrong with a file, for the end of a sentence: "it is cut off", "its nodes form a loop"."""
 
 
+# What Python and numpy say of text that is no number.
+_NO_NUMBER = ("invalid literal for int", "could not convert string", "unmatched data")
+
+
 def in_words(error: Exception) -> str:
     """What a reader stumbled over, in the words of files and not of Python."""
     if isinstance(error, UnreadableMesh | LimitError):
@@ -33,6 +37,8 @@ def in_words(error: Exception) -> str:
         reason = "it refers to an entry that does not exist; export it again"
     elif isinstance(error, struct.error | EOFError | zlib.error | binascii.Error):
         reason = "it is cut off or damaged; copy or export it again"
+    elif isinstance(error, ValueError) and any(words in str(error) for words in _NO_NUMBER):
+        reason = "something else stands in it where numbers are expected (with points, no commas); export it again"
     elif isinstance(error, OSError) and error.strerror:
         reason = f"it cannot be opened ({error.strerror})"
     else:

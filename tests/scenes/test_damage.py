@@ -7,6 +7,8 @@ from activestructure_gym.scenes.damage import UnreadableMesh, in_words
 
 NOT_THE_FORMAT = "its content is damaged or not what the format says; export it again"
 
+NO_NUMBER = "something else stands in it where numbers are expected (with points, no commas); export it again"
+
 
 def stumble(statement):
     with pytest.raises(Exception) as caught:
@@ -31,6 +33,9 @@ def stumble(statement):
             "import numpy; numpy.frombuffer(b'1', int)",
             NOT_THE_FORMAT,
         ),
+        ("int('0,5')", NO_NUMBER),
+        ("import numpy; numpy.array(['0,5'], float)", NO_NUMBER),
+        ("import numpy; numpy.fromstring('1 x', sep=' ')", NO_NUMBER),
         ("open('/')", "it cannot be opened (Is a directory)"),
         ("raise RecursionError('maximum recursion depth')", "its entries are nested too deeply"),
     ],

@@ -90,7 +90,7 @@ def test_instances_turned_and_scaled(tmp_path, make_box, rng):
 
 def test_walls_of_concave_polygons(tmp_path, make_box):
     points = np.stack([DOORWAY[:, 0] * 0.8, DOORWAY[:, 0] * 0.6, DOORWAY[:, 1]], axis=1)
-    beside = points[[0, 5, 6, 7]] + [0.3, -0.4, 0]
+    beside = points[[0, 5, 6, 7]] + [0.0, 0.0, 5.0]
     corners = np.concatenate([points, beside])
     text = "".join(f"v {x} {y} {z}\n" for x, y, z in points) + "f -8 -7 -6 -5 -4 -3 -2 -1\n"
     text += "".join(f"v {x} {y} {z}\n" for x, y, z in beside) + "f -4 -3 -2 -1\n"
@@ -101,6 +101,11 @@ def test_walls_of_concave_polygons(tmp_path, make_box):
     (tmp_path / "wall.ply").write_text("\n".join(lines) + "\n")
     for suffix in (".obj", ".ply"):
         check(tmp_path / f"wall{suffix}")
+        wall = load_mesh_scene(tmp_path / f"wall{suffix}", up="z")
+        through = np.array([[1.5, 1.0], [1.5, 2.5], [0.5, 1.0], [4.0, 1.0]])  # the doorway, above it, on both sides
+        eyes = np.stack([through[:, 0] * 0.8, through[:, 0] * 0.6, through[:, 1]], axis=1) + [-0.6, 0.8, 0]
+        hits = wall.raycaster.cast(eyes, np.tile([0.6, -0.8, 0.0], (4, 1)))
+        np.testing.assert_allclose(hits.distance, [np.inf, 1.0, 1.0, 1.0], atol=1e-5)
 
 
 DAE = """<?xml version="1.0"?>

@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.engines import Limits, Listener, Outcome, ge
 from activestructure_gym.evaluation.engines.base import JOBS, run_directory
 from activestructure_gym.evaluation.episode import Progress, scene_as_recorded
 from activestructure_gym.evaluation.holding import LOCK, check_free
-from activestructure_gym.evaluation.jobs import Job, absolute_spec, scene_labels
+from activestructure_gym.evaluation.jobs import Job, absolute_spec, refuse_code, scene_labels
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.resuming import jobs_of, merged, read_record, recorded_jobs
 from activestructure_gym.evaluation.store import Run
@@ -172,6 +172,7 @@ def jobs_to_resume(directory: Path, notify: Callable[[str], None] = lambda _: No
     recorded = recorded_jobs(directory)
     if not recorded:
         raise InputError(f"there is no comparison in '{directory}' to go on with; say what to compare, or check --out")
+    refuse_code(recorded, directory / store.COMPARISON)
     prepared = {job.name: job for job in Comparison.of(recorded).prepare(notify)}
     # Raises for a scene that has changed.
     merged(recorded, list(prepared.values()), directory)

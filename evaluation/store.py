@@ -40,6 +40,7 @@ from activestructure_gym.evaluation.processes import is_alive, machine_mark
 
 FORMAT_VERSION = 2
 DONE = ".done"
+CONFIG = "config.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
 

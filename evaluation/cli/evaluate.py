@@ -9,7 +9,7 @@ from rich.console import Console
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Evaluate
-from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights
+from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ _SHOWN = (
 
 def evaluate(options: Evaluate) -> int:
     """Print stored and new numbers; 0 if all that were stored are identical to the last bit, else 1."""
+    use_trust(options.trust_code)
     use_lpips_weights(options.lpips_weights)
     if options.map is not None:
         return _evaluate_map(options)

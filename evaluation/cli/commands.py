@@ -94,7 +94,7 @@ class Scenes:
     """List the scenes known by name, or check one: size, free space, what of it can be seen."""
 
     spec: Annotated[str | None, tyro.conf.Positional, _option("[SCENE]", "")] = None
-    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=y) or a folder."""
+    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=auto) or a folder."""
     picture: Path = None
     """Write a picture of the scene to this PNG file."""
 
@@ -295,7 +295,7 @@ class Export:
 
     run_directory: Annotated[str, tyro.conf.Positional, _option("RUN")]
     """The directory of a finished run."""
-    format: Literal["ply", "splat", "splatam"] | None = None
+    format: Annotated[Literal["ply", "splat", "splatam"] | None, _option("ply|splat|splatam", "")] = None
     """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splat: 32 bytes per Gaussian, for web pages;
     splatam: SplaTAM's params.npz, with the path. If not given, what the name in --out ends with says it, else ply."""
     out: Path = None

@@ -25,7 +25,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_lpips_weights,
     use_trust,
 )
-from activestructure_gym.evaluation.cli.output import print_whole, working
+from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.comparison import Comparison, Result
@@ -44,7 +44,7 @@ def compare(options: Compare) -> int:
     from activestructure_gym.evaluation.store import COMPARISON, read_json
 
     use_trust(options.trust_code)
-    console = Console(highlight=False)
+    console = make_console()
     if options.resume and not options.out:
         raise InputError("--resume needs --out: the directory of the comparison to go on with")
     bare = options.resume and options == Compare(**{name: getattr(options, name) for name in _MANNER})

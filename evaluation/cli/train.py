@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.cli.options import (
     split_scenes,
     use_trust,
 )
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.evaluation.threads import capped_environment, core_count
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def train(options: Train) -> int:
     # Before torch is loaded: small networks gain nothing from a second thread, and one thread makes equal results.
     os.environ.update(capped_environment(1))
     use_trust(options.trust_code)
-    console = Console(highlight=False)
+    console = make_console()
     if options.workers < 0:
         raise InputError(f"--workers is a number of processes, or 0 for one per core, got {options.workers}")
     workers = options.workers or core_count()

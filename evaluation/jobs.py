@@ -89,6 +89,8 @@ class Job:
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
         """The job that `as_dict` described."""
         values = dict(content)
+        if more := values.keys() - {field.name for field in dataclasses.fields(cls)}:
+            raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
         protocol = protocol_from(values.pop("protocol"))
         if not isinstance(protocol, StandardProtocol):
             raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")

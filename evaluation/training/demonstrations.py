@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.store import load_arrays, plain, read_json, write_json
+from activestructure_gym.evaluation.store import plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain
@@ -29,6 +29,7 @@ from activestructure_gym.evaluation.training.world import (
     learning_scene,
     make_env,
 )
+from activestructure_gym.npz import read_npz
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
@@ -101,7 +102,7 @@ def load(config: TrainingConfig, directory: Path) -> Demonstrations:
     missing = [number for number in numbers if not _file(directory, number).is_file()]
     if missing:
         raise InputError(f"'{directory}' lacks {len(missing)} of {len(numbers)} files of demonstrations")
-    files = [load_arrays(_file(directory, number)) for number in numbers]
+    files = [read_npz(_file(directory, number)) for number in numbers]
     joined = {key: np.concatenate([file[key] for file in files]) for key in files[0]}
     observations = {key: joined.pop(key) for key in USED_KEYS}
     return Demonstrations(observations, **joined)

@@ -125,6 +125,8 @@ def test_the_baseline_must_take_part(asked, capsys):
 
 def test_the_baseline_may_be_of_an_earlier_sitting(asked, tmp_path):
     (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "compare.json").write_text(json.dumps({"jobs": {"one": {"policy": "pixel_only"}}}))
+    (tmp_path / "here" / "compare.json").write_text(
+        json.dumps({"jobs": {"one": Job("box", "pixel_only", 0).as_dict()}})
+    )
     words = "compare --scenes box --policies random --baseline pixel_only --out here --resume"
     assert main(words.split()) == 0 and len(asked) == 2  # prepared and run

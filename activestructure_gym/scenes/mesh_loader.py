@@ -101,7 +101,7 @@ def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
 
 def check_mesh_file(path: str | os.PathLike[str]) -> Path:
     """The path, if it is a file with a suffix that some reader knows."""
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     check_printable(str(path))
     if path.is_dir():
         raise InputError(f"'{path}' is a folder; give the mesh file in it ({', '.join(MESH_SUFFIXES)})")

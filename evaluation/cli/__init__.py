@@ -13,11 +13,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
 
-from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.threads import set_passive_waiting
 
 _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+_LONGEST = 1500  # characters of a message
 
 # Written out, and not left to the parser, so that it appears at once.
 HELP = """usage: asg COMMAND [OPTIONS]
@@ -65,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _run(arguments)
             return _TERMINATED if terminated and code == _STOPPED else code
     except InputError as error:
-        print(f"asg: {error}", file=sys.stderr)
+        print(f"asg: {_one_line(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("asg: stopped", file=sys.stderr)
@@ -75,11 +76,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        if error.errno not in _NOT_WRITABLE:
+        if error.errno not in _NOT_WRITABLE and error.filename is None:
             raise
-        where = f"'{error.filename}'" if error.filename else "a file"
-        print(f"asg: {where} cannot be written: {error.strerror}", file=sys.stderr)
-        return 1
+        where = "a file" if error.filename is None else shown(error.filename)
+        what = " cannot be written" if error.errno in _NOT_WRITABLE else ""
+        print(f"asg: {_one_line(f'{where}{what}: {error.strerror}')}", file=sys.stderr)
+        return 1 if error.errno in _NOT_WRITABLE else 2
+
+
+def _one_line(text: str) -> str:
+    """Names may hold anything: newlines, what moves a terminal's cursor, half a file."""
+    text = " ".join(text.split())
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 200]} ... {text[-150:]}"
 
 
 def _find_in_working_directory() -> None:

@@ -167,7 +167,7 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
             files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
         console.print()
         print_whole(console, rich_table(table_rows(result.runs), title=_title(result)))
-        page, summary = files[-1], files[-2]
+        page, summary = escape(str(files[-1])), files[-2]
         console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
         console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")
     if result.failed:

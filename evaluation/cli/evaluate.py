@@ -86,7 +86,7 @@ def _evaluate_map(options: Evaluate) -> int:
     reasons: dict[str, str] = {}
     for name in names:
         protocol = get_protocol(name)
-        with console.status(f"measuring by {name}"):
+        with console.status(f"measuring by {escape(name)}"):
             numbers = measure_file(options.map, options.scene, protocol, poses=options.poses)
         reasons |= numbers["notes"]
         table.add_row(name, *(_text(numbers.get(key)) for key in _SHOWN))

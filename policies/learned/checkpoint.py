@@ -28,7 +28,7 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
 
     Raises `InputError` where one of the two files is missing, and for a path that a policy's name cannot hold.
     """
-    path = Path(place).expanduser()
+    path = Path(os.path.expanduser(place))
     if "?" in str(path.absolute()):
         raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
     if path.is_dir():

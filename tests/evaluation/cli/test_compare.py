@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import pytest
 
@@ -130,3 +131,18 @@ def test_the_baseline_may_be_of_an_earlier_sitting(asked, tmp_path):
     )
     words = "compare --scenes box --policies random --baseline pixel_only --out here --resume"
     assert main(words.split()) == 0 and len(asked) == 2  # prepared and run
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_markup_in_a_directory_s_name_is_shown_as_it_is(jobs):
+    import io
+
+    from rich.console import Console
+
+    from activestructure_gym.evaluation.cli.compare import _announce
+    from activestructure_gym.evaluation.comparison import Comparison
+
+    out = io.StringIO()
+    comparison = Comparison(scenes=["box"], policies=["random"])
+    _announce(Console(file=out, width=300), comparison, Path("runs/[red]a[/bold]"), jobs, 1, demo=False)
+    assert "into runs/[red]a[/bold]" in out.getvalue()

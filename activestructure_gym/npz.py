@@ -10,6 +10,7 @@ import math
 import os
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -46,21 +47,30 @@ def _check_sizes(entries: list[zipfile.ZipInfo], size: int) -> None:
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(entry) as stream:
-        version = npy.read_magic(stream)
-        if version == (1, 0):
-            shape, fortran, dtype = npy.read_array_header_1_0(stream)
-        elif version == (2, 0):
-            shape, fortran, dtype = npy.read_array_header_2_0(stream)
-        else:
-            raise ValueError(f"'{entry.filename}' has the npy version {version}")
-        if dtype.hasobject:
-            raise ValueError(f"'{entry.filename}' holds Python objects, which are never unpickled (allow_pickle)")
-        count = math.prod(shape) * dtype.itemsize
-        if count != entry.file_size - stream.tell():
-            raise ValueError(f"'{entry.filename}' does not have the size that its header says")
-        content = np.empty(count, np.uint8)
-        if stream.readinto(memoryview(content)) != count or stream.read(1):  # the second read checks the sum
+        array = read_npy(stream, entry.filename, entry.file_size)
+        if stream.read(1):  # which checks the sum
             raise ValueError(f"'{entry.filename}' is cut off")
+    return array
+
+
+def read_npy(stream: Any, name: str, size: int) -> np.ndarray:
+    """The array whose npy file is the next ``size`` bytes of a stream. Raises whatever numpy's parser raises."""
+    start = stream.tell()
+    version = npy.read_magic(stream)
+    if version == (1, 0):
+        shape, fortran, dtype = npy.read_array_header_1_0(stream)
+    elif version == (2, 0):
+        shape, fortran, dtype = npy.read_array_header_2_0(stream)
+    else:
+        raise ValueError(f"'{name}' has the npy version {version}")
+    if dtype.hasobject:
+        raise ValueError(f"'{name}' holds Python objects, which are never unpickled (allow_pickle)")
+    count = math.prod(shape) * dtype.itemsize
+    if count != start + size - stream.tell():
+        raise ValueError(f"'{name}' does not have the size that its header says")
+    content = np.empty(count, np.uint8)
+    if stream.readinto(memoryview(content)) != count:  # type: ignore[arg-type]
+        raise ValueError(f"'{name}' is cut off")
     if not count:
         return np.zeros(shape, dtype)
     return content.view(dtype).reshape(shape, order="F" if fortran else "C")

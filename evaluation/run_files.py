@@ -24,6 +24,8 @@ from activestructure_gym.evaluation.schema import (
 _FARTHEST = 1e6  # metres
 _WIDEST_IMAGE = 16384  # pixels
 _MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
+_MOST_POSES, _MOST_PICTURES = 200_000, 64
+_MOST_PLANES, _MOST_MARKS = 20_000, 500_000
 _RIGID = 1e-3  # how far a rotation matrix may be from one
 _UNIT = 1e-2  # how far a normal's length may be from 1
 
@@ -166,6 +168,8 @@ _GRAPH = {
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Poses are rigid, keyframes are among them, and the camera is one."""
     sizes = check_arrays(arrays, _TRAJECTORY)
+    if sizes["T"] > _MOST_POSES:
+        raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
     poses = arrays["world_from_camera"]
     rotations = poses[:, :3, :3]
     off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
@@ -182,13 +186,17 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
 
 def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
     """Views of one size, and the parts of a plan."""
-    check_arrays(arrays, _PICTURES)
+    sizes = check_arrays(arrays, _PICTURES)
+    if sizes["views"] > _MOST_PICTURES:
+        raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
 
 
 def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
     """Everything that refers to planes does so within them, and their patches are as large as their bits."""
     sizes = check_arrays(arrays, _GRAPH)
     planes = sizes["planes"]
+    if planes > _MOST_PLANES or sizes["edges"] + sizes["holes"] > _MOST_MARKS:
+        raise Mismatch(f"it holds {planes} planes, {sizes['edges']} edges and {sizes['holes']} holes: too many to draw")
     for name in ("edges", "deficiency_planes"):
         if arrays[name].size and int(arrays[name].max()) >= planes:
             raise Mismatch(f"{name} points behind the {planes} planes")
@@ -202,6 +210,8 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
 
 def check_steps(steps: list[Any]) -> None:
     """Decisions in their order."""
+    if len(steps) > _MOST_POSES:
+        raise Mismatch(f"it holds {len(steps)} decisions, at most {_MOST_POSES} are read")
     for number_, step in enumerate(steps, start=1):
         STEP(step, f"line {number_}")
     frames = [step["frames"] for step in steps]

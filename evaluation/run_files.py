@@ -124,9 +124,14 @@ STEP: Check = table(
     },
 )  # fmt: skip
 
-_PLACE = {"low": -_FARTHEST, "high": _FARTHEST}
+
+def _places(*shape: int | str, least: int = 0) -> Array:
+    """Positions in the world, metres."""
+    return Array("f", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
+
+
 _TRAJECTORY = {
-    "world_from_camera": Array("f", ("T", 4, 4), **_PLACE, least=1),
+    "world_from_camera": _places("T", 4, 4, least=1),
     "keyframes": Array("iu", ("K",), low=0, least=1),
     "intrinsics": Array("f", (4,)),
     "image_size": Array("iu", (2,), low=1, high=_WIDEST_IMAGE),
@@ -136,7 +141,7 @@ _PICTURES = {
     "true": Array("u", ("views", "height", "width", 3), high=255, least=1),
     "psnr": Array("f", ("views",), least=1),
     "plan_state": Array("u", ("columns", "rows"), high=2, least=1),
-    "plan_corner": Array("f", (2,), **_PLACE),
+    "plan_corner": _places(2),
     "plan_extent": Array("f", (2,), low=1e-3, high=_FARTHEST),
     "above_rgb": Array("u", ("h", "w", 3), high=255, least=1),
     "above_alpha": Array("u", ("h", "w"), high=255, least=1),
@@ -145,19 +150,19 @@ _GRAPH = {
     "ids": Array("iu", ("planes",)),
     "normals": Array("f", ("planes", 3), low=-2, high=2),
     "offsets": Array("f", ("planes",)),
-    "centroids": Array("f", ("planes", 3), **_PLACE),
+    "centroids": _places("planes", 3),
     "areas": Array("f", ("planes",), low=0),
     "structural": Array("b", ("planes",)),
     "deficit": Array("f", ("planes",)),
     "edges": Array("iu", ("edges", 2), low=0),
     "edge_weights": Array("f", ("edges",)),
     "edge_in_tree": Array("b", ("edges",)),
-    "deficiency_centres": Array("f", ("holes", 3), **_PLACE),
+    "deficiency_centres": _places("holes", 3),
     "deficiency_normals": Array("f", ("holes", 3)),
     "deficiency_areas": Array("f", ("holes",), low=0),
     "deficiency_planes": Array("iu", ("holes",), low=0),
     "cell": Array("f", (), low=1e-4, high=1e3),
-    "patch_corners": Array("f", ("planes", 3), **_PLACE),
+    "patch_corners": _places("planes", 3),
     "patch_axes": Array("f", ("planes", 2, 3), low=-2, high=2),
     "patch_shapes": Array("iu", ("planes", 2), low=0, high=1e6),
     "patch_starts": Array("iu", ("starts",), low=0),

@@ -130,7 +130,7 @@ def stored_panels(path: Path) -> list[Image.Image] | None:
         return None
     if len(boxes) != 2 or not all(_lies_in(box, page) for box in boxes):
         return None
-    return [page.crop(box).convert("RGB") for box in boxes]
+    return [page.crop((box[0], box[1], box[2], box[3])).convert("RGB") for box in boxes]
 
 
 def stored_picture(path: Path) -> Image.Image | None:

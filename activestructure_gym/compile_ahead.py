@@ -101,8 +101,8 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
 
 def compile_views() -> None:
     """What gains and visibility need besides the map's pictures."""
+    from activestructure_gym.features.hole_area import hidden_distances
     from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.views.gains.hole_area import hidden_distances
     from activestructure_gym.views.visibility import cosines_in_sight
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 

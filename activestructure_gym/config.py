@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.features import GAINS
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
 from activestructure_gym.sensors import SensorConfig
-from activestructure_gym.views import GAINS, ViewConfig
+from activestructure_gym.views import ViewConfig
 from activestructure_gym.volume import VolumeConfig
 
 T = TypeVar("T")

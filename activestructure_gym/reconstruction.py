@@ -18,13 +18,14 @@ import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
+from activestructure_gym.features import GainContext, evaluate_gains
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene, check_start_pose
 from activestructure_gym.sensors import Frame, RGBDSensor
-from activestructure_gym.views import CandidatePool, CandidateTable, GainContext, evaluate_gains
+from activestructure_gym.views import CandidatePool, CandidateTable
 from activestructure_gym.volume import VoxelVolume
 
 

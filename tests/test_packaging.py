@@ -32,7 +32,7 @@ def test_package_list_equals_the_folders() -> None:
 
 def test_no_module_goes_by_its_short_name() -> None:
     import activestructure_gym.envs.reconstruction_env
-    import activestructure_gym.evaluation.jobs
+    import activestructure_gym.evaluation.archive.jobs
     import activestructure_gym.policies  # noqa: F401
 
     assert not {"envs", "policies", "evaluation"} & set(sys.modules)

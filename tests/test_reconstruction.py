@@ -12,11 +12,11 @@ from activestructure_gym import reconstruction as conductor
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along, rotation_angle
+from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
-from activestructure_gym.scenes.surface_samples import uniform_samples
 from activestructure_gym.volume import VoxelVolume
 
 # Keyframes and iterations as in the default preset's schedule, so that a short episode has enough of both.

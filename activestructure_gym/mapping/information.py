@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.named_rows import NamedRows
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting.fisher import view_information
 
 COLUMNS = 24  # of `ViewInformation.numbers`: the block's 21, opacity logit, squared weights (colour), weights

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 
 # Keyframes tested for overlap at once: keeps the intermediate array in the processor's cache.
 _CHUNK = 16

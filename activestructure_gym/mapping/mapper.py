@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.information import KeyframeInformation
@@ -22,7 +23,6 @@ from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.mapping.scans import CHUNK, fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
 
 _NOTHING = np.empty((0, 0))

@@ -20,10 +20,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.named_rows import NamedRows
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
 from activestructure_gym.splatting.fisher import view_information
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.geometry import invert_rigid, transform_points
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.quaternions import quaternions
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.mapping.scans import larger_in_view
-from activestructure_gym.sensors.frame import Frame
 
 
 def missing_pixels(

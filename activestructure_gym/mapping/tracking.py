@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp, transform_points
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 
 _NEAR = 0.05  # metres
 _PROBES = 400  # pixels of the frame by which references are chosen

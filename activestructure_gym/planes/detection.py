@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 
 from activestructure_gym.geometry import transform_points
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import detection_kernels as kernels
-from activestructure_gym.sensors.frame import Frame
 
 
 @dataclass(frozen=True)

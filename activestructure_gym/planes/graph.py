@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from activestructure_gym.compiling.crew import default_threads
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
 from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
 from activestructure_gym.planes.matching import MatchingConfig, match_segment, may_be_same, same_surface, stack_planes
@@ -32,7 +33,6 @@ from activestructure_gym.planes.topology import (
     spanning_forest,
     tree_betweenness,
 )
-from activestructure_gym.sensors.frame import Frame
 
 if TYPE_CHECKING:
     import networkx

@@ -14,9 +14,9 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneDetection
-from activestructure_gym.sensors.frame import Frame
 
 # Cells a grid grows by at least, so that it is not copied at every keyframe.
 _MARGIN = 16

@@ -4,17 +4,17 @@
 ground truth: sensor, reward, metrics and start poses may use it, policies and gains may not.
 """
 
+from activestructure_gym.ground_truth.free_space import FreeSpace, free_space_of
+from activestructure_gym.ground_truth.observable import ObservableSurface, observable_surface_of
+from activestructure_gym.ground_truth.start_poses import check_start_pose
 from activestructure_gym.scenes.cache import cache_directory, cached_arrays
-from activestructure_gym.scenes.free_space import FreeSpace, free_space_of
 from activestructure_gym.scenes.library import SCENES, load_scene
-from activestructure_gym.scenes.matterport3d import load_matterport3d_scene
-from activestructure_gym.scenes.mesh_loader import load_mesh_scene
-from activestructure_gym.scenes.observable import ObservableSurface, observable_surface_of
+from activestructure_gym.scenes.loaders.matterport3d import load_matterport3d_scene
+from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
+from activestructure_gym.scenes.loaders.replica import load_replica_scene
+from activestructure_gym.scenes.loaders.sequence import PosedSequence, load_sequence
 from activestructure_gym.scenes.raycaster import Hits, RayCaster
-from activestructure_gym.scenes.replica import load_replica_scene
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
-from activestructure_gym.scenes.sequence import PosedSequence, load_sequence
-from activestructure_gym.scenes.start_poses import check_start_pose
 
 __all__ = [
     "SCENES",

@@ -11,9 +11,9 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
-from activestructure_gym.scenes.matterport3d import is_matterport3d, load_matterport3d_scene
-from activestructure_gym.scenes.mesh_loader import MESH_SUFFIXES, load_mesh_scene
-from activestructure_gym.scenes.replica import is_replica, load_replica_scene
+from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
+from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, load_mesh_scene
+from activestructure_gym.scenes.loaders.replica import is_replica, load_replica_scene
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.specs import parse_options, typed_options
 
@@ -42,7 +42,7 @@ SCENES.register("matterport3d")(load_matterport3d_scene)
 @SCENES.register("box")
 @lru_cache(maxsize=2)
 def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -> Scene:
-    from activestructure_gym.scenes.procedural import make_box_room
+    from activestructure_gym.scenes.procedural.apartment import make_box_room
 
     return make_box_room(seed=seed, size=size)
 
@@ -50,7 +50,7 @@ def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -
 @SCENES.register("room")
 @lru_cache(maxsize=2)
 def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
-    from activestructure_gym.scenes.procedural import make_apartment
+    from activestructure_gym.scenes.procedural.apartment import make_apartment
 
     return make_apartment(seed=seed, rooms=1, furnished=furnished, lit=lit)
 
@@ -58,7 +58,7 @@ def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
 @SCENES.register("apartment")
 @lru_cache(maxsize=2)
 def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
-    from activestructure_gym.scenes.procedural import make_apartment
+    from activestructure_gym.scenes.procedural.apartment import make_apartment
 
     return make_apartment(seed=seed, rooms=rooms, furnished=furnished, lit=lit)
 

@@ -16,9 +16,9 @@ import numpy as np
 from activestructure_gym.scenes.raycaster import RayCaster
 
 if TYPE_CHECKING:
-    from activestructure_gym.scenes.free_space import FreeSpace
-    from activestructure_gym.scenes.observable import ObservableSurface
-    from activestructure_gym.scenes.sequence import PosedSequence
+    from activestructure_gym.ground_truth.free_space import FreeSpace
+    from activestructure_gym.ground_truth.observable import ObservableSurface
+    from activestructure_gym.scenes.loaders.sequence import PosedSequence
 
 
 # How a texture goes on outside of its image, along one axis.
@@ -93,13 +93,13 @@ class Scene:
     @cached_property
     def free_space(self) -> FreeSpace:
         """Where the agent could be (ground truth)."""
-        from activestructure_gym.scenes.free_space import free_space_of
+        from activestructure_gym.ground_truth.free_space import free_space_of
 
         return free_space_of(self)
 
     @cached_property
     def observable_surface(self) -> ObservableSurface:
         """The part of the surface that some free pose can see (ground truth)."""
-        from activestructure_gym.scenes.observable import observable_surface_of
+        from activestructure_gym.ground_truth.observable import observable_surface_of
 
         return observable_surface_of(self)

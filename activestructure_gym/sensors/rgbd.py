@@ -8,8 +8,8 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.sensors.noise import DEPTH_NOISE, drop_edges, noisy_depth, noisy_pose
 from activestructure_gym.sensors.renderer import RENDERERS, Renderer, make_renderer
 

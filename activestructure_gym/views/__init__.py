@@ -5,16 +5,11 @@ room may look at ground truth.
 """
 
 from activestructure_gym.views.candidates import CandidatePool, CandidateTable, ViewConfig
-from activestructure_gym.views.gains import GAINS, Gain, GainContext, evaluate_gains
 from activestructure_gym.views.visibility import visible_planes
 
 __all__ = [
-    "GAINS",
     "CandidatePool",
     "CandidateTable",
-    "Gain",
-    "GainContext",
     "ViewConfig",
-    "evaluate_gains",
     "visible_planes",
 ]

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import invert_rigid, rotation_angle
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN

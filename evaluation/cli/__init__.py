@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.threads import set_passive_waiting
+from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 
 # Written out, and not left to the parser, so that it appears at once.
 HELP = """usage: asg COMMAND [OPTIONS]

@@ -32,16 +32,16 @@ def bench(options: Bench) -> int:
     scenes = split_list([options.scene] if options.scene else [])
     size: dict[str, Any]
     if options.what in ("mapping", "growth"):
-        from activestructure_gym.evaluation.cli import bench_mapping
+        from activestructure_gym.evaluation.benchmarks import mapping_command as bench_mapping
 
         measure = bench_mapping.measure_quality if options.what == "mapping" else bench_mapping.measure_growth
         rows = measure(console, scenes, quick=options.quick, out=options.out)
     elif options.what == "evaluation":
-        from activestructure_gym.evaluation.cli.bench_evaluation import measure_evaluation
+        from activestructure_gym.evaluation.benchmarks.episode_evaluation import measure_evaluation
 
         rows = measure_evaluation(console, scenes, quick=options.quick)
     elif options.what == "policies":
-        from activestructure_gym.evaluation import policy_benchmark
+        from activestructure_gym.evaluation.benchmarks import policies as policy_benchmark
 
         few: dict[str, Any] = {"preset": "fast", "frames": 25, "repeats": 1} if options.quick else {}
         with console.status("measuring the policies") as status:
@@ -52,7 +52,7 @@ def bench(options: Bench) -> int:
                 for row in policy_benchmark.run_policy_benchmark(spec, notify=lambda line: status.update(line), **few)
             ]
     elif options.what == "planes":
-        from activestructure_gym.planes import benchmark
+        from activestructure_gym.evaluation.benchmarks import planes as benchmark
         from activestructure_gym.scenes.library import load_scene
 
         with console.status("measuring the planes"):
@@ -62,7 +62,7 @@ def bench(options: Bench) -> int:
             costs = [row for scene in loaded for row in benchmark.graph_rows(scene, keyframes=keyframes)]
         print_whole(console, rows_table(costs, title="milliseconds of the planes per decision, 256 candidates"))
     elif options.what == "env":
-        from activestructure_gym.evaluation.env_benchmark import SCENES, run_env_benchmark
+        from activestructure_gym.evaluation.benchmarks.env import SCENES, run_env_benchmark
 
         size = {"rounds": 1, "seconds": 0.5} if options.quick else {}
         with console.status("measuring the environment") as status:
@@ -74,7 +74,7 @@ def bench(options: Bench) -> int:
             )
         print_whole(console, rows_table(speed, title="steps of the environment on this machine"))
     elif options.what == "grid":
-        from activestructure_gym.evaluation.grid_benchmark import run_grid_benchmark
+        from activestructure_gym.evaluation.benchmarks.grid import run_grid_benchmark
 
         size = {"frames": 8, "seeds": (0,), "repeats": 1} if options.quick else {}
         with working(console, "measuring the grid") as notify:
@@ -83,12 +83,12 @@ def bench(options: Bench) -> int:
     else:
         with console.status(f"measuring the {options.what}") as status:
             if options.what == "sensor":
-                from activestructure_gym.sensors.benchmark import run_sensor_benchmark
+                from activestructure_gym.evaluation.benchmarks.sensors import run_sensor_benchmark
 
                 rows = run_sensor_benchmark(scenes or ["room"])
             else:
-                from activestructure_gym.mapping.information_benchmark import run_information_benchmark
-                from activestructure_gym.splatting.benchmark import run_splatting_benchmark
+                from activestructure_gym.evaluation.benchmarks.information import run_information_benchmark
+                from activestructure_gym.evaluation.benchmarks.splatting import run_splatting_benchmark
 
                 def tell(line: str) -> None:
                     status.update(f"measuring the {line}")

@@ -27,7 +27,7 @@ from activestructure_gym.evaluation.cli.options import (
 from activestructure_gym.evaluation.cli.output import print_whole, working
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.comparison import Comparison, Result
+    from activestructure_gym.evaluation.running.comparison import Comparison, Result
 
 # What runs without any option: chosen to end within a minute on two cores from a cold start.
 DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples=50_000)
@@ -40,7 +40,7 @@ _MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline
 def compare(options: Compare) -> int:
     """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
     # Before the slow imports: a directory that cannot be used is known at once.
-    from activestructure_gym.evaluation.store import COMPARISON, read_json
+    from activestructure_gym.evaluation.archive.store import COMPARISON, read_json
 
     console = Console(highlight=False)
     if options.resume and not options.out:
@@ -51,10 +51,10 @@ def compare(options: Compare) -> int:
         options = _with_demo_defaults(options)
     directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
 
-    from activestructure_gym.evaluation.comparison import check_output, jobs_to_resume, run_comparison
-    from activestructure_gym.evaluation.engines import Limits, get_engine
-    from activestructure_gym.evaluation.holding import hold
-    from activestructure_gym.evaluation.jobs import policy_label
+    from activestructure_gym.evaluation.archive.directory_lock import hold
+    from activestructure_gym.evaluation.archive.jobs import policy_label
+    from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
+    from activestructure_gym.evaluation.running.engines import Limits, get_engine
     from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
@@ -75,7 +75,7 @@ def compare(options: Compare) -> int:
     if comparison:
         _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
 
-    from activestructure_gym.evaluation.cli.progress import LiveProgress
+    from activestructure_gym.evaluation.running.live_progress import LiveProgress
 
     try:
         with hold(directory) as held:
@@ -109,8 +109,8 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def _comparison(options: Compare) -> Comparison:
-    from activestructure_gym.evaluation.comparison import Comparison
     from activestructure_gym.evaluation.protocols import StandardProtocol
+    from activestructure_gym.evaluation.running.comparison import Comparison
 
     use_lpips_weights(options.lpips_weights)
     protocol = StandardProtocol(view_source=options.view_source)
@@ -147,9 +147,9 @@ def _announce(
 
 
 def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:
+    from activestructure_gym.evaluation.archive.store import COMPARISON, read_json
     from activestructure_gym.evaluation.report.summary import write_report
     from activestructure_gym.evaluation.report.tables import rich_table, table_rows
-    from activestructure_gym.evaluation.store import COMPARISON, read_json
 
     if result.skipped:
         console.print(f"{_counted(result.skipped, 'run')} finished before and kept")

@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 
 def doctor() -> int:
     """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
-    from activestructure_gym.evaluation import machine
+    from activestructure_gym.evaluation.machine import hardware as machine
 
     console = Console(highlight=False)
     hardware = machine.hardware()
@@ -57,7 +57,7 @@ def _kernels_state() -> tuple[str, str]:
     """Where compiled kernels are kept, and whether what is there can be used."""
     from activestructure_gym.compiling import cache_place
     from activestructure_gym.compiling.files import is_whole
-    from activestructure_gym.evaluation.warmup import kernel_files
+    from activestructure_gym.evaluation.running.warmup import kernel_files
 
     place = cache_place()
     if place is None:

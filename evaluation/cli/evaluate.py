@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.cli.options import split_list, use_lpips_wei
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.store import Run
+    from activestructure_gym.evaluation.archive.store import Run
 
 _SHOWN = (
     "accuracy_cm", "completion_cm", "completion_ratio", "precision", "psnr", "ssim", "ms_ssim", "lpips", "depth_l1_cm"
@@ -27,8 +27,8 @@ def evaluate(options: Evaluate) -> int:
         return _evaluate_map(options)
     if options.scene or options.poses or options.out:
         raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
-    from activestructure_gym.evaluation.remeasure import differing, measure_again, protocols_of
-    from activestructure_gym.evaluation.store import write_evaluation
+    from activestructure_gym.evaluation.archive.store import write_evaluation
+    from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
 
     console = Console(highlight=False)
     runs = _open(options.runs)
@@ -60,9 +60,9 @@ def evaluate(options: Evaluate) -> int:
 
 def _evaluate_map(options: Evaluate) -> int:
     """Score a map file of any origin on a scene."""
+    from activestructure_gym.evaluation.archive.store import write_json
     from activestructure_gym.evaluation.protocols import get_protocol
-    from activestructure_gym.evaluation.remeasure import measure_file
-    from activestructure_gym.evaluation.store import write_json
+    from activestructure_gym.evaluation.running.remeasure import measure_file
 
     if options.runs:
         raise InputError("give finished runs, or a map with --map FILE --scene SPEC, not both")
@@ -90,8 +90,8 @@ def _evaluate_map(options: Evaluate) -> int:
 
 
 def _open(names: tuple[str, ...]) -> list[Run]:
-    from activestructure_gym.evaluation.comparison import open_comparison
-    from activestructure_gym.evaluation.store import COMPARISON, read_run
+    from activestructure_gym.evaluation.archive.store import COMPARISON, read_run
+    from activestructure_gym.evaluation.running.comparison import open_comparison
 
     if not names:
         raise InputError("asg evaluate needs the directory of a comparison or of a run, or --map FILE --scene SPEC")

@@ -10,8 +10,8 @@ from activestructure_gym.evaluation.cli.commands import Export
 
 def export(options: Export) -> int:
     """Write the file and say what is in it."""
-    from activestructure_gym.evaluation.remeasure import read_path
-    from activestructure_gym.evaluation.store import read_run
+    from activestructure_gym.evaluation.archive.store import read_run
+    from activestructure_gym.evaluation.running.remeasure import read_path
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.mapping.ply import write_ply
     from activestructure_gym.mapping.splatam_file import write_splatam

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.cli.output import print_whole
 
 def report(options: Report) -> int:
     """Write the report and print the overview; 0 if every run that was asked for is in it, 1 if some are missing."""
-    from activestructure_gym.evaluation.store import COMPARISON
+    from activestructure_gym.evaluation.archive.store import COMPARISON
 
     if not options.runs:
         raise InputError("asg report needs the directory of a comparison or of a run")

@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.cli.options import (
     split_scenes,
 )
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
-from activestructure_gym.evaluation.threads import capped_environment, core_count
+from activestructure_gym.evaluation.machine.threads import capped_environment, core_count
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
@@ -49,7 +49,7 @@ def train(options: Train) -> int:
 
 
 def _train(options: Train, console: Console, workers: int) -> int:
-    from activestructure_gym.evaluation.holding import hold
+    from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.training.runs import CONFIG, read_config
 
     if options.resume and not options.out:
@@ -197,7 +197,7 @@ def _run(
 
 
 def _score(options: Train, console: Console, workers: int) -> int:
-    from activestructure_gym.evaluation.holding import hold
+    from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.training import scoring
     from activestructure_gym.evaluation.training.world import world_config
     from activestructure_gym.policies import canonical_policy, make_policy

@@ -12,7 +12,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
 _SIDE = 8  # voxels of a block

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.evaluation.machine.threads import thread_cap
 
 _LEAF = 8  # points
 _CHUNK = 8192  # queries that one thread takes at a time

@@ -23,7 +23,7 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
-    from activestructure_gym.evaluation.views import HeldOutViews
+    from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
 
@@ -100,7 +100,7 @@ class ActiveGamerProtocol:
 
         Raises `InputError` where the scene has no free space.
         """
-        from activestructure_gym.evaluation.views import roomiest_circle
+        from activestructure_gym.evaluation.protocols.held_out_views import roomiest_circle
 
         if self.center is not None and self.radius is not None:
             return self.center, self.radius
@@ -108,7 +108,7 @@ class ActiveGamerProtocol:
 
     def truth(self, scene: Scene) -> MatchedTruth:
         """The thinned surface and the views of a scene (both cached by its content)."""
-        from activestructure_gym.evaluation.views import posed_views
+        from activestructure_gym.evaluation.protocols.held_out_views import posed_views
 
         samples = even_samples(scene, self.surface_samples)
         chosen, centres = nearest_per_voxel(samples, self.voxel_m)

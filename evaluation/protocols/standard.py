@@ -23,11 +23,11 @@ from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarit
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.scenes.surface_samples import samples_by_area
+from activestructure_gym.ground_truth.surface_samples import samples_by_area
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
-    from activestructure_gym.evaluation.views import HeldOutViews
+    from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
     from activestructure_gym.splatting.cpu import Rendering
@@ -98,8 +98,8 @@ class StandardProtocol:
 
     def truth(self, scene: Scene) -> Truth:
         """The observable surface and the held-out views of a scene (both cached by its content)."""
-        from activestructure_gym.evaluation.views import free_space_views, recorded_views
-        from activestructure_gym.scenes.observable import observable_surface_of
+        from activestructure_gym.evaluation.protocols.held_out_views import free_space_views, recorded_views
+        from activestructure_gym.ground_truth.observable import observable_surface_of
 
         seen = observable_surface_of(scene, samples=self.surface_samples)
         surface = SurfaceSamples(seen.points, seen.normals, seen.area)

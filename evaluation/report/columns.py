@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from activestructure_gym.evaluation.store import Run
+from activestructure_gym.evaluation.archive.store import Run
 
 # Stages of timing.json that make up the columns of seconds; `sensor` and `loading` belong to the simulator.
 PLANNING = ("planning", "gains", "policy")

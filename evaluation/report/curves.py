@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts import Line, line_chart, span
 from activestructure_gym.evaluation.report.html import Html
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
-from activestructure_gym.evaluation.store import Run
 
 _POINTS = 61  # places of the common axis
 

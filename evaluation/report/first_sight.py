@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.canvas import to_image
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import Html, element, joined
@@ -9,7 +10,6 @@ from activestructure_gym.evaluation.report.pictures import BLACK, typical_view
 from activestructure_gym.evaluation.report.plan import draw_plan, flight
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.scene_section import PLAN_KEY, key
-from activestructure_gym.evaluation.store import Run
 
 
 def first_sight(results: Results, anchor: str) -> Html:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import Bar, interval_chart, key_mark
 from activestructure_gym.evaluation.report.columns import MAIN, aspects, measured
@@ -19,7 +20,6 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.scene_section import chart_grid, policy_panels, scene_section
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
 from activestructure_gym.evaluation.statistics import interquartile_mean
-from activestructure_gym.evaluation.store import Run
 
 _ASSETS = Path(__file__).with_name("assets")
 # Whatever a scene's or a policy's name may hold, the page loads nothing and sends nothing.

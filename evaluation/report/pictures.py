@@ -21,8 +21,8 @@ from activestructure_gym.evaluation.report.canvas import (
 from activestructure_gym.evaluation.report.plan import draw_plan, flight, legend, plan_arrays
 
 if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.store import Run
     from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
-    from activestructure_gym.evaluation.store import Run
     from activestructure_gym.reconstruction import Reconstruction
 
 _STORED_VIEWS = 8  # the first of the held-out views, which are in random order

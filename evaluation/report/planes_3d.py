@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageOps
 
-from activestructure_gym.evaluation.plane_record import GraphArrays
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import write
 from activestructure_gym.evaluation.report.patches import NOTHING, Projection, extremes, fitted, nearest_planes

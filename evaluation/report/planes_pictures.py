@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from PIL import Image
 
-from activestructure_gym.evaluation.plane_record import GraphArrays
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import MARGIN, Box, first_row, tile_grid, write
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d

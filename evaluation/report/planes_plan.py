@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from activestructure_gym.evaluation.plane_record import GraphArrays, seen_cells
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays, seen_cells
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.patches import Projection, borders, extremes, silhouette
 from activestructure_gym.evaluation.report.plan import draw_scale_bar, pixel_size, plan_base

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import store
-from activestructure_gym.evaluation.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
-from activestructure_gym.evaluation.store import Run
 
 _ON_A_SCREEN = 7  # policies side by side
 # Whom the others are measured against if nobody is named: the first of these that took part.
@@ -139,7 +139,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
 
     A job that stands in two of them counts once. Raises `InputError` for a directory that is neither.
     """
-    from activestructure_gym.evaluation.comparison import open_comparison
+    from activestructure_gym.evaluation.running.comparison import open_comparison
 
     runs: dict[str, Run] = {}
     sources = []

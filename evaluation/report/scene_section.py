@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from PIL import Image
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
 from activestructure_gym.evaluation.report.charts import panel_chart
@@ -24,7 +25,6 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.tables import overview, table_rows
 from activestructure_gym.evaluation.report.traces import run_trace
 from activestructure_gym.evaluation.statistics import Statistic, mean
-from activestructure_gym.evaluation.store import Run
 
 _TIMELINE = 900  # pixels; its words must be legible
 _SEEN = {  # what there is to see in the pictures of planes

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from activestructure_gym.evaluation.jobs import slug
+from activestructure_gym.evaluation.archive.jobs import slug
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
@@ -28,7 +29,6 @@ from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results, source_of
 from activestructure_gym.evaluation.report.scene_section import policy_panels
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
-from activestructure_gym.evaluation.store import Run
 
 PAGE = "report.html"
 TABLES = "tables"  # sub-directory of the tables, each as Markdown, CSV and LaTeX

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import layout
 from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
 from activestructure_gym.evaluation.report.layout import Heading, Table
-from activestructure_gym.evaluation.store import Run
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
 from activestructure_gym.evaluation.report.phases import bands, chosen_terms
-from activestructure_gym.evaluation.store import Run
 
 _DIGITS = 3
 _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))

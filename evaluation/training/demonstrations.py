@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.store import load_arrays, plain, read_json, write_json
+from activestructure_gym.evaluation.archive.store import load_arrays, plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import machine
-from activestructure_gym.evaluation.store import json_line, plain, read_json, write_json
+from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
+from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing

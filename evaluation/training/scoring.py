@@ -17,10 +17,10 @@ import numpy as np
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.jobs import absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
 from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
-from activestructure_gym.evaluation.store import plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.spreading import spread

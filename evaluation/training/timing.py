@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from activestructure_gym.evaluation import machine
-from activestructure_gym.evaluation.processes import processor_seconds
-from activestructure_gym.evaluation.store import read_json, write_json
+from activestructure_gym.evaluation.archive.store import read_json, write_json
+from activestructure_gym.evaluation.machine import hardware as machine
+from activestructure_gym.evaluation.machine.processes import processor_seconds
 
 
 class Timing:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.evaluation.store import read_json, write_json
+from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE

@@ -12,9 +12,10 @@ from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import least_frames, observation_keys, observation_table
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError
+from activestructure_gym.features import GAINS
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.views import GAINS, CandidateTable
+from activestructure_gym.views import CandidateTable
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 

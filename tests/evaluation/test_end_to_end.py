@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation import episode, store
+from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.comparison import open_comparison
 from activestructure_gym.evaluation.protocols import ActiveGamerProtocol, StandardProtocol
+from activestructure_gym.evaluation.running import episode
+from activestructure_gym.evaluation.running.comparison import open_comparison
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """

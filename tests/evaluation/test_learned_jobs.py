@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import comparison
-from activestructure_gym.evaluation.episode import build
-from activestructure_gym.evaluation.jobs import Job, policy_label
+from activestructure_gym.evaluation.archive.jobs import Job, policy_label
+from activestructure_gym.evaluation.archive.store import DONE, FORMAT_VERSION, is_done, read_run, write_json
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.store import DONE, FORMAT_VERSION, is_done, read_run, write_json
-from activestructure_gym.evaluation.warmup import WarmMark, all_gains, smallest_job
+from activestructure_gym.evaluation.running import comparison
+from activestructure_gym.evaluation.running.episode import build
+from activestructure_gym.evaluation.running.warmup import WarmMark, all_gains, smallest_job
 from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint

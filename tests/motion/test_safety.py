@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, path_lengths, plan_path
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.volume import VoxelVolume
 
 CAMERA = PinholeCamera.from_size(160, 90)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, transform_points
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import PlaneDetectionConfig, depth_noise_scale, detect_planes, segment_planes
-from activestructure_gym.sensors.frame import Frame
 
 
 def score(room, views, *, noise, size):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
 from activestructure_gym.planes.graph import tangent_axes
-from activestructure_gym.sensors.frame import Frame
 
 
 def wander(room, rng, count, *, low, high, pitch=(-0.6, 0.6), **options):

@@ -16,13 +16,13 @@ import trimesh
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.features import GAINS, GainContext, evaluate_gains
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.mapper import PSNR_RENDERS
 from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 from activestructure_gym.scenes import Scene, SceneMesh
 from activestructure_gym.scenes.raycaster import RayCaster
-from activestructure_gym.views import GAINS, GainContext, evaluate_gains
 
 Observation = dict[str, np.ndarray]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.features import GAINS
 from activestructure_gym.policies import POLICIES, HGSPlanner
 from activestructure_gym.policies.hgs_planner import WORTH, first_of_tour
-from activestructure_gym.views import GAINS
 from tests.policies.binding import bound
 
 CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.features import GAINS, GainContext, evaluate_gains
+from activestructure_gym.features.hole_area import hidden_distances, largest_area, solid_angles
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.views import GAINS, GainContext, evaluate_gains
-from activestructure_gym.views.gains.hole_area import hidden_distances, largest_area, solid_angles
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
 
 CAMERA = PinholeCamera.from_size(40, 24)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features.deficiency import refining_distance
+from activestructure_gym.features.hole_area import REACH, largest_area, solid_angles
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.planes import Deficiencies
-from activestructure_gym.views import GainContext, evaluate_gains
-from activestructure_gym.views.gains.deficiency import refining_distance
-from activestructure_gym.views.gains.hole_area import REACH, largest_area, solid_angles
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(40, 24)

@@ -152,7 +152,7 @@ def test_doctor_fails_where_the_main_job_cannot_run(monkeypatch, capsys):
 
 def test_doctor_counts_damaged_kernels(monkeypatch, capsys, tmp_path):
     from activestructure_gym.compiling import files
-    from activestructure_gym.evaluation import warmup
+    from activestructure_gym.evaluation.running import warmup
 
     whole, damaged = tmp_path / "a.kernel", tmp_path / "b.kernel"
     for file in (whole, damaged):
@@ -186,7 +186,7 @@ def test_a_scene_without_floor_is_noticed(tmp_path, capsys):
 
 
 def test_bench_prints_what_was_measured(monkeypatch, capsys):
-    from activestructure_gym.sensors import benchmark
+    from activestructure_gym.evaluation.benchmarks import sensors as benchmark
 
     rows = [{"scene": "box", "size": (160, 90), "raycast": 123.456, "pyrender": None}]
     monkeypatch.setattr(benchmark, "run_sensor_benchmark", lambda scenes: rows if scenes == ("box",) else [])
@@ -196,7 +196,7 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
 
 
 def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
-    from activestructure_gym.evaluation import grid_benchmark
+    from activestructure_gym.evaluation.benchmarks import grid as grid_benchmark
 
     def measured(scenes, **options):
         return [{"repetition": "1", "scenes": scenes, **{name: options[name] for name in ("frames", "repeats")}}]
@@ -208,7 +208,7 @@ def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
 
 
 def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
-    from activestructure_gym.evaluation import policy_benchmark
+    from activestructure_gym.evaluation.benchmarks import policies as policy_benchmark
 
     def measured(scene, **options):
         assert options.pop("notify")
@@ -223,7 +223,7 @@ def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
 
 
 def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
-    from activestructure_gym.evaluation import env_benchmark
+    from activestructure_gym.evaluation.benchmarks import env as env_benchmark
 
     def measured(scenes, *, notify, **options):
         notify("[scene]")
@@ -236,7 +236,7 @@ def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
 
 
 def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
-    from activestructure_gym.planes import benchmark
+    from activestructure_gym.evaluation.benchmarks import planes as benchmark
 
     monkeypatch.setattr(benchmark, "detection_rows", lambda scene, **o: [{"scene": scene.name, "recall": 0.125, **o}])
     monkeypatch.setattr(benchmark, "graph_rows", lambda scene, **o: [{"scene": scene.name, "graph_ms": 7.5, **o}])
@@ -246,8 +246,8 @@ def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, cap
 
 
 def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys):
-    from activestructure_gym.mapping import information_benchmark
-    from activestructure_gym.splatting import benchmark
+    from activestructure_gym.evaluation.benchmarks import information as information_benchmark
+    from activestructure_gym.evaluation.benchmarks import splatting as benchmark
 
     asked = []
     of_keyframes = [{"keyframes": 137, "decision_ms": 20.0}]
@@ -267,6 +267,6 @@ def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys
 
 
 def test_json_of_a_record_is_plain():
-    from activestructure_gym.evaluation import machine
+    from activestructure_gym.evaluation.machine import hardware as machine
 
     json.dumps([machine.versions(), machine.hardware()], allow_nan=False)

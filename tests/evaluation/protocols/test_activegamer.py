@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.protocols.activegamer import (
     circle_poses,
     masked,
 )
-from activestructure_gym.evaluation.views import HeldOutViews, roomiest_circle
+from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews, roomiest_circle
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import GaussianMap
 

@@ -3,8 +3,8 @@ import dataclasses
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import store
-from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.report.results import Results, gather, source_of
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from activestructure_gym.evaluation.processes import processor_seconds
+from activestructure_gym.evaluation.machine.processes import processor_seconds
 from activestructure_gym.evaluation.training import timing
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve

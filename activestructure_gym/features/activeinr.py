@@ -1,0 +1,68 @@
+"""Which view stands for which uncertain cluster, as ANM (ActiveINR) wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.uncertain_surface import Surface, by_perturbing_all, by_proxy, clusters
+from activestructure_gym.volume import FREE
+
+KEPT = 0.8  # of the surface, the most uncertain
+CEILING = 0.8  # metres from the top of the workspace: what is higher is left out, as it joins all walls to one piece
+NEAREST = 1.0  # metres from the agent: a target nearer than this is none
+
+
+def assigned(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -> np.ndarray:  # [K, 4]
+    """Per candidate its cluster's share of the surface below the ceiling, and that cluster's target (metres, world).
+
+    Only clusters whose target is free, not too near to the agent and inside the workspace count, each as far as any
+    is left (`preferred`). A cluster stands with the candidate nearest to the target that looks along -mean n: a metre
+    counts as much as a right angle. Of those without a larger cluster, that is, and no revisit. Candidates without a
+    cluster have 0 and their own position. ANM (Yan et al., ICCV 2023).
+    """
+    poses, here = context.world_from_camera, context.mapper.keyframes[-1].world_from_camera[:3, 3]
+    table = np.concatenate([np.zeros((len(poses), 1)), poses[:, :3, 3]], axis=1)
+    found = clusters(context.once(uncertainty).below(context.bounds[1, 2] - CEILING), KEPT)
+    taken = context.revisits.copy()
+    for cluster in np.flatnonzero(
+        preferred(
+            context.volume.state_at(found.targets) == FREE,
+            np.linalg.norm(found.targets - here, axis=1) > NEAREST,
+            ((found.targets >= context.bounds[0]) & (found.targets <= context.bounds[1])).all(axis=1),
+        )
+    ):  # the largest first
+        if taken.all():
+            break
+        target, direction = found.targets[cluster], found.directions[cluster]
+        cost = np.linalg.norm(poses[:, :3, 3] - target, axis=1) + 1.0 - poses[:, :3, 2] @ direction
+        row = int(np.where(taken, np.inf, cost).argmin())
+        taken[row], table[row, 0], table[row, 1:] = True, found.shares[cluster], target
+    return table
+
+
+def preferred(*wishes: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool
+    """What fulfils the wishes one after the other; a wish that nothing of what is left fulfils is dropped."""
+    keep = np.ones(len(wishes[0]), dtype=bool)
+    for wish in wishes:
+        if (keep & wish).any():
+            keep &= wish
+    return keep
+
+
+_TABLES: dict[Callable[[GainContext], Surface], Callable[[GainContext], np.ndarray]] = {
+    kind: partial(assigned, uncertainty=kind) for kind in (by_perturbing_all, by_proxy)
+}
+
+
+def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: int) -> np.ndarray:  # [K]
+    """A column of `assigned`."""
+    return context.once(_TABLES[uncertainty])[:, which]
+
+
+for _name, _kind in (("activeinr", by_perturbing_all), ("activeinr_proxy", by_proxy)):
+    for _which, _suffix in enumerate(("", "_x", "_y", "_z")):
+        GAINS.register(f"{_name}{_suffix}")(partial(column, uncertainty=_kind, which=_which))

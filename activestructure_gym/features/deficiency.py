@@ -1,0 +1,39 @@
+"""How much of a view would show what planes are known to lack (IG_def of Eq. 13)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.hole_area import REACH, largest_area
+from activestructure_gym.views.visibility import cosines_in_sight
+
+
+@GAINS.register("deficiency")
+def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
+    """Area of the deficiency centres C_def that a view would mend, in the unit of `hole_area`.
+
+    A centre stands for a patch of known area. It counts where it is in sight and near enough for the surface there to
+    become reconstructed: a hole up to the reach of `hole_area`, a patch that the map covers too coarsely from where its
+    Gaussians would be replaced by finer ones. A hole in which some image showed something else, such as a window, does
+    not count: no view will ever fill it.
+    """
+    holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
+    if not len(holes) or not len(poses):
+        return np.zeros(len(poses))
+    cosines, _ = cosines_in_sight(
+        holes.centres[:, None], holes.normals, camera, poses, context.volume,
+        farthest=np.minimum(refining_distance(context, holes.sizes), REACH),
+    )  # fmt: skip
+    area = (cosines[:, :, 0] > 0) @ np.where(holes.explained, 0.0, holes.areas)
+    return area / largest_area(camera)
+
+
+def refining_distance(context: GainContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
+    """From how far away a frame replaces Gaussians of these sizes by finer ones (`MapperConfig.coarse_ratio`)."""
+    config, sensor = context.mapper.config, context.mapper.keyframes[-1].camera
+    if config.coarse_ratio is None:
+        return np.where(np.isinf(sizes), np.inf, 0.0)
+    ratio = np.where(sizes < config.wide_sigma, config.coarse_ratio, config.wide_ratio)
+    limit = ratio * config.seed_footprint * config.seed_stride  # pixels
+    return sizes * 0.5 * (sensor.fx + sensor.fy) / limit

@@ -1,0 +1,16 @@
+"""The pixel gain of the paper, and of ActiveGAMER."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.features.base import GAINS, GainContext
+
+
+@GAINS.register("pixel")
+def pixel(context: GainContext) -> np.ndarray:  # [K] in 0..1
+    """IG_px = |{p : M_c(p) = 0}| (Sec. 3.4) as a share of the image: pixels without confident Gaussian coverage.
+
+    M_c(p) = 1 where the accumulated alpha exceeds ``coverage_alpha``.
+    """
+    return (context.alpha <= context.coverage_alpha).mean(axis=(1, 2))

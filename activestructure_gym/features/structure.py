@@ -1,0 +1,17 @@
+"""The structural information a view would add, for whoever wants one number per view (Eq. 13 without phases)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.features.base import GAINS, GainContext
+
+
+@GAINS.register("structure")
+def structure(context: GainContext) -> np.ndarray:  # [K]
+    """Sum of the information deficits gamma_i (Eq. 10) of the planes the view sees: Eq. 13 with all alpha_i = 1.
+
+    `activestructure_gym.policies.activestructure` needs the sum per type and phase, and takes visibility and deficits
+    from the observation instead.
+    """
+    return context.visible @ context.planes.deficit

@@ -1,0 +1,1 @@
+"""What `asg bench` measures on this machine, one file per part."""

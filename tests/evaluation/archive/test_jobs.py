@@ -1,0 +1,99 @@
+import json
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import jobs
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.protocols import StandardProtocol
+
+JOB = Job("room", "random", 3, scene_hash="abc", overrides=(("sensor.width", 96), ("mapper.iterations", 2)))
+
+
+def test_a_job_survives_json():
+    job = Job("a.glb", "p:Q", 1, frame_budget=7, start_pose=(1, 2, 3, 4), protocol=StandardProtocol(views=3))
+    assert Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
+    assert Job.from_dict(json.loads(json.dumps(JOB.as_dict()))).hash == JOB.hash
+
+
+def test_the_hash_does_not_depend_on_the_order_of_overrides_nor_on_how_the_scene_is_named():
+    turned = Job("room", "random", 3, scene_hash="abc", overrides=JOB.overrides[::-1])
+    assert turned == JOB
+    assert Job("other/path/to/it", "random", 3, scene_hash="abc", overrides=JOB.overrides).hash == JOB.hash
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"policy": "pixel_only"},
+        {"policy": "random?travel=shared"},
+        {"seed": 4},
+        {"scene_hash": "abd"},
+        {"preset": "fast"},
+        {"frame_budget": 10},
+        {"overrides": ()},
+        {"start_pose": (0.0, 0.0, 1.0, 0.0)},
+        {"protocol": StandardProtocol(opacity_threshold=0.4)},
+    ],
+)
+def test_whatever_decides_the_numbers_is_in_the_hash(change):
+    content = {"scene": "room", "policy": "random", "seed": 3, "scene_hash": "abc", "overrides": JOB.overrides}
+    assert Job(**(content | change)).hash != JOB.hash
+
+
+def test_the_hash_is_the_same_in_every_process_and_release(monkeypatch):
+    # Written down once. Whoever moves it makes every stored result of the same version unfindable.
+    monkeypatch.setattr(jobs, "__version__", "test")
+    assert Job("box", "random", 0, scene_hash="0" * 64).hash == "c18cfef47063"
+
+
+def test_wrong_numbers_are_refused():
+    with pytest.raises(InputError, match="frame budget must be at least 1, got 0"):
+        Job("box", "random", 0, frame_budget=0)
+    with pytest.raises(InputError, match="seed"):
+        Job("box", "random", -1)
+
+
+def test_a_result_of_another_protocol_version_is_not_mixed_in():
+    content = JOB.as_dict()
+    content["protocol"]["version"] = 99
+    with pytest.raises(InputError, match="version 99"):
+        Job.from_dict(content)
+
+
+@pytest.mark.parametrize(
+    "spec, label",
+    [
+        ("room", "room"),
+        ("apartment?seed=3&rooms=4", "apartment?seed=3&rooms=4"),
+        ("some/where/hotel_room.glb", "hotel_room"),
+        ("some/where/house.obj?units=cm", "house?units=cm"),
+        ("replica:data/room_0", "room_0"),
+        ("my_scene:cube_room?side=5", "cube_room?side=5"),
+        ("data/room_0?sequence=/somewhere/else/seq_0", "room_0?sequence=seq_0"),
+    ],
+)
+def test_short_names_of_scenes(spec, label):
+    assert scene_label(spec) == label
+
+
+def test_files_of_one_name_are_told_apart():
+    labels = scene_labels(["a/scene.glb", "b/scene.glb", "room"])
+    assert labels == {"a/scene.glb": "a/scene", "b/scene.glb": "b/scene", "room": "room"}
+
+
+def test_files_are_found_from_any_directory(tmp_path, monkeypatch):
+    (tmp_path / "house.obj").touch()
+    monkeypatch.chdir(tmp_path)
+    assert absolute_spec("house.obj?units=cm") == f"{tmp_path}/house.obj?units=cm"
+    assert absolute_spec("house.obj?sequence=./house.obj") == f"{tmp_path}/house.obj?sequence={tmp_path}/house.obj"
+    assert absolute_spec("mesh:house.obj") == f"mesh:{tmp_path}/house.obj"
+    assert absolute_spec("room?seed=1") == "room?seed=1"
+
+
+def test_run_directory_names_work_on_any_system():
+    job = Job("my_scene:cube?side=5&x=a/b", "my_policy:Mine", 0)
+    assert set(job.name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
+    assert job.name.endswith(job.hash)
+    assert slug("../..") == "unnamed"
+    assert Job("room", "naruto?travel=shared", 0).name.startswith("room--naruto-travel-shared--seed0--")

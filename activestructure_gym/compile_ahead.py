@@ -60,6 +60,7 @@ def _camera() -> Any:
 
 def compile_sensing() -> None:
     """Everything of the sensor, the volume and the planes."""
+    from activestructure_gym.ground_truth import free_space_of
     from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
     from activestructure_gym.scenes import load_scene
     from activestructure_gym.sensors import RGBDSensor, SensorConfig
@@ -68,7 +69,7 @@ def compile_sensing() -> None:
     scene = load_scene("box")
     sensor = RGBDSensor(scene, SensorConfig(width=64, height=36), np.random.default_rng(0))
     volume, planes = VoxelVolume(scene.bounds, VolumeConfig()), PlaneSceneGraph(PlaneGraphConfig())
-    for pose in scene.free_space.start_poses[:3]:
+    for pose in free_space_of(scene).start_poses[:3]:
         frame = sensor.capture(pose)
         volume.integrate(frame)
         planes.update(frame)

@@ -19,11 +19,12 @@ import numpy as np
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
-from activestructure_gym.scenes import Scene, check_start_pose
+from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
 from activestructure_gym.views import CandidatePool, CandidateTable
 from activestructure_gym.volume import VoxelVolume
@@ -59,22 +60,24 @@ class Reconstruction:
             max(1, round(config.sensor.height * config.views.scoring_scale)),
         )
 
-    def start(self, scene: Scene, seed: int, start_pose: np.ndarray | None = None) -> Frame:
-        """Begin an episode and return its first keyframe.
+    def start(self, truth: GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
+        """Begin an episode in ``truth.scene`` and return its first keyframe.
+
+        The truth gives the start pose and how much room is around it, and is not kept.
 
         ``start_pose`` is ``world_from_camera`` [4, 4]; without one, one of the scene's own is drawn from the seed.
         Raises `InputError` if the pose stands inside something or outside the scene.
         """
-        config = self.config
+        config, scene = self.config, truth.scene
         # One child per consumer: a policy's choices cannot shift the noise, nor the noise the paths.
         choice, noise, mapping, planning, pool = np.random.SeedSequence(seed).spawn(5)
         if start_pose is None:
-            poses = scene.free_space.start_poses
+            poses = truth.free_space.start_poses
             start_pose = poses[np.random.default_rng(choice).integers(len(poses))]
         start_pose = np.array(start_pose, dtype=np.float64)
         if start_pose.shape != (4, 4):
             raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
-        check_start_pose(scene, start_pose, config.motion.body_radius)
+        check_start_pose(truth.free_space, scene.bounds, start_pose, config.motion.body_radius)
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
@@ -106,7 +109,7 @@ class Reconstruction:
         self.seconds: defaultdict[str, float] = defaultdict(float)  # wall-clock by stage; never observed
 
         # The agent was put down there, so the place around it is known to be free, as far as it is.
-        clearance = float(scene.free_space.clearance_at(start_pose[:3, 3])[0])
+        clearance = float(truth.free_space.clearance_at(start_pose[:3, 3])[0])
         self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, clearance))
         frame = self._keyframe()
         self.frames = 1

@@ -16,11 +16,12 @@ from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import look_along
+from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 
-SceneSpec = str | PathLike[str] | Scene
+SceneSpec = str | PathLike[str] | Scene | GroundTruth
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
@@ -140,10 +141,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
         if not self._scenes:
             raise InputError("scene must name at least one scene, got an empty sequence")
-        if not all(isinstance(one, str | PathLike | Scene) for one in self._scenes):
+        if not all(isinstance(one, str | PathLike | Scene | GroundTruth) for one in self._scenes):
             raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {shown(scene)}")
         self._start_pose = None if start_pose is None else as_pose(start_pose)
-        self._loaded: dict[int, Scene] = {}
+        self._loaded: dict[int, GroundTruth] = {}
         self._frame: Frame | None = None
         self._ended = True
 
@@ -156,11 +157,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:
             raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
-        scene = load_scene(options["scene"]) if "scene" in options else self._draw_scene()
+        truth = as_truth(options["scene"]) if "scene" in options else self._draw_scene()
         start_pose = as_pose(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
-        self._frame = self.reconstruction.start(scene, episode_seed, start_pose)
-        self._coverage = SurfaceCoverage(scene.observable_surface.points, self.reward_config)
+        self._frame = self.reconstruction.start(truth, episode_seed, start_pose)
+        self._coverage = SurfaceCoverage(truth.observable_surface.points, self.reward_config)
         self._count(self._frame, self.reconstruction.pose)
         self._ended = False
         terms = reward_terms(self.reward_config, share_gained=0.0, metres=0.0, invalid=False)
@@ -229,11 +230,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     def _covered(self) -> bool:
         return self.coverage_target is not None and self._coverage.share >= self.coverage_target
 
-    def _draw_scene(self) -> Scene:
+    def _draw_scene(self) -> GroundTruth:
         index = int(self.np_random.integers(len(self._scenes))) if len(self._scenes) > 1 else 0
         if index not in self._loaded:
             # One scene is kept: a long list of layouts must not fill the memory of every worker.
-            self._loaded = {index: load_scene(self._scenes[index])}
+            self._loaded = {index: as_truth(self._scenes[index])}
         return self._loaded[index]
 
     def _observe(self) -> dict[str, np.ndarray]:
@@ -255,6 +256,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             "is_success": self._covered,
             **terms,
         }
+
+
+def as_truth(scene: SceneSpec) -> GroundTruth:
+    """The truth of whatever names or is a scene."""
+    return scene if isinstance(scene, GroundTruth) else ground_truth_of(load_scene(scene))
 
 
 def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]

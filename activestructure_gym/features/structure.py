@@ -14,4 +14,4 @@ def structure(context: GainContext) -> np.ndarray:  # [K]
     `activestructure_gym.policies.activestructure` needs the sum per type and phase, and takes visibility and deficits
     from the observation instead.
     """
-    return context.visible @ context.planes.deficit
+    return context.visible @ context.planes.state.deficit

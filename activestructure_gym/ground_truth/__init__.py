@@ -1,1 +1,19 @@
-"""What is true of a scene and no planner may know: free space, start poses, the observable surface."""
+"""What is true of a scene and no planner may know: free space, start poses, the observable surface.
+
+`GroundTruth` holds all of it. Sensor noise apart, what the agent gets to know of a scene it gets from its camera.
+"""
+
+from activestructure_gym.ground_truth.free_space import FreeSpace
+from activestructure_gym.ground_truth.observable import ObservableSurface, observable_surface_of
+from activestructure_gym.ground_truth.start_poses import check_start_pose
+from activestructure_gym.ground_truth.truth import GroundTruth, free_space_of, ground_truth_of
+
+__all__ = [
+    "FreeSpace",
+    "GroundTruth",
+    "ObservableSurface",
+    "check_start_pose",
+    "free_space_of",
+    "ground_truth_of",
+    "observable_surface_of",
+]

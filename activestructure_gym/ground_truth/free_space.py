@@ -15,7 +15,6 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.ground_truth.surface_samples import lattice_samples
-from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 
 VOXEL_SIZE = 0.1  # metres; the size the planners' volumes use
@@ -91,24 +90,8 @@ class FreeSpace:
         return positions
 
 
-def free_space_of(scene: Scene) -> FreeSpace:
-    """The free space of a scene, from the cache on disk where it has been computed before.
-
-    Raises `InputError` where no free space is found.
-    """
-    arrays = cached_arrays(f"free-space-{scene.content_hash}", lambda: _compute(scene))
-    return FreeSpace(
-        origin=arrays["origin"],
-        voxel_size=float(arrays["voxel_size"]),
-        clearance=arrays["clearance"],
-        height=arrays["height"],
-        start_poses=arrays["start_poses"],
-    )
-
-
-def _compute(scene: Scene) -> dict[str, np.ndarray]:
-    from activestructure_gym.ground_truth.start_poses import choose_start_poses
-
+def compute_free_space(scene: Scene) -> FreeSpace:
+    """The free space of a scene, still without start poses. Raises `InputError` where none is found."""
     origin, voxel_size, shape = _grid(scene.bounds)
     # Every point of the surface has a sample within half a voxel: a voxel that a surface properly crosses is never
     # empty, and at the body's clearance the nearest sample is at most 6 mm farther than the surface.
@@ -128,15 +111,7 @@ def _compute(scene: Scene) -> dict[str, np.ndarray]:
             f"{BODY_CLEARANCE} m away from them; check its units and up axis"
         )
     height = _heights(scene, clearance, origin, voxel_size)
-    found = FreeSpace(origin, voxel_size, clearance, height, np.zeros((0, 4, 4)))
-    poses = choose_start_poses(scene, found)
-    return {
-        "origin": origin,
-        "voxel_size": np.array(voxel_size),
-        "clearance": clearance,
-        "height": height,
-        "start_poses": poses,
-    }
+    return FreeSpace(origin, voxel_size, clearance, height, np.zeros((0, 4, 4)))
 
 
 def _grid(bounds: np.ndarray) -> tuple[np.ndarray, float, tuple[int, int, int]]:

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.ground_truth.free_space import FreeSpace
 from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 
 VIEW_CLEARANCE = 0.25  # metres between a viewpoint and the nearest surface
+SURFACE_SAMPLES = 50_000  # drawn from the whole surface
 VIEW_RANGE = 10.0  # metres; the sensor's range
 # Metres before the sample that a line of sight spares: float32 hits are exact to 1e-5 m, panels thicker than a few mm.
 SIGHT_MARGIN = 2e-3
@@ -30,14 +32,15 @@ class ObservableSurface:
     area: float  # observable area in square metres
 
 
-def observable_surface_of(scene: Scene, samples: int = 50_000, viewpoints: int = 400) -> ObservableSurface:
+def observable_surface_of(
+    scene: Scene, space: FreeSpace, samples: int = SURFACE_SAMPLES, viewpoints: int = 400
+) -> ObservableSurface:
     """The observable surface of a scene, from the cache on disk where it has been computed before.
 
-    ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` come back. Raises
-    `InputError` where the scene has no free space.
+    ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` come back.
     """
     key = f"observable-{scene.content_hash}-{samples}-{viewpoints}"
-    arrays = cached_arrays(key, lambda: _compute(scene, samples, viewpoints))
+    arrays = cached_arrays(key, lambda: _compute(scene, space, samples, viewpoints))
     return ObservableSurface(
         points=arrays["points"],
         normals=arrays["normals"],
@@ -46,10 +49,9 @@ def observable_surface_of(scene: Scene, samples: int = 50_000, viewpoints: int =
     )
 
 
-def _compute(scene: Scene, samples: int, viewpoints: int) -> dict[str, np.ndarray]:
+def _compute(scene: Scene, space: FreeSpace, samples: int, viewpoints: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(int(scene.content_hash[16:32], 16))
     points, normals, area = uniform_samples(scene.mesh.vertices, scene.mesh.faces, samples, rng)
-    space = scene.free_space
     roomiest = float(space.clearance.max())
     eyes = space.sample_positions(viewpoints, rng, min_clearance=min(VIEW_CLEARANCE, 0.8 * roomiest))
     seen_by = first_viewpoint(scene, points, eyes)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along
+from activestructure_gym.ground_truth.free_space import FreeSpace
 from activestructure_gym.scenes.scene import Scene
-
-if TYPE_CHECKING:
-    from activestructure_gym.ground_truth.free_space import FreeSpace
 
 START_POSES = 16  # per scene; episodes draw from them by seed
 MIN_START_POSES = 8  # limits are loosened until this many are found
@@ -87,8 +83,13 @@ def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
     return directions[np.convolve(around, np.ones(2 * half + 1), mode="valid").argmax()]
 
 
-def check_start_pose(scene: Scene, world_from_camera: np.ndarray, body_radius: float) -> None:
-    """Raise `InputError` unless a body of ``body_radius`` metres can stand at the pose.
+def check_start_pose(
+    space: FreeSpace,
+    bounds: np.ndarray,  # [2, 3] metres, the scene's
+    world_from_camera: np.ndarray,  # [4, 4]
+    body_radius: float,  # metres
+) -> None:
+    """Raise `InputError` unless a body can stand at the pose.
 
     In a scene too narrow for the body, whose own start poses are tighter, the tightest of those is the measure.
     """
@@ -100,13 +101,12 @@ def check_start_pose(scene: Scene, world_from_camera: np.ndarray, body_radius: f
         raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is no rotation")
     position = pose[:3, 3]
     where = f"the start pose at ({', '.join(f'{value:.2f}' for value in position)})"
-    space = scene.free_space
     clearance = float(space.clearance_at(position)[0])
     starts = space.start_poses[:, :3, 3]
     nearest = starts[np.linalg.norm(starts - position, axis=1).argmin()]
     hint = f"the nearest free start is ({', '.join(f'{value:.2f}' for value in nearest)})"
     if clearance <= 0:
-        low, high = scene.bounds
+        low, high = bounds
         if (position < low).any() or (position > high).any():
             raise InputError(f"{where} is outside the scene's bounds; {hint}")
         raise InputError(f"{where} is inside a wall or furniture, or outside the rooms; {hint}")

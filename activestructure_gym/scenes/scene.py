@@ -1,7 +1,6 @@
-"""What a scene is: a coloured triangle mesh with a name and a source, and what can be derived from it.
+"""What a scene is: a coloured triangle mesh with a name and a source, and how rays see it.
 
-Everything derived (free space, start poses, observable surface) is ground truth: the sensor, the reward, the metrics
-and the choice of start poses may use it; gains, observations and policies never do.
+What else is true of it (free space, start poses, observable surface) is `ground_truth.GroundTruth`.
 """
 
 from __future__ import annotations
@@ -16,8 +15,6 @@ import numpy as np
 from activestructure_gym.scenes.raycaster import RayCaster
 
 if TYPE_CHECKING:
-    from activestructure_gym.ground_truth.free_space import FreeSpace
-    from activestructure_gym.ground_truth.observable import ObservableSurface
     from activestructure_gym.scenes.loaders.sequence import PosedSequence
 
 
@@ -89,17 +86,3 @@ class Scene:
         if mesh.texture_wrap or mesh.linear_colors:  # the exception, so that the keys of all other scenes stay
             digest.update(str((mesh.texture_wrap, mesh.linear_colors)).encode())
         return digest.hexdigest()
-
-    @cached_property
-    def free_space(self) -> FreeSpace:
-        """Where the agent could be (ground truth)."""
-        from activestructure_gym.ground_truth.free_space import free_space_of
-
-        return free_space_of(self)
-
-    @cached_property
-    def observable_surface(self) -> ObservableSurface:
-        """The part of the surface that some free pose can see (ground truth)."""
-        from activestructure_gym.ground_truth.observable import observable_surface_of
-
-        return observable_surface_of(self)

@@ -47,26 +47,26 @@ def graph_arrays(graph: PlaneSceneGraph) -> dict[str, np.ndarray]:
         shapes[k] = high - low
         packed.append(np.packbits(surface.seen[low[0] : high[0], low[1] : high[1]] > 0))
         starts[k + 1] = starts[k] + len(packed[-1])
-    first, second = np.nonzero(np.triu(graph.edges, 1))
-    surprise, holes = graph.surprise, graph.deficiencies
+    first, second = np.nonzero(np.triu(graph.state.edges, 1))
+    surprise, holes = graph.state.surprise, graph.deficiencies
     return {
         "ids": np.array([node.id for node in nodes], dtype=np.int64),
-        "normals": graph.normals,
-        "offsets": graph.offsets,
-        "centroids": graph.centroids,
-        "areas": graph.areas,
+        "normals": graph.state.normals,
+        "offsets": graph.state.offsets,
+        "centroids": graph.state.centroids,
+        "areas": graph.state.areas,
         "observations": np.array([node.observations for node in nodes], dtype=np.int64),
-        "structural": np.asarray(graph.structural, dtype=bool),
+        "structural": np.asarray(graph.state.structural, dtype=bool),
         "mode_names": np.array(QUALITY_MODES),
-        "modes": graph.quality.modes,
-        "quality": graph.quality.scores,
+        "modes": graph.state.quality.modes,
+        "quality": graph.state.quality.scores,
         "surprise": surprise.total,
         "surprise_factors": np.stack([surprise.connectivity, surprise.neighbourhood, surprise.geometric], axis=1),
-        "deficit": graph.deficit,
-        "betweenness": graph.betweenness,
+        "deficit": graph.state.deficit,
+        "betweenness": graph.state.betweenness,
         "edges": np.stack([first, second], axis=1).astype(np.int64),
-        "edge_weights": graph.weights[first, second],
-        "edge_in_tree": graph.tree[first, second],
+        "edge_weights": graph.state.weights[first, second],
+        "edge_in_tree": graph.state.tree[first, second],
         "deficiency_centres": holes.centres,
         "deficiency_normals": holes.normals,
         "deficiency_areas": holes.areas,
@@ -89,15 +89,15 @@ def seen_cells(arrays: GraphArrays, plane: int) -> np.ndarray:  # [R, C] uint8, 
 
 def graph_summary(graph: PlaneSceneGraph) -> dict[str, Any]:
     """What a decision's record says about the graph; a mean over no planes is None."""
-    structural = np.asarray(graph.structural, dtype=bool)
+    structural = np.asarray(graph.state.structural, dtype=bool)
     summary: dict[str, Any] = {}
     for kind, own in (("structural", structural), ("objects", ~structural)):
         summary[kind] = int(own.sum())
-        summary[f"deficit_{kind}"] = _mean(graph.deficit[own])
-        summary[f"quality_{kind}"] = _mean(graph.quality.scores[own])
+        summary[f"deficit_{kind}"] = _mean(graph.state.deficit[own])
+        summary[f"quality_{kind}"] = _mean(graph.state.quality.scores[own])
     return summary | {
-        "deficit": _mean(graph.deficit),
-        "quality": _mean(graph.quality.scores),
+        "deficit": _mean(graph.state.deficit),
+        "quality": _mean(graph.state.quality.scores),
         "deficiency_centres": len(graph.deficiencies),
         "deficiency_area": float(graph.deficiencies.areas.sum()),  # m^2
     }

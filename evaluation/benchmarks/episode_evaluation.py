@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 
 from activestructure_gym.evaluation.machine.threads import thread_cap
+from activestructure_gym.ground_truth import ground_truth_of
 
 T = TypeVar("T")
 SCENES = ("room", "apartment?rooms=3&seed=5")
@@ -49,7 +50,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: str) -> Iterator[dic
         path = read_path(run.directory / "trajectory.npz")
     scene = load_scene(spec)
     name = {"scene": spec, "gaussians": gaussians.count, "keyframes": len(path.keyframes), "threads": thread_cap()}
-    truth, cost = _timed(lambda: protocol.truth(scene))
+    truth, cost = _timed(lambda: protocol.truth(ground_truth_of(scene)))
     yield {**name, "stage": "truth from the cache", **cost}
     threshold = protocol.threshold_m
     truth.surface.discs, truth.surface.samples  # noqa: B018 - the trees are built once for a scene
@@ -62,7 +63,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: str) -> Iterator[dic
     yield {**name, "stage": "distances of the surface", **cost}
     _, cost = _timed(lambda: protocol.looks(gaussians, truth, {}))
     yield {**name, "stage": f"{len(truth.views)} views", **cost}
-    fresh = protocol.truth(scene)
+    fresh = protocol.truth(ground_truth_of(scene))
     _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))
     yield {**name, "stage": "finished map, all of it", **whole}
     views, samples = CHECKPOINT_VIEWS, CHECKPOINT_SAMPLES

@@ -25,6 +25,7 @@ import numpy as np
 from activestructure_gym.evaluation.benchmarks.mapping_views import KEYFRAME_EVERY, capture, random_walk, true_volume
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.mapping.gaussian_map import MEAN
 from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.motion import DistanceMap, path_lengths
@@ -115,7 +116,7 @@ def _views(
     advance: Callable[[], None],
 ) -> tuple[list[Frame], list[Frame], np.ndarray]:  # keyframes, probes, candidates [C, 4, 4]
     """The keyframes (all on the ground floor), the frames that are timed, and the views that are scored."""
-    starts = scene.free_space.start_poses
+    starts = ground_truth_of(scene).free_space.start_poses
     volume = true_volume(scene)
     places = -(-keyframes // PLACE_KEYFRAMES)
     picks, *walks = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(places + 1))

@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.benchmarks.mapping_views import (
 )
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.mapping.config import MAPPERS
 from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.scenes.scene import Scene
@@ -94,7 +95,7 @@ def make_course(
     """
     camera = PinholeCamera.from_size(*size)
     walk, held_out = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
-    start = scene.free_space.start_poses[0]
+    start = ground_truth_of(scene).free_space.start_poses[0]
     poses = random_walk(true_volume(scene), start, (keyframes - 1) * KEYFRAME_EVERY + 1, walk)[::KEYFRAME_EVERY]
     frames = capture(scene, camera, poses, supersample=SUPERSAMPLE, advance=advance)
     chosen = held_out_poses(scene, camera, frames, views, held_out)

@@ -13,6 +13,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along, transform_points
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion import MotionConfig, interpolate, path_lengths
 from activestructure_gym.motion.trajectory import poses_at
 from activestructure_gym.scenes.scene import Scene
@@ -31,7 +32,7 @@ def true_volume(scene: Scene) -> VoxelVolume:
     """The scene's free space as the volume that paths are planned in."""
     volume = VoxelVolume(scene.bounds)
     centers = volume.center_of(np.argwhere(np.ones(volume.shape, bool)))
-    volume.state[scene.free_space.clearance_at(centers).reshape(volume.shape) > 0] = FREE
+    volume.state[ground_truth_of(scene).free_space.clearance_at(centers).reshape(volume.shape) > 0] = FREE
     return volume
 
 
@@ -146,7 +147,7 @@ def held_out_poses(
     found: list[np.ndarray] = []
     try:
         for _ in range(tries):
-            position = scene.free_space.sample_positions(1, rng, min_clearance=0.3)[0]
+            position = ground_truth_of(scene).free_space.sample_positions(1, rng, min_clearance=0.3)[0]
             yaw, pitch = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(*_PITCH_DEG))
             pose = look_along(
                 position, np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.renderer import Renderer, make_renderer, renderer_status
 
@@ -17,7 +18,7 @@ SIZES = ((160, 90), (320, 180), (640, 360))
 
 def benchmark_views(scene: Scene, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 4, 4]
     """Views as an agent has them: free positions 0.3 m off every surface, any heading, 30 deg down to 15 deg up."""
-    positions = scene.free_space.sample_positions(count, rng, min_clearance=0.3)
+    positions = ground_truth_of(scene).free_space.sample_positions(count, rng, min_clearance=0.3)
     heading, pitch = rng.uniform(-np.pi, np.pi, count), np.radians(rng.uniform(-30.0, 15.0, count))
     directions = np.stack([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
     return np.stack([look_along(position, direction) for position, direction in zip(positions, directions)])

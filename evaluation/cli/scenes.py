@@ -41,20 +41,22 @@ def scenes(options: Scenes) -> int:
         from activestructure_gym.evaluation.report.scene_picture import scene_picture
 
         with console.status("drawing"):
-            scene_picture(facts["scene"]).save(options.picture)
+            scene_picture(facts["truth"]).save(options.picture)
         console.print(f"picture: {options.picture}")
     return 0
 
 
 def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
-    """The loaded ``scene``, and ``lines`` of (name, text) about it."""
+    """The ``truth`` of the loaded scene, and ``lines`` of (name, text) about it."""
+    from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.scenes import load_scene
 
     scene = load_scene(spec)
     notify("finding free space")
-    space = scene.free_space
+    known = ground_truth_of(scene)
+    space = known.free_space
     notify("finding what can be seen")
-    seen = scene.observable_surface
+    seen = known.observable_surface
     extent = scene.bounds[1] - scene.bounds[0]
     lines = [
         ("scene", scene.name),
@@ -70,7 +72,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
     bottomless = float(np.isinf(space.height[space.clearance > 0]).mean())
     if bottomless > _MOST_BOTTOMLESS:
         lines.append(("note", f"{100 * bottomless:.0f} % of the free space has no floor below; is one missing?"))
-    return {"scene": scene, "lines": lines}
+    return {"truth": known, "lines": lines}
 
 
 def _registered() -> Table:

@@ -24,6 +24,7 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
     from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
 
@@ -95,7 +96,7 @@ class ActiveGamerProtocol:
         full = PinholeCamera(_WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2, _HEIGHT / 2)
         return full.resized(_WIDTH // self.image_divisor, _HEIGHT // self.image_divisor)
 
-    def circle(self, scene: Scene) -> tuple[tuple[float, float, float], float]:
+    def circle(self, known: GroundTruth) -> tuple[tuple[float, float, float], float]:
         """Centre and radius of the views: as given, the original's for its 13 scenes, else around the roomiest place.
 
         Raises `InputError` where the scene has no free space.
@@ -104,15 +105,17 @@ class ActiveGamerProtocol:
 
         if self.center is not None and self.radius is not None:
             return self.center, self.radius
-        return CIRCLES.get(scene.name) or CIRCLES.get(scene.name.replace("_", "")) or roomiest_circle(scene)
+        name = known.scene.name
+        return CIRCLES.get(name) or CIRCLES.get(name.replace("_", "")) or roomiest_circle(known.free_space)
 
-    def truth(self, scene: Scene) -> MatchedTruth:
+    def truth(self, known: GroundTruth) -> MatchedTruth:
         """The thinned surface and the views of a scene (both cached by its content)."""
         from activestructure_gym.evaluation.protocols.held_out_views import posed_views
 
+        scene = known.scene
         samples = even_samples(scene, self.surface_samples)
         chosen, centres = nearest_per_voxel(samples, self.voxel_m)
-        centre, radius = self.circle(scene)
+        centre, radius = self.circle(known)
         poses = circle_poses(centre, radius)
         views = posed_views(scene, poses, camera=self.camera, supersample=self.view_supersample)
         near = float(np.mean((views.depth > 0) & (views.depth < _TOO_NEAR)))

@@ -11,8 +11,8 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 
 if TYPE_CHECKING:
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
-    from activestructure_gym.scenes import Scene
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class EvaluationProtocol(Protocol):
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant, for the result file."""
 
-    def truth(self, scene: Scene) -> Any:
+    def truth(self, known: GroundTruth) -> Any:
         """What a map of the scene is compared with (cached by the scene's content)."""
 
     def evaluate(self, gaussians: GaussianMap, truth: Any, path: CameraPath | None = None) -> dict[str, Any]:

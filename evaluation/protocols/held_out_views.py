@@ -9,6 +9,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.ground_truth import FreeSpace, GroundTruth
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.renderer import make_renderer
@@ -35,7 +36,7 @@ class HeldOutViews:
 
 
 def free_space_views(
-    scene: Scene,
+    known: GroundTruth,
     *,
     count: int,
     camera: PinholeCamera,
@@ -48,8 +49,9 @@ def free_space_views(
     """
     if count > _POSES_DRAWN:
         raise InputError(f"at most {_POSES_DRAWN} held-out views can be drawn, got {count}")
+    scene = known.scene
     key = f"views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{count}-{camera}-{supersample}"
-    arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(scene, count), camera, supersample))
+    arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(known, count), camera, supersample))
     return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
 
 
@@ -61,13 +63,11 @@ def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, super
     return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
 
 
-def roomiest_circle(scene: Scene) -> tuple[tuple[float, float, float], float]:  # centre, radius in metres
+def roomiest_circle(space: FreeSpace) -> tuple[tuple[float, float, float], float]:  # centre, radius in metres
     """A horizontal circle around the free place that is farthest from every surface, of at most 1 m radius.
 
-    Every point of it keeps the distance from surfaces that held-out views keep, or half of what there is. Raises
-    `InputError` where the scene has no free space.
+    Every point of it keeps the distance from surfaces that held-out views keep, or half of what there is.
     """
-    space = scene.free_space
     voxel = np.unravel_index(int(space.clearance.argmax()), space.clearance.shape)
     clearance = float(space.clearance[voxel])
     x, y, z = (float(value) for value in space.centers(np.array(voxel)))
@@ -89,15 +89,15 @@ def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:
     )
 
 
-def _draw_poses(scene: Scene, count: int) -> np.ndarray:  # [count, 4, 4]
-    seed = int(scene.content_hash[:16], 16)
+def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
+    seed = int(known.scene.content_hash[:16], 16)
     positions, directions = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
     # Uniform over the band of the sphere: the height of a uniform point on it is uniform.
     height = np.sin(np.radians(_STEEPEST_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]
     azimuth = directions.uniform(0.0, 2.0 * np.pi, _POSES_DRAWN)[:count]
     across = np.sqrt(1.0 - height**2)
     looking = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
-    places = scene.free_space.sample_positions(_POSES_DRAWN, positions, min_clearance=_MIN_CLEARANCE)[:count]
+    places = known.free_space.sample_positions(_POSES_DRAWN, positions, min_clearance=_MIN_CLEARANCE)[:count]
     return np.stack([look_along(place, direction) for place, direction in zip(places, looking)])
 
 

@@ -28,8 +28,8 @@ from activestructure_gym.ground_truth.surface_samples import samples_by_area
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
     from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
-    from activestructure_gym.scenes import Scene
     from activestructure_gym.splatting.cpu import Rendering
 
 POINTS_SOURCES = ("both", "means")
@@ -96,16 +96,16 @@ class StandardProtocol:
         """The camera of the views drawn in free space."""
         return PinholeCamera.from_size(self.view_width, self.view_height, self.view_fov_deg)
 
-    def truth(self, scene: Scene) -> Truth:
+    def truth(self, known: GroundTruth) -> Truth:
         """The observable surface and the held-out views of a scene (both cached by its content)."""
         from activestructure_gym.evaluation.protocols.held_out_views import free_space_views, recorded_views
         from activestructure_gym.ground_truth.observable import observable_surface_of
 
-        seen = observable_surface_of(scene, samples=self.surface_samples)
+        seen = observable_surface_of(known.scene, known.free_space, self.surface_samples)
         surface = SurfaceSamples(seen.points, seen.normals, seen.area)
         if self.view_source == "recorded":
-            return Truth(surface, recorded_views(scene, count=self.views))
-        views = free_space_views(scene, count=self.views, camera=self.camera, supersample=self.view_supersample)
+            return Truth(surface, recorded_views(known.scene, count=self.views))
+        views = free_space_views(known, count=self.views, camera=self.camera, supersample=self.view_supersample)
         return Truth(surface, views)
 
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:

@@ -113,19 +113,21 @@ class Comparison:
     def _check_scene(self, spec: str) -> Scene:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.reconstruction_env import as_pose
-        from activestructure_gym.scenes import check_start_pose, load_scene
+        from activestructure_gym.ground_truth import check_start_pose, ground_truth_of
+        from activestructure_gym.scenes import load_scene
         from activestructure_gym.volume.voxel_volume import grid_shape
 
         scene = load_scene(spec)
+        known = ground_truth_of(scene)
         config = configure(self.preset, self.overrides)
         grid_shape(scene.bounds, config.volume.voxel_size)
-        if not len(scene.free_space.start_poses) and self.start_pose is None:
+        if not len(known.free_space.start_poses) and self.start_pose is None:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.start_pose is not None:
-            check_start_pose(scene, as_pose(self.start_pose), config.motion.body_radius)
-        self.protocol.truth(scene)
+            check_start_pose(known.free_space, scene.bounds, as_pose(self.start_pose), config.motion.body_radius)
+        self.protocol.truth(known)
         for name in self.also_protocols:
-            get_protocol(name).truth(scene)
+            get_protocol(name).truth(known)
         return scene
 
 

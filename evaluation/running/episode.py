@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.protocols import Truth
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.policies import Policy
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
@@ -46,13 +47,16 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     A pure function of the job: no global state, no clock in any result but ``timing.json``. Raises `InputError` where
     the job cannot be run at all.
     """
+    from activestructure_gym.ground_truth import ground_truth_of
+
     tell = progress or (lambda _: None)
     tell(Progress("loading"))
     began = time.perf_counter()
     scene = load_job_scene(job)
-    truth = job.protocol.truth(scene)
+    known = ground_truth_of(scene)
+    truth = job.protocol.truth(known)
     others = [get_protocol(name) for name in job.also]
-    policy, env = build(job, scene)
+    policy, env = build(job, known)
     seconds = {"loading": time.perf_counter() - began}
     try:
         episode = _Episode(job, env, policy, truth, tell)
@@ -68,7 +72,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
             _write_ply(reconstruction, part)
             _write_record(part, job, scene, env, metrics, episode)
             for other in others:
-                numbers = other.evaluate(reconstruction.mapper.map, other.truth(scene), path)
+                numbers = other.evaluate(reconstruction.mapper.map, other.truth(known), path)
                 store.write_evaluation(part, other.parameters(), scene.content_hash, numbers)
             _write_pictures(part, job, truth, reconstruction, metrics, episode.steps)
             seconds |= episode.seconds() | {"evaluation": episode.evaluation_seconds + time.perf_counter() - began}
@@ -100,7 +104,7 @@ def load_job_scene(job: Job) -> Scene:
     return scene
 
 
-def build(job: Job, scene: Scene) -> tuple[Policy, ReconstructionEnv]:
+def build(job: Job, known: GroundTruth) -> tuple[Policy, ReconstructionEnv]:
     """The job's policy and an env that offers the gains it asks for.
 
     The env never ends an episode by how much surface was seen: that is ground truth, and no planner may profit.
@@ -110,7 +114,7 @@ def build(job: Job, scene: Scene) -> tuple[Policy, ReconstructionEnv]:
 
     policy = make_policy(job.policy)
     env = ReconstructionEnv(
-        scene=scene,
+        scene=known,
         preset=job.preset,
         frame_budget=job.frame_budget,
         gains=tuple(policy.required_gains),

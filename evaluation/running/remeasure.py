@@ -30,11 +30,12 @@ def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationPr
 def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     """The protocol's numbers from ``map.npz`` and ``trajectory.npz`` alone, in JSON's types."""
     from activestructure_gym.evaluation.running.episode import load_job_scene
+    from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.mapping import GaussianMap
 
     path = read_path(run.directory / "trajectory.npz")
     gaussians = GaussianMap.load_npz(run.directory / "map.npz")
-    return plain(protocol.evaluate(gaussians, protocol.truth(load_job_scene(run.job)), path))
+    return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 
 
 def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
@@ -63,6 +64,7 @@ def measure_file(
     A PLY must lie in the scene's frame (z up, metres); a ``params.npz`` lies in its first camera's, which is the first
     of ``poses``, a ``trajectory.npz``. What needs poses is None without them. Raises `InputError`.
     """
+    from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.mapping.files import map_kind, read_map
     from activestructure_gym.mapping.splatam_file import splatam_path
     from activestructure_gym.scenes import load_scene
@@ -72,7 +74,7 @@ def measure_file(
     if path is None and map_kind(map_file) == "splatam":
         arrays = splatam_path(map_file)
         path = CameraPath.from_arrays(arrays) if arrays is not None else None
-    return plain(protocol.evaluate(gaussians, protocol.truth(load_scene(scene)), path))
+    return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_scene(scene))), path))
 
 
 def read_path(file: str | Path) -> CameraPath:

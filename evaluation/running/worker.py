@@ -1,4 +1,4 @@
-"""The process behind engines ``local`` and ``ray``: ``python -m activestructure_gym.evaluation.running.worker RUN_DIRECTORY``.
+"""The process behind engines ``local`` and ``ray``: ``python -m`` this module, with a run directory to write.
 
 Reads the job as one line of JSON from standard input, writes progress as JSON lines to standard output and everything
 else to standard error. Ends when its standard input does: no worker outlives its supervisor.

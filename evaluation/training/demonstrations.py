@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.training.world import (
     draw_noise,
     learning_layouts,
     learning_reward,
-    learning_scene,
+    learning_truth,
     make_env,
 )
 from activestructure_gym.policies.learned.config import USED_KEYS
@@ -113,19 +113,19 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     extra = () if config.teacher == ORACLE or config.teacher in world.gains else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.gains, *extra))
     rng = np.random.default_rng([config.seed, number])
-    scene = learning_scene(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
+    truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
     columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}
     first = number * world.episodes_per_layout
     for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):
         noise = draw_noise(rng) if world.noise else None
-        env = make_env(world, scene, gains=(*world.gains, *extra), noise=noise)
+        env = make_env(world, truth, gains=(*world.gains, *extra), noise=noise)
         for state in _episode(config, env, rng):
             for key, value in state.items():
                 columns[key].append(value)
         env.close()
     if not columns["ends"]:
         raise InputError(
-            f"'{scene.name}' offers no view from any of {STARTS} starts: use other --rooms, or fewer --layouts"
+            f"'{truth.scene.name}' offers no view from any of {STARTS} starts: use other --rooms, or fewer --layouts"
         )
     return {key: np.stack(values) for key, values in columns.items()}
 

@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.spreading import spread
 
 if TYPE_CHECKING:
-    from activestructure_gym.scenes import Scene
+    from activestructure_gym.ground_truth import FreeSpace, GroundTruth
 
 RANDOM, ORACLE_GREEDY = "random", "oracle-greedy"  # the references: 0 and 1 of the normalised area
 LAYOUTS = "held-out layouts"
@@ -98,12 +98,12 @@ def play_cells(
         tell(done, len(todo))
 
 
-def start_pose(scene: Scene, number: int) -> np.ndarray:  # [4, 4] world_from_camera
+def start_pose(space: FreeSpace, number: int) -> np.ndarray:  # [4, 4] world_from_camera
     """The scene's start poses in turn; after the last all of them again, turned by a quarter to the left, and so on.
 
     Drawn by seed, 20 episodes would begin at about 12 of a scene's 16 start poses.
     """
-    poses = scene.free_space.start_poses
+    poses = space.start_poses
     rounds, index = divmod(number, len(poses))
     cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[rounds % 4]
     pose = np.array(poses[index], np.float64)
@@ -205,12 +205,13 @@ def _estimate(value: float, resampled: np.ndarray, runs: int) -> Estimate:
     return Estimate(value, float(low), float(high), runs)
 
 
-_loaded: dict[str, Scene] = {}  # the last scene of this process
+_loaded: dict[str, GroundTruth] = {}  # the last scene of this process
 
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
     """Let everybody play one episode who has not yet."""
     from activestructure_gym.evaluation.training.playing import play_oracle, play_policy
+    from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
     from activestructure_gym.scenes import load_scene
 
@@ -221,17 +222,18 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
         return
     if cell.scene not in _loaded:
         _loaded.clear()
-        _loaded[cell.scene] = load_scene(cell.scene)
-    scene = _loaded[cell.scene]
+        _loaded[cell.scene] = ground_truth_of(load_scene(cell.scene))
+    truth = _loaded[cell.scene]
+    scene = truth.scene
     if content.setdefault("scene_hash", scene.content_hash) != scene.content_hash:
         raise InputError(f"'{file}' was played in another scene than '{cell.scene}' is today: choose another --out")
-    start = None if cell.start is None else start_pose(scene, cell.start)
+    start = None if cell.start is None else start_pose(truth.free_space, cell.start)
     content["start"] = "drawn" if start is None else start
     for name in missing:
         if name == ORACLE_GREEDY:
-            played = play_oracle(world, scene, cell.seed, start)
+            played = play_oracle(world, truth, cell.seed, start)
         else:
-            played = play_policy(world, scene, make_policy(name), cell.seed, start)
+            played = play_policy(world, truth, make_policy(name), cell.seed, start)
         content[name] = {"auc": played.auc, "frames": played.frames, "coverage": played.coverage}
     write_json(file, content)
 

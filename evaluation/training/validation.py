@@ -14,12 +14,12 @@ from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE
-from activestructure_gym.evaluation.training.world import learning_layouts, learning_scene, make_env
+from activestructure_gym.evaluation.training.world import learning_layouts, learning_truth, make_env
+from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies import Random
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
-from activestructure_gym.scenes import Scene
 
 _SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
 _FILE = "references.json"
@@ -42,34 +42,34 @@ class Validation:
     def __init__(self, config: TrainingConfig, directory: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         self._config, self._file, self._tell = config, directory / _FILE, tell
         self._specs = learning_layouts(config.world, "validation", config.validation_layouts)
-        self._scenes: list[Scene] = []
+        self._truths: list[GroundTruth] = []
         self._references: dict[str, list[float]] = {}
 
     def __call__(self, network: CandidateNetwork) -> dict[str, float]:
         """``validation/auc``, and ``validation/normalised`` = (x - random) / (oracle - random)."""
         self._prepare()
         areas = []
-        for number, scene in enumerate(self._scenes):
-            self._tell(f"validating on layout {number + 1} of {len(self._scenes)}")
-            env = make_env(self._config.world, scene)
+        for number, truth in enumerate(self._truths):
+            self._tell(f"validating on layout {number + 1} of {len(self._truths)}")
+            env = make_env(self._config.world, truth)
             areas.append(play(env, network_choice(network), _SEED + number).auc)
             env.close()
         random, oracle = self._references["random"], self._references["oracle"]
         return {SCORE: float(np.mean(areas)), "validation/normalised": normalised(areas, random, oracle)}
 
     def _prepare(self) -> None:
-        if self._scenes:
+        if self._truths:
             return
         for number, spec in enumerate(self._specs):
             self._tell(f"preparing validation layout {number + 1} of {len(self._specs)}")
-            self._scenes.append(learning_scene(spec))
+            self._truths.append(learning_truth(spec))
         stored: dict[str, Any] = read_json(self._file) if self._file.is_file() else {}
         if stored.get("layouts") != list(self._specs):
             stored = {"layouts": list(self._specs), "random": [], "oracle": []}
             world = self._config.world
-            for number, scene in enumerate(self._scenes):
+            for number, truth in enumerate(self._truths):
                 self._tell(f"playing the references on layout {number + 1} of {len(self._specs)}")
-                stored["random"].append(play_policy(world, scene, Random(), _SEED + number).auc)
-                stored["oracle"].append(play_oracle(world, scene, _SEED + number).auc)
+                stored["random"].append(play_policy(world, truth, Random(), _SEED + number).auc)
+                stored["oracle"].append(play_oracle(world, truth, _SEED + number).auc)
             write_json(self._file, stored)
         self._references = stored

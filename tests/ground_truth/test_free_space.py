@@ -5,7 +5,9 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.ground_truth import free_space as free_space_module
-from activestructure_gym.ground_truth.free_space import enclosed_share, free_space_of
+from activestructure_gym.ground_truth import truth as truth_module
+from activestructure_gym.ground_truth.free_space import enclosed_share
+from activestructure_gym.ground_truth.truth import free_space_of
 
 
 def _inside(space, low, high) -> np.ndarray:
@@ -152,7 +154,7 @@ def test_limits_that_no_place_satisfies(furnished_room):
 
 def test_the_second_time_comes_from_the_cache(empty_room, monkeypatch):
     first = free_space_of(empty_room)
-    monkeypatch.setattr(free_space_module, "_compute", lambda scene: pytest.fail("computed again"))
+    monkeypatch.setattr(truth_module, "compute_free_space", lambda scene: pytest.fail("computed again"))
     second = free_space_of(empty_room)
     np.testing.assert_array_equal(first.clearance, second.clearance)
     np.testing.assert_array_equal(first.start_poses, second.start_poses)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth import observable as observable_module
 from activestructure_gym.ground_truth.observable import first_viewpoint, observable_surface_of
 from activestructure_gym.ground_truth.surface_samples import uniform_samples
@@ -23,7 +24,7 @@ def nested(make_scene, make_box, join):
 
 
 def test_only_what_a_free_viewpoint_sees_is_observable(nested):
-    surface = observable_surface_of(nested, samples=20_000, viewpoints=100)
+    surface = observable_surface_of(nested, ground_truth_of(nested).free_space, samples=20_000, viewpoints=100)
     assert surface.points.dtype == np.float32 and surface.points.shape == surface.normals.shape
     points = surface.points.astype(float)
     on_room = np.isclose(np.minimum(np.abs(points), np.abs(points - [4, 3, 2.5])), 0, atol=1e-5).any(axis=1)
@@ -42,7 +43,7 @@ def test_only_what_a_free_viewpoint_sees_is_observable(nested):
 
 
 def test_normals_point_to_where_the_viewer_is(nested):
-    surface = observable_surface_of(nested, samples=20_000, viewpoints=100)
+    surface = observable_surface_of(nested, ground_truth_of(nested).free_space, samples=20_000, viewpoints=100)
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-5)
     floor = (surface.points[:, 2] < 1e-4) & (surface.points[:, 0] < 2.9)
     ceiling = surface.points[:, 2] > 2.5 - 1e-4
@@ -52,7 +53,7 @@ def test_normals_point_to_where_the_viewer_is(nested):
 
 def test_an_empty_room_is_observable_all_over(make_scene, make_box):
     scene = make_scene(*make_box((0, 0, 0), (4, 3, 2.5)), name="empty")
-    surface = observable_surface_of(scene, samples=5000, viewpoints=50)
+    surface = observable_surface_of(scene, ground_truth_of(scene).free_space, samples=5000, viewpoints=50)
     assert surface.area_share > 0.999
     assert surface.area == pytest.approx(59.0, rel=2e-3)
 
@@ -71,19 +72,22 @@ def test_first_viewpoint_by_hand(make_scene, make_box, join):
 
 
 def test_deterministic_and_cached(nested, monkeypatch):
-    first = observable_module._compute(nested, 3000, 40)
-    again = observable_module._compute(nested, 3000, 40)
+    first = observable_module._compute(nested, ground_truth_of(nested).free_space, 3000, 40)
+    again = observable_module._compute(nested, ground_truth_of(nested).free_space, 3000, 40)
     for name in first:
         np.testing.assert_array_equal(first[name], again[name])
-    stored = observable_surface_of(nested, samples=3000, viewpoints=40)
+    stored = observable_surface_of(nested, ground_truth_of(nested).free_space, samples=3000, viewpoints=40)
     np.testing.assert_array_equal(stored.points, first["points"])
     monkeypatch.setattr(observable_module, "_compute", lambda *_: pytest.fail("computed again"))
-    assert observable_surface_of(nested, samples=3000, viewpoints=40).area_share == stored.area_share
+    assert (
+        observable_surface_of(nested, ground_truth_of(nested).free_space, samples=3000, viewpoints=40).area_share
+        == stored.area_share
+    )
 
 
 def test_more_viewpoints_never_see_less(nested):
     points, _, _ = uniform_samples(nested.mesh.vertices, nested.mesh.faces, 3000, np.random.default_rng(0))
-    eyes = nested.free_space.sample_positions(60, np.random.default_rng(1), min_clearance=0.25)
+    eyes = ground_truth_of(nested).free_space.sample_positions(60, np.random.default_rng(1), min_clearance=0.25)
     few, many = first_viewpoint(nested, points, eyes[:20]), first_viewpoint(nested, points, eyes)
     assert ((few >= 0) <= (many >= 0)).all() and (many >= 0).sum() > (few >= 0).sum()
     np.testing.assert_array_equal(few[few >= 0], many[few >= 0])

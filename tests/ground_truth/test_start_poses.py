@@ -5,11 +5,17 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth.start_poses import check_start_pose
+from activestructure_gym.scenes import Scene
+
+
+def check(scene: Scene, pose: np.ndarray) -> None:
+    check_start_pose(ground_truth_of(scene).free_space, scene.bounds, pose, 0.45)
 
 
 def test_poses_stand_free_at_eye_height_and_look_level(furnished_room):
-    space = furnished_room.free_space
+    space = ground_truth_of(furnished_room).free_space
     poses = space.start_poses
     assert len(poses) == 16
     position, forward = poses[:, :3, 3], poses[:, :3, 2]
@@ -21,13 +27,13 @@ def test_poses_stand_free_at_eye_height_and_look_level(furnished_room):
     rotation = poses[:, :3, :3]
     np.testing.assert_allclose(rotation @ np.swapaxes(rotation, 1, 2), np.tile(np.eye(3), (16, 1, 1)), atol=1e-9)
     for pose in poses:
-        check_start_pose(furnished_room, pose, 0.45)
+        check(furnished_room, pose)
 
 
 def test_poses_are_spread_and_the_same_every_time(furnished_room):
     from activestructure_gym.ground_truth.start_poses import choose_start_poses
 
-    space = furnished_room.free_space
+    space = ground_truth_of(furnished_room).free_space
     np.testing.assert_array_equal(choose_start_poses(furnished_room, space), space.start_poses)
     position = space.start_poses[:, :3, 3]
     distance = np.linalg.norm(position[:, None] - position[None], axis=-1) + 9 * np.eye(16)
@@ -37,13 +43,13 @@ def test_poses_are_spread_and_the_same_every_time(furnished_room):
 
 def test_poses_look_along_a_corridor(make_scene, make_box):
     scene = make_scene(*make_box((0, 0, 0), (1.4, 8, 2.5)), name="corridor")
-    forward = scene.free_space.start_poses[:, :3, 2]
+    forward = ground_truth_of(scene).free_space.start_poses[:, :3, 2]
     assert (np.abs(forward[:, 1]) > 0.9).all()
 
 
 def test_no_pose_stands_on_a_bed(make_scene, make_box, join):
     scene = make_scene(*join(make_box((0, 0, 0), (5, 4, 2.7)), make_box((0.1, 0.1, 0.0), (2.1, 1.7, 0.5))), name="bed")
-    below = scene.free_space.start_poses[:, :3, 3]
+    below = ground_truth_of(scene).free_space.start_poses[:, :3, 3]
     over_bed = ((below[:, :2] > [0.1, 0.1]) & (below[:, :2] < [2.1, 1.7])).all(axis=1)
     assert not over_bed.any()
 
@@ -57,18 +63,18 @@ def test_every_storey_has_poses(make_scene, make_box, join):
     slab = np.array([[1.2, 0, 2.5], [5, 0, 2.5], [5, 4, 2.5], [1.2, 4, 2.5]], dtype=float)
     quads = np.array([[0, 1, 2], [0, 2, 3]])
     scene = make_scene(*join(lower, upper, (ceiling, quads), (slab, quads)), name="storeys")
-    z = scene.free_space.start_poses[:, 2, 3]
+    z = ground_truth_of(scene).free_space.start_poses[:, 2, 3]
     assert (z < 1.6).sum() >= 3 and (z > 3.6).sum() >= 3
 
 
 def test_a_narrow_scene_is_measured_by_its_own_poses(make_scene, make_box):
     scene = make_scene(*make_box((0, 0, 0), (0.75, 6, 2.3)), name="narrow")
-    poses = scene.free_space.start_poses
-    assert len(poses) >= 8 and scene.free_space.clearance_at(poses[:, :3, 3]).max() < 0.45
+    poses = ground_truth_of(scene).free_space.start_poses
+    assert len(poses) >= 8 and ground_truth_of(scene).free_space.clearance_at(poses[:, :3, 3]).max() < 0.45
     for pose in poses:
-        check_start_pose(scene, pose, 0.45)
+        check(scene, pose)
     with pytest.raises(InputError, match="from the nearest surface"):
-        check_start_pose(scene, look_along(np.array([0.22, 3, 1.2]), np.array([0, 1, 0])), 0.45)
+        check(scene, look_along(np.array([0.22, 3, 1.2]), np.array([0, 1, 0])))
 
 
 @pytest.mark.parametrize(
@@ -84,13 +90,13 @@ def test_a_narrow_scene_is_measured_by_its_own_poses(make_scene, make_box):
 )
 def test_poses_that_are_refused(furnished_room, position, said):
     with pytest.raises(InputError) as caught:
-        check_start_pose(furnished_room, look_along(np.array(position), np.array([1.0, 0, 0])), 0.45)
+        check(furnished_room, look_along(np.array(position), np.array([1.0, 0, 0])))
     message = str(caught.value)
     assert said in message and "nearest free start" in message and "\n" not in message
 
 
 def test_matrices_that_are_no_poses(furnished_room):
-    good = furnished_room.free_space.start_poses[0]
+    good = ground_truth_of(furnished_room).free_space.start_poses[0]
     for bad, said in (
         (np.eye(3), "4 x 4"),
         (np.full((4, 4), np.nan), "finite"),
@@ -98,4 +104,4 @@ def test_matrices_that_are_no_poses(furnished_room):
         (good @ np.diag([1.0, 1.0, -1.0, 1.0]), "no rotation"),
     ):
         with pytest.raises(InputError, match=said):
-            check_start_pose(furnished_room, bad, 0.45)
+            check(furnished_room, bad)

@@ -200,7 +200,8 @@ def test_structure_is_the_deficit_of_the_planes_in_view() -> None:
         SimpleNamespace(spread=lambda count, x=x: np.array([x, 2.0, 2.0]) + corners[:count], normal=np.array(n, float))
         for x, n in ((3.0, (-1, 0, 0)), (3.2, (-1, 0, 0)), (0.2, (1, 0, 0)), (3.0, (1, 0, 0)))
     ]
-    graph = SimpleNamespace(nodes=facing, deficit=np.array([0.1, 0.2, 0.4, 0.8]), deficiencies=holes([]))
+    state = SimpleNamespace(deficit=np.array([0.1, 0.2, 0.4, 0.8]))
+    graph = SimpleNamespace(nodes=facing, state=state, deficiencies=holes([]))
     ctx = context([AHEAD, BACK], planes=graph)
     np.testing.assert_allclose(column("structure", ctx), [0.3, 0.4], rtol=1e-6)
-    np.testing.assert_allclose(column("structure", ctx), ctx.visible @ graph.deficit, rtol=1e-6)
+    np.testing.assert_allclose(column("structure", ctx), ctx.visible @ graph.state.deficit, rtol=1e-6)

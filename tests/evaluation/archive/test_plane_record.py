@@ -3,6 +3,7 @@ import pytest
 
 from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary, seen_cells
 from activestructure_gym.evaluation.archive.store import load_arrays
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.planes import QUALITY_MODES, PlaneSceneGraph
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sensors import RGBDSensor, SensorConfig
@@ -14,10 +15,10 @@ def graph() -> PlaneSceneGraph:
     scene = load_scene("room?seed=3")
     sensor = RGBDSensor(scene, SensorConfig(width=96, height=54), np.random.default_rng(0))
     graph = PlaneSceneGraph()
-    for pose in scene.free_space.start_poses[:4]:
+    for pose in ground_truth_of(scene).free_space.start_poses[:4]:
         graph.update(sensor.capture(pose))
     sensor.close()
-    assert len(graph.nodes) > 5 and graph.tree.any() and len(graph.deficiencies)
+    assert len(graph.nodes) > 5 and graph.state.tree.any() and len(graph.deficiencies)
     return graph
 
 
@@ -26,17 +27,17 @@ def test_the_graph_comes_back_from_its_file(graph, tmp_path):
     arrays = load_arrays(tmp_path / "graph.npz")  # never unpickles
     for name, expected in {
         "ids": [node.id for node in graph.nodes],
-        "normals": graph.normals,
-        "offsets": graph.offsets,
-        "centroids": graph.centroids,
-        "areas": graph.areas,
+        "normals": graph.state.normals,
+        "offsets": graph.state.offsets,
+        "centroids": graph.state.centroids,
+        "areas": graph.state.areas,
         "observations": [node.observations for node in graph.nodes],
-        "structural": graph.structural,
-        "modes": graph.quality.modes,
-        "quality": graph.quality.scores,
-        "surprise": graph.surprise.total,
-        "deficit": graph.deficit,
-        "betweenness": graph.betweenness,
+        "structural": graph.state.structural,
+        "modes": graph.state.quality.modes,
+        "quality": graph.state.quality.scores,
+        "surprise": graph.state.surprise.total,
+        "deficit": graph.state.deficit,
+        "betweenness": graph.state.betweenness,
         "deficiency_centres": graph.deficiencies.centres,
         "deficiency_areas": graph.deficiencies.areas,
         "deficiency_planes": graph.deficiencies.planes,
@@ -66,10 +67,10 @@ def test_every_seen_cell_stands_where_it_was(graph):
 
 def test_a_decision_records_both_kinds_of_planes(graph):
     summary = graph_summary(graph)
-    structural = graph.structural
+    structural = graph.state.structural
     assert summary["structural"] + summary["objects"] == len(graph.nodes)
-    assert summary["deficit_structural"] == pytest.approx(graph.deficit[structural].mean())
-    assert summary["quality"] == pytest.approx(graph.quality.scores.mean())
+    assert summary["deficit_structural"] == pytest.approx(graph.state.deficit[structural].mean())
+    assert summary["quality"] == pytest.approx(graph.state.quality.scores.mean())
     assert summary["deficiency_centres"] == len(graph.deficiencies)
     assert summary["deficiency_area"] == pytest.approx(graph.deficiencies.areas.sum())
     empty = graph_summary(PlaneSceneGraph())

@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.benchmarks.mapping_views import (
 )
 from activestructure_gym.geometry import PinholeCamera, look_along, rotation_angle
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.scenes.library import load_scene
 
@@ -38,20 +39,20 @@ def course(scene):
 
 def test_the_walk_moves_as_an_agent_does_and_keeps_clear(scene):
     volume = true_volume(scene)
-    start = scene.free_space.start_poses[0]
+    start = ground_truth_of(scene).free_space.start_poses[0]
     walk = random_walk(volume, start, 150, np.random.default_rng(0))
     assert walk.shape == (150, 4, 4) and np.array_equal(walk[0], start)
     steps = np.linalg.norm(np.diff(walk[:, :3, 3], axis=0), axis=1)
     turns = [rotation_angle(a, b) for a, b in zip(walk[:-1], walk[1:])]
     assert steps.max() <= 0.1 + 1e-9 and np.degrees(max(turns)) <= 10.0 + 1e-6
     assert steps.sum() > 3.0
-    assert scene.free_space.clearance_at(walk[1:, :3, 3]).min() > 0.1
+    assert ground_truth_of(scene).free_space.clearance_at(walk[1:, :3, 3]).min() > 0.1
     assert np.array_equal(walk, random_walk(volume, start, 150, np.random.default_rng(0)))
     assert not np.array_equal(walk, random_walk(volume, start, 150, np.random.default_rng(1)))
 
 
 def test_a_walk_stays_where_its_goals_are_and_says_when_there_are_none(scene):
-    volume, start = true_volume(scene), scene.free_space.start_poses[0]
+    volume, start = true_volume(scene), ground_truth_of(scene).free_space.start_poses[0]
     near = random_walk(
         volume,
         start,

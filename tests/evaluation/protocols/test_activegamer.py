@@ -14,6 +14,7 @@ from activestructure_gym.evaluation.protocols.activegamer import (
 )
 from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews, roomiest_circle
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
 from activestructure_gym.mapping import GaussianMap
 
 SMALL = ActiveGamerProtocol(surface_samples=2000, image_divisor=4)
@@ -44,7 +45,7 @@ def test_the_circle_of_a_known_scene_by_either_spelling(name):
 
     from activestructure_gym.scenes import load_scene
 
-    scene = replace(load_scene("box"), name=name)
+    scene = GroundTruth(replace(load_scene("box"), name=name))
     assert SMALL.circle(scene) == ((0.0, 0.0, 0.0), 1.0)
     assert ActiveGamerProtocol(center=(1.0, 2.0, 3.0), radius=0.5).circle(scene) == ((1.0, 2.0, 3.0), 0.5)
 
@@ -53,10 +54,10 @@ def test_an_unknown_scene_is_looked_at_from_its_roomiest_place():
     from activestructure_gym.scenes import load_scene
 
     scene = load_scene("box")
-    center, radius = roomiest_circle(scene)
+    center, radius = roomiest_circle(ground_truth_of(scene).free_space)
     assert 0.1 < radius <= 1.0
     places = circle_poses(center, radius)[:, :3, 3]
-    assert (scene.free_space.clearance_at(places) > 0.15).all()
+    assert (ground_truth_of(scene).free_space.clearance_at(places) > 0.15).all()
 
 
 def test_a_circle_inside_a_wall_is_refused():
@@ -67,7 +68,7 @@ def test_a_circle_inside_a_wall_is_refused():
     scene = load_scene("box")
     low = scene.bounds[0] + [0.15, 1.0, 1.0]
     with pytest.raises(InputError, match="nearer than 0.2 m"):
-        replace(SMALL, center=tuple(float(x) for x in low), radius=0.05).truth(scene)
+        replace(SMALL, center=tuple(float(x) for x in low), radius=0.05).truth(ground_truth_of(scene))
 
 
 # The dossier's table (peers_active.md, 4.1): a room of 170 m^2 with 1 cm of noise, 200,000 true points.

@@ -106,7 +106,8 @@ def test_an_output_that_is_not_ours_is_left_alone(tmp_path):
 def test_an_output_without_permission(tmp_path):
     tmp_path.chmod(0o500)
     code = (
-        "import sys; from pathlib import Path; from activestructure_gym.evaluation.running.comparison import check_output;"
+        "import sys; from pathlib import Path;"
+        "from activestructure_gym.evaluation.running.comparison import check_output;"
         "check_output(Path(sys.argv[1]), resume=False)"
     )
     prefix = []

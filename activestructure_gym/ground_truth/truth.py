@@ -1,0 +1,70 @@
+"""What is true of a scene and no planner may know, as a type of its own: who may know it says so in its signature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from activestructure_gym.ground_truth.free_space import FreeSpace, compute_free_space
+from activestructure_gym.ground_truth.observable import SURFACE_SAMPLES, ObservableSurface, observable_surface_of
+from activestructure_gym.ground_truth.start_poses import choose_start_poses
+from activestructure_gym.scenes.cache import cached_arrays
+from activestructure_gym.scenes.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """A scene with where an agent could be in it and what of it can be seen; both are computed when first asked for.
+
+    Start poses, the reward, metrics and the labels of training take a `GroundTruth`. Gains, observations and policies
+    never do; the sensor takes the `Scene` alone.
+
+    Raises `InputError` from its properties where the scene has no free space.
+    """
+
+    scene: Scene
+    surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, seen or not
+
+    @cached_property
+    def free_space(self) -> FreeSpace:
+        """Where the agent could be, with the scene's start poses."""
+        return free_space_of(self.scene)
+
+    @cached_property
+    def observable_surface(self) -> ObservableSurface:
+        """The part of the surface that some free pose can see."""
+        return observable_surface_of(self.scene, self.free_space, self.surface_samples)
+
+
+def free_space_of(scene: Scene) -> FreeSpace:
+    """The free space of a scene with its start poses, from the cache on disk where it has been computed before.
+
+    Raises `InputError` where no free space is found.
+    """
+
+    def compute() -> dict[str, np.ndarray]:
+        space = compute_free_space(scene)
+        return {
+            "origin": space.origin,
+            "voxel_size": np.array(space.voxel_size),
+            "clearance": space.clearance,
+            "height": space.height,
+            "start_poses": choose_start_poses(scene, space),
+        }
+
+    arrays = cached_arrays(f"free-space-{scene.content_hash}", compute)
+    return FreeSpace(**{**arrays, "voxel_size": float(arrays["voxel_size"])})
+
+
+_known: WeakValueDictionary[str, GroundTruth] = WeakValueDictionary()
+
+
+def ground_truth_of(scene: Scene) -> GroundTruth:
+    """The truth of a scene; the same object for the same content, as long as somebody holds it."""
+    truth = _known.get(scene.content_hash)
+    if truth is None:
+        truth = _known[scene.content_hash] = GroundTruth(scene)
+    return truth

@@ -22,7 +22,8 @@ TOP = (PACKAGE, "envs", "policies", "evaluation")
 ORDER: tuple[tuple[str, ...], ...] = (
     ("errors", "_version"),
     ("registry", "specs"),
-    ("geometry", "compiling"),
+    ("compiling",),
+    ("geometry",),
     ("scenes",),
     ("ground_truth", "sensors"),
     ("splatting", "volume"),

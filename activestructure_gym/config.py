@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import numbers
 import typing
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from activestructure_gym.features import GAINS
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
+from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sensors import SensorConfig
 from activestructure_gym.views import ViewConfig
 from activestructure_gym.volume import VolumeConfig
@@ -39,16 +41,14 @@ class ReconstructionConfig:
     views: ViewConfig = field(default_factory=ViewConfig)
 
     def __post_init__(self) -> None:
+        _check_kind("frame_budget", self.frame_budget, int)
         if self.frame_budget < 1:
             raise InputError(
                 f"the frame budget must be at least 1, got {self.frame_budget}: every frame the camera moves costs one"
             )
         if self.frame_budget > MOST_FRAMES:
             raise InputError(f"the frame budget must be at most {MOST_FRAMES}, got {shown(self.frame_budget)}")
-        if self.keyframe_every < 1:
-            raise InputError(f"keyframe_every must be at least 1, got {self.keyframe_every}")
-        if self.revisit_rounds < 1:
-            raise InputError(f"revisit_rounds must be at least 1, got {self.revisit_rounds}")
+        check_ranges(self, {"keyframe_every": f"[1, {MOST_FRAMES}]", "revisit_rounds": "[1, 1000]"})
         for name in self.gains:
             GAINS.get(name)
 
@@ -121,19 +121,20 @@ def replaced(config: T, overrides: Mapping[str, Any]) -> T:
 
 def _check_kind(what: str, value: Any, hint: Any) -> None:
     """Refuse a value of another kind than the field's: most would only fail in the middle of an episode."""
-    kinds = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", tuple: "a list"}
+    kinds = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text", tuple: "a list"}
     kind = typing.get_origin(hint) or hint
     if dataclasses.is_dataclass(kind):
         good, expected = isinstance(value, kind), "a group of fields"  # type: ignore[arg-type]
     elif kind in (int, float):
         good = isinstance(value, numbers.Integral if kind is int else numbers.Real) and not isinstance(value, bool)
+        good = good and abs(value) < math.inf  # no number of ours may be infinite; NaN is not below it either
         expected = kinds[kind]
     elif kind in kinds:
         good, expected = isinstance(value, kind), kinds[kind]
     else:  # unions and literals are left to the config itself
         return
     if not good:
-        raise InputError(f"{what} must be {expected}, got {value!r}")
+        raise InputError(f"{what} must be {expected}, got {shown(value)}")
 
 
 def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:

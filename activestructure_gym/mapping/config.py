@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import unknown_name
+from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.mapping.tracking import TrackingConfig
+from activestructure_gym.ranges import check_ranges
 
-_COUNTS = ("seed_stride", "window", "overlap_pixels", "max_gaussians", "max_seed_stride")
-_POSITIVE = ("seed_footprint", "seed_thickness", "prune_scale", "adam_epsilon", "wide_sigma")
-_NOT_NEGATIVE = ("iterations", "psnr_refresh", "global_psnr", "in_front_factor", "in_front_floor",
-                 "image_weight", "depth_weight", "alpha_weight")  # fmt: skip
-_SHARES = ("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
-           "prune_opacity", "room_share")  # fmt: skip
+_RANGES = {
+    **dict.fromkeys(("seed_stride", "max_seed_stride"), "[1, 1024]"),
+    **dict.fromkeys(("seed_footprint", "seed_thickness"), "(0, 1000]"),
+    **dict.fromkeys(("seed_elongation", "coarse_ratio", "wide_ratio"), "[1, 1e6]"),
+    **dict.fromkeys(("seed_opacity", "adam_beta1", "adam_beta2"), "(0, 1)"),
+    **dict.fromkeys(("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
+                     "prune_opacity", "room_share"), "[0, 1]"),
+    "in_front_factor": "[0, 1e9]",
+    "in_front_floor": "[0, 1000]",
+    "wide_sigma": "(0, 1000]",
+    **dict.fromkeys(("iterations", "psnr_refresh"), "[0, 100000]"),
+    **dict.fromkeys(("image_weight", "depth_weight", "alpha_weight"), "[0, 1e6]"),
+    **dict.fromkeys(("mean_rate", "quaternion_rate", "log_scale_rate", "opacity_rate", "color_rate"), "(0, 1000]"),
+    **dict.fromkeys(("mean_rate_radius", "scene_radius"), "(0, 100000]"),
+    "adam_epsilon": "(0, 1]",
+    "window": "[1, 100000]",
+    "overlap_pixels": "[1, 1e8]",
+    "global_psnr": "[0, 1000]",
+    "prune_scale": "(0, 1e9]",
+    "prune_steps": "[-1, 100000]",
+    "max_gaussians": "[1, 10000000]",
+}  # fmt: skip
 
 # What each recipe changes of the defaults below.
 _RECIPES: Mapping[str, Mapping[str, Any]] = {
@@ -118,32 +135,9 @@ class MapperConfig:
     def __post_init__(self) -> None:
         if self.name not in _RECIPES:
             raise unknown_name("mapper", self.name, _RECIPES)
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        for name in _COUNTS:
-            if values[name] < 1:
-                raise ValueError(f"{name} must be at least 1, got {values[name]}")
-        for name in (*_POSITIVE, *(name for name in values if name.endswith("_rate"))):
-            if not values[name] > 0:
-                raise ValueError(f"{name} must be above 0, got {values[name]}")
-        for name in _NOT_NEGATIVE:
-            if not values[name] >= 0:
-                raise ValueError(f"{name} must be at least 0, got {values[name]}")
-        for name in _SHARES:
-            if not 0 <= values[name] <= 1:
-                raise ValueError(f"{name} must lie in [0, 1], got {values[name]}")
-        for name in ("seed_opacity", "adam_beta1", "adam_beta2"):
-            if not 0 < values[name] < 1:
-                raise ValueError(f"{name} must lie in (0, 1), got {values[name]}")
-        for name in ("seed_elongation", "coarse_ratio", "wide_ratio"):
-            if values[name] is not None and not values[name] >= 1:
-                raise ValueError(f"{name} must be at least 1, got {values[name]}")
-        for name in ("scene_radius", "mean_rate_radius"):
-            if values[name] is not None and not values[name] > 0:
-                raise ValueError(f"{name} must be above 0 or None, got {values[name]}")
-        if any(isinstance(step, bool) or not isinstance(step, int) or step < -1 for step in self.prune_steps):
-            raise ValueError(f"prune_steps must be iterations from 0 on, or -1 for the end, got {self.prune_steps}")
+        check_ranges(self, _RANGES)
         if self.max_seed_stride < self.seed_stride:
-            raise ValueError(
+            raise InputError(
                 f"max_seed_stride must be at least seed_stride ({self.seed_stride}), got {self.max_seed_stride}"
             )
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import zipfile
-from pathlib import Path
 
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.mapping.whole_file import whole_file
 from activestructure_gym.splatting.workspace import aligned_zeros
 
 # Rows of the parameter array. One row per quantity (structure of arrays) lets the kernels load 16 Gaussians at once.
@@ -128,20 +128,14 @@ class GaussianMap:
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""
-        path = Path(path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with open(temporary, "wb") as file:
-                np.savez(
-                    file,
-                    format_version=np.int64(_FORMAT_VERSION),
-                    parameters=self.parameters[:, : self.count],
-                    first_moment=self.first_moment[:, : self.count],
-                    second_moment=self.second_moment[:, : self.count],
-                )
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with whole_file(path) as file:
+            np.savez(
+                file,
+                format_version=np.int64(_FORMAT_VERSION),
+                parameters=self.parameters[:, : self.count],
+                first_moment=self.first_moment[:, : self.count],
+                second_moment=self.second_moment[:, : self.count],
+            )
 
     @classmethod
     def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:

@@ -12,7 +12,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.mapping.gaussian_map import ROWS, GaussianMap
-from activestructure_gym.splatting import kernels
+from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.workspace import aligned_zeros, make_view
 
 BLOCK = 256  # Gaussians
@@ -55,7 +55,7 @@ class MapParts:
         if self._boxes is None:
             return None
         seen = may_be_seen(self._boxes, camera, world_from_camera)
-        per_chunk = kernels.CHUNK // BLOCK
+        per_chunk = layout.CHUNK // BLOCK
         padded = np.zeros(-(-len(seen) // per_chunk) * per_chunk, dtype=bool)
         padded[: len(seen)] = seen
         return np.logical_not(padded.reshape(-1, per_chunk).any(axis=1))
@@ -95,8 +95,8 @@ def may_be_seen(
 ) -> np.ndarray:  # [B] bool
     """False for blocks that lie behind the camera or whose every Gaussian ends outside one side of the image."""
     view = make_view(camera, np.eye(4))
-    slope_x = max(abs(view[kernels.LOW_X]), abs(view[kernels.HIGH_X]))
-    slope_y = max(abs(view[kernels.LOW_Y]), abs(view[kernels.HIGH_Y]))
+    slope_x = max(abs(view[layout.LOW_X]), abs(view[layout.HIGH_X]))
+    slope_y = max(abs(view[layout.LOW_Y]), abs(view[layout.HIGH_Y]))
     # An upper bound of the Jacobian's norm times the depth, at the slopes the rasteriser allows.
     stretch = np.sqrt(camera.fx**2 * (1.0 + slope_x**2) + camera.fy**2 * (1.0 + slope_y**2))
     border = _BLUR_PIXELS

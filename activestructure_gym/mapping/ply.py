@@ -1,7 +1,8 @@
 """Gaussian maps as 3DGS PLY files, the format every splat viewer and converter reads.
 
 Written: binary little endian, one ``vertex`` element of 17 float properties (SH degree 0), normals zero. Axes are the
-map's own: world, z up, metres (viewers that expect y down show it lying on its back; the format has no field for it).
+map's own: world, z up, metres. The format has no field for it, and viewers that expect y down show such a map lying on
+its back; `turning.turned_map` sets it upright.
 Layout as other exporters write it: backbones dossier 6.1.
 """
 
@@ -9,7 +10,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from pathlib import Path
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
+from activestructure_gym.mapping.whole_file import whole_file
 
 # The order other tools write; readers go by name.
 PLY_PROPERTIES = (
@@ -50,8 +51,11 @@ _TYPES = {
 }
 
 
-def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str]) -> None:
-    """Write the live Gaussians (no moments). Writing what was read back from the file gives the same bytes."""
+def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: str = "z") -> None:
+    """Write the live Gaussians (no moments). Writing what was read back from the file gives the same bytes.
+
+    ``up`` is what a comment says of the map's axes; it turns nothing.
+    """
     live = gaussians.parameters[:, : gaussians.count]
     rows = np.zeros((gaussians.count, len(PLY_PROPERTIES)), dtype="<f4")
     rows[:, 0:3] = live[MEAN].T
@@ -63,20 +67,14 @@ def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str]) -> None:
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment world frame, z up, metres",
+        f"comment world frame, {up} up, metres",
         f"element vertex {gaussians.count}",
         *(f"property float {name}" for name in PLY_PROPERTIES),
         "end_header",
     ]
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            file.write("\n".join(header).encode() + b"\n")
-            file.write(rows.tobytes())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        file.write("\n".join(header).encode() + b"\n")
+        file.write(rows.tobytes())
 
 
 def read_ply(path: str | os.PathLike[str]) -> GaussianMap:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import warnings
 import zipfile
-from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
+from activestructure_gym.mapping.whole_file import whole_file
 
 _PLACE = "world_from_first_camera"
 _NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
@@ -61,14 +61,8 @@ def write_splatam(
         _PLACE: poses[0],
         "keyframe_time_indices": np.asarray(keyframes, np.int64),
     }
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            np.savez(file, **content)  # type: ignore[arg-type]
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        np.savez(file, **content)  # type: ignore[arg-type]
 
 
 def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:

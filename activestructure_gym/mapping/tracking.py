@@ -18,16 +18,26 @@ millimetres to a centimetre at slanted walls and edges, always to the same side,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp, transform_points
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ranges import check_ranges
 
 _NEAR = 0.05  # metres
 _PROBES = 400  # pixels of the frame by which references are chosen
+_RANGES = {
+    "iterations": "[0, 10000]",
+    "references": "[1, 100000]",
+    "pixels": "[1, 1e8]",
+    "blurs_deg": "(0, 90]",
+    "reaches": "(0, 1000]",
+    **dict.fromkeys(("depth_sigma", "color_sigma", "converged"), "(0, 1000]"),
+    **dict.fromkeys(("huber", "gate"), "(0, 1e9]"),
+}
 
 
 @dataclass(frozen=True)
@@ -46,18 +56,7 @@ class TrackingConfig:
     gate: float = 4.0  # times the expected error; a pose further from the reported one is not believed
 
     def __post_init__(self) -> None:
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        if self.iterations < 0:
-            raise ValueError(f"tracking iterations must be at least 0, got {self.iterations}")
-        for name in ("references", "pixels"):
-            if values[name] < 1:
-                raise ValueError(f"tracking {name} must be at least 1, got {values[name]}")
-        for name in ("depth_sigma", "color_sigma", "huber", "converged", "gate"):
-            if not values[name] > 0:
-                raise ValueError(f"tracking {name} must be above 0, got {values[name]}")
-        for name in ("blurs_deg", "reaches"):
-            if not values[name] or not min(values[name]) > 0:
-                raise ValueError(f"tracking {name} must be one or more numbers above 0, got {values[name]}")
+        check_ranges(self, _RANGES, "tracking ")
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
+from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
 _ROLL_TOLERANCE = 1e-5
+
+_RANGES = {
+    "max_step_m": "[0.001, 100]",
+    "max_turn_deg": "[0.1, 180]",
+    **dict.fromkeys(("min_clearance", "candidate_clearance", "body_radius", "start_free_radius"), "(0, 100]"),
+    "look_ahead_above": "[0, 1e6]",
+    "look_ahead_pitch_deg": "[0, 90)",
+}
 
 
 @dataclass(frozen=True)
@@ -36,16 +46,12 @@ class MotionConfig:
     """Degrees up or down that it looks at most while doing so."""
 
     def __post_init__(self) -> None:
-        for name in ("max_step_m", "max_turn_deg", "min_clearance", "body_radius", "start_free_radius"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        check_ranges(self, _RANGES)
         if self.candidate_clearance < self.min_clearance:
-            raise ValueError(
+            raise InputError(
                 f"candidate_clearance must be at least min_clearance, got {self.candidate_clearance} "
                 f"and {self.min_clearance}"
             )
-        if not 0 <= self.look_ahead_pitch_deg < 90:
-            raise ValueError(f"look_ahead_pitch_deg must lie in [0, 90), got {self.look_ahead_pitch_deg}")
 
 
 def interpolate(

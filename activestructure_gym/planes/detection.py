@@ -14,6 +14,24 @@ import numpy as np
 from activestructure_gym.geometry import transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import detection_kernels as kernels
+from activestructure_gym.ranges import check_ranges
+
+_RANGES = {
+    "depth_noise_scale": "[0, 1000]",
+    "max_depth": "(0, 1000]",
+    **dict.fromkeys(("max_incidence_deg", "link_angle_deg", "window_tilt_deg", "merge_angle_deg",
+                     "merge_wide_angle_deg"), "[0, 90]"),
+    "block_columns": "[1, 8192]",
+    "min_block": "[2, 8192]",
+    **dict.fromkeys(("block_sigma", "link_sigma", "window_sigma", "segment_sigma", "pixel_sigma", "explained_sigma",
+                     "merge_sigma", "merge_back", "merge_wide_sigma"), "[0, 1e6]"),
+    **dict.fromkeys(("block_tolerance", "link_tolerance", "window_tolerance", "segment_tolerance", "pixel_tolerance",
+                     "explained_tolerance", "merge_tolerance", "merge_wide_tolerance", "merge_reach"), "[0, 1000]"),
+    "block_valid_share": "(0, 1]",
+    **dict.fromkeys(("window_share", "explained_share"), "[0, 1]"),
+    "min_pixel_share": "[0, 1)",
+    "max_points": "[1, 100000]",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,18 +78,7 @@ class PlaneDetectionConfig:
     max_points: int = 256  # kept per segment
 
     def __post_init__(self) -> None:
-        if not self.depth_noise_scale >= 0:
-            raise ValueError(f"depth_noise_scale must be 0 or more, got {self.depth_noise_scale}")
-        if not self.max_depth > 0:
-            raise ValueError(f"max_depth must be above 0 metres, got {self.max_depth}")
-        if self.block_columns < 1 or self.min_block < 2:
-            raise ValueError("block_columns must be at least 1, min_block at least 2")
-        if not 0 < self.block_valid_share <= 1:
-            raise ValueError(f"block_valid_share must lie in (0, 1], got {self.block_valid_share}")
-        if not 0 <= self.min_pixel_share < 1:
-            raise ValueError(f"min_pixel_share must lie in [0, 1), got {self.min_pixel_share}")
-        if self.max_points < 1:
-            raise ValueError(f"max_points must be at least 1, got {self.max_points}")
+        check_ranges(self, _RANGES)
 
 
 def depth_noise_scale(depth_noise: str, multiplier: float = 1.0) -> float:

@@ -33,9 +33,17 @@ from activestructure_gym.planes.topology import (
     spanning_forest,
     tree_betweenness,
 )
+from activestructure_gym.ranges import check_ranges
 
 if TYPE_CHECKING:
     import networkx
+
+_RANGES = {
+    "cell": "[0.001, 100]",
+    "min_node_area": "[0, 1e9]",
+    "fusion_rate": "[0, 1]",
+    "normal_window": "[1, 1000000]",
+}
 
 
 @dataclass(frozen=True)
@@ -55,14 +63,7 @@ class PlaneGraphConfig:
     normal_window: int = 10  # keyframes of normal history
 
     def __post_init__(self) -> None:
-        if not self.cell > 0:
-            raise ValueError(f"cell must be above 0 metres, got {self.cell}")
-        if not 0 <= self.fusion_rate <= 1:
-            raise ValueError(f"fusion_rate must lie in [0, 1], got {self.fusion_rate}")
-        if not self.min_node_area >= 0:
-            raise ValueError(f"min_node_area must be 0 m^2 or more, got {self.min_node_area}")
-        if self.normal_window < 1:
-            raise ValueError(f"normal_window must be at least 1, got {self.normal_window}")
+        check_ranges(self, _RANGES)
 
 
 NO_NODE = -1

@@ -11,6 +11,14 @@ from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneSegment, cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.surface import distance
+from activestructure_gym.ranges import check_ranges
+
+_RANGES = {
+    **dict.fromkeys(("coplanar_angle_deg", "near_angle_deg"), "[0, 90]"),
+    **dict.fromkeys(("coplanar_distance", "coplanar_reach", "touch_reach", "near_distance", "near_reach", "depth_gap"),
+                    "[0, 1000]"),
+    "lever": "[0, 100]",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -28,9 +36,7 @@ class MatchingConfig:
     depth_gap: float = 0.10  # metres between segment and node where both lie on the same rays
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0:
-                raise ValueError(f"{name} must be 0 or more, got {value}")
+        check_ranges(self, _RANGES)
 
 
 def stack_planes(nodes: Sequence[PlaneNode]) -> np.ndarray:  # [N, 7]

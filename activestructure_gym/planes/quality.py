@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches, sparse_patches
 from activestructure_gym.planes.surface import SurfaceGrid, disc, length, stack_grids
+from activestructure_gym.ranges import check_ranges
 
 QUALITY_MODES = (
     "coverage",  # i
@@ -30,6 +32,18 @@ QUALITY_MODES = (
 )
 SPACE_UNKNOWN, SPACE_FREE, SPACE_OCCUPIED = 0, 1, 2
 SpaceState = Callable[[np.ndarray], np.ndarray]  # world points [K, 3] -> uint8 [K]: unknown, free, occupied
+_RANGES = {
+    "density_target": "(0, 1e9]",
+    **dict.fromkeys(("fit_scale", "shift_scale", "area_scale"), "(0, 1000]"),
+    "observations_target": "[1, 1000000]",
+    **dict.fromkeys(("boundary_reach", "space_step", "coarse_size"), "[0, 1000]"),
+    "normal_angle_deg": "(0, 180]",
+    "closing_radius": "[0, 1000]",
+    "hole_tile": "[1, 100000]",
+    **dict.fromkeys(("min_hole_cells", "min_sparse_cells"), "[0, 1000000]"),
+    "min_hole_radius": "[0, 100000]",
+    **dict.fromkeys(("weights_structural", "weights_object"), "[0, 1]"),
+}
 
 
 @dataclass(frozen=True)
@@ -57,15 +71,11 @@ class QualityConfig:
     weights_object: tuple[float, ...] = (0.10, 0.25, 0.10, 0.15, 0.20, 0.05, 0.05, 0.10)  # Eq. 7: ii, v, iv
 
     def __post_init__(self) -> None:
+        check_ranges(self, _RANGES)
         for name in ("weights_structural", "weights_object"):
-            weights = np.asarray(getattr(self, name))
-            if weights.shape != (8,) or (weights < 0).any() or abs(weights.sum() - 1.0) > 1e-9:
-                raise ValueError(f"{name} must be eight weights of 0 or more that sum to 1, got {tuple(weights)}")
-        for name in ("density_target", "fit_scale", "normal_angle_deg", "shift_scale", "area_scale"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        if self.observations_target < 1 or self.closing_radius < 0 or self.hole_tile < 1:
-            raise ValueError("observations_target and hole_tile must be at least 1, closing_radius 0 or more")
+            weights = getattr(self, name)
+            if len(weights) != 8 or abs(sum(weights) - 1.0) > 1e-9:
+                raise InputError(f"{name} must be eight weights of 0 or more that sum to 1, got {shown(weights)}")
 
 
 @dataclass(frozen=True)
@@ -271,9 +281,7 @@ def assess_quality(
     modes = np.array([_own_modes(node, config) for node in nodes]).reshape(-1, 8)
     if len(nodes):
         modes[:, 4] = boundary_closure(nodes, config, space_state)
-    weights = np.where(
-        np.asarray(structural, dtype=bool)[:, None], config.weights_structural, config.weights_object
-    )
+    weights = np.where(np.asarray(structural, dtype=bool)[:, None], config.weights_structural, config.weights_object)
     return Quality(modes=modes, scores=(weights * modes).sum(axis=1))  # Eq. 7
 
 
@@ -283,9 +291,7 @@ def coarse_patches(nodes: Sequence[PlaneNode], config: QualityConfig, points: Ma
     Asks nothing that `assess_quality` changes, so the two may run beside each other.
     """
     largest = config.coarse_size * nodes[0].surface.cell if nodes else 0.0
-    return sparse_patches(
-        nodes, points, tile=config.hole_tile, least_cells=config.min_sparse_cells, largest=largest
-    )
+    return sparse_patches(nodes, points, tile=config.hole_tile, least_cells=config.min_sparse_cells, largest=largest)
 
 
 def find_deficiencies(

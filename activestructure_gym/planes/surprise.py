@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.ranges import check_ranges
+
 _EPSILON = 1e-9
+
+_RANGES = {
+    **dict.fromkeys(("floor", "blend"), "[0, 1]"),
+    "saturation_degree": "[1, 1000000]",
+    "radius": "(0, 100000]",
+    "max_angle_deg": "(0, 90]",
+}
 
 
 @dataclass(frozen=True)
@@ -20,10 +29,7 @@ class SurpriseConfig:
     blend: float = 0.5  # Eq. 11: eta, share of the mean against the maximum
 
     def __post_init__(self) -> None:
-        if not 0 <= self.floor <= 1 or not 0 <= self.blend <= 1:
-            raise ValueError(f"floor and blend must lie in [0, 1], got {self.floor} and {self.blend}")
-        if self.saturation_degree < 1 or not self.radius > 0 or not self.max_angle_deg > 0:
-            raise ValueError("saturation_degree, radius and max_angle_deg must be above 0")
+        check_ranges(self, _RANGES)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.ranges import check_ranges
+
+_RANGES = {
+    **dict.fromkeys(("beta", "max_edge_weight", "min_betweenness"), "[0, 1]"),
+    "decay": "[0, 1e6]",
+    **dict.fromkeys(("min_degree", "min_points"), "[0, 1000000000]"),
+    "min_area": "[0, 1e9]",
+}
+
 
 @dataclass(frozen=True)
 class TopologyConfig:
@@ -20,10 +29,7 @@ class TopologyConfig:
     min_points: int = 400  # Eq. 5: tau_p, points of the thinned set
 
     def __post_init__(self) -> None:
-        if not 0 <= self.beta <= 1:
-            raise ValueError(f"beta must lie in [0, 1], got {self.beta}")
-        if not self.decay >= 0:
-            raise ValueError(f"decay must be 0 or more, got {self.decay}")
+        check_ranges(self, _RANGES)
 
 
 def edge_weights(

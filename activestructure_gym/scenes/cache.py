@@ -1,23 +1,40 @@
-"""Arrays that are slow to compute, kept on disk under a name that says all they depend on."""
+"""Arrays that are slow to compute, kept on disk under a name that says all they depend on.
+
+The directory stays below a stated size: whoever adds a file removes those that were used longest ago.
+"""
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import struct
 import tempfile
+import time
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 from numpy.lib.format import read_array
 
+from activestructure_gym.errors import InputError, shown
+
+try:
+    import fcntl
+except ImportError:  # Windows, where an open file cannot be removed anyhow
+    fcntl = None  # type: ignore[assignment]
+
 # Part of every key: raise it when the meaning of any cached array changes.
 CACHE_VERSION = 2
+DEFAULT_LIMIT = 1 << 30  # bytes; about a thousand apartments
 
 _LOCAL_HEADER = 30  # bytes before the name of a zip file's entry
+_SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,6})?) *([kmgt]?)i?b?", re.IGNORECASE)
+_ABANDONED = 3600.0  # seconds: a file in work that is older was left by a process that died
 
 
 def cache_directory() -> Path:
@@ -26,12 +43,57 @@ def cache_directory() -> Path:
     return Path(given) if given else Path(os.path.expanduser("~/.cache/activestructure_gym"))
 
 
+def cache_limit() -> int:  # bytes
+    """``$ASG_CACHE_MAX``, as ``500MB`` or ``2GB`` (0 keeps nothing), or 1 GiB; raises `InputError`."""
+    given = os.environ.get("ASG_CACHE_MAX", "")
+    if not given:
+        return DEFAULT_LIMIT
+    found = _SIZE.fullmatch(given.strip())
+    if not found:
+        raise InputError(f"ASG_CACHE_MAX is a size such as 500MB or 2GB, or 0 to keep nothing, got {shown(given)}")
+    return int(float(found[1]) * 1024 ** " kmgt".index(found[2].lower() or " "))
+
+
+def cache_files() -> list[tuple[Path, int]]:
+    """The kept files with their bytes, those that were used longest ago first."""
+    found = []
+    with suppress(OSError):
+        for entry in os.scandir(cache_directory()):
+            with suppress(OSError):  # another process has just removed it
+                if entry.name.endswith(".npz") and entry.is_file(follow_symlinks=False):
+                    state = entry.stat()
+                    found.append((state.st_mtime_ns, Path(entry.path), state.st_size))
+    return [(file, size) for _, file, size in sorted(found)]
+
+
+def clear_cache(limit: int = 0) -> tuple[int, int]:
+    """Remove what was used longest ago until ``limit`` bytes are left; returns how many files went, and bytes.
+
+    A file that some process is just reading or writing stays.
+    """
+    files = cache_files()
+    excess = sum(size for _, size in files) - limit
+    count, gone = 0, 0
+    for file, size in files:
+        if gone >= excess:
+            break
+        with suppress(OSError), _open_alone(file) as alone:
+            if alone:
+                file.unlink()
+                count, gone = count + 1, gone + size
+    for part in _abandoned():
+        with suppress(OSError):
+            part.unlink()
+    return count, gone
+
+
 def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """What ``compute`` returns, from disk where it has been computed before.
 
     Kept uncompressed: unpacking the true views of a scene takes longer than measuring a map against some of them.
     Two processes may compute the same key at once; each writes a file of its own and moves it into place, so a
-    reader sees nothing or everything. Without a writable directory the result is computed every time.
+    reader sees nothing or everything. A file that is not, to the bit, what was written is computed again. Without a
+    writable directory the result is computed every time.
     """
     file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
     arrays = _read(file)
@@ -44,37 +106,58 @@ def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dic
 def _read(file: Path) -> dict[str, np.ndarray] | None:
     try:
         with open(file, "rb") as stream, zipfile.ZipFile(stream) as archive:
-            entries = archive.infolist()
-            packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
-            arrays = {entry.filename.removesuffix(".npy"): _member(stream, archive, entry) for entry in entries}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
+            if fcntl is not None:
+                fcntl.flock(stream, fcntl.LOCK_SH)  # see `clear_cache`
+            packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist())
+            members = _unpacked(archive) if packed else _members(stream, archive)
+            arrays = {name.removesuffix(".npy"): array for name, array in members}
+            with suppress(OSError):
+                os.utime(file)  # used now; the time of the last access is kept by few file systems
+    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error):
         return None  # not there, or damaged: computed again and overwritten
     if packed:
         _write(file, arrays)  # as older versions kept it
     return arrays
 
 
-def _member(stream: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """One array of an npz file, past zipfile's copies and checksums where it is stored as it is.
-
-    A file is written whole or not at all, so nothing is lost with the checksum; its length is checked.
-    """
-    if entry.compress_type != zipfile.ZIP_STORED:
+def _unpacked(archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:
+    for entry in archive.infolist():
         with archive.open(entry) as packed:
-            return read_array(packed, allow_pickle=False)
-    stream.seek(entry.header_offset)
-    header = stream.read(_LOCAL_HEADER)
-    if len(header) < _LOCAL_HEADER or not header.startswith(b"PK\x03\x04"):
-        raise ValueError("no local header of a zip file")
-    start = entry.header_offset + _LOCAL_HEADER + sum(struct.unpack_from("<HH", header, 26))  # name and extra field
-    stream.seek(start)
-    array = read_array(stream, allow_pickle=False)
-    if stream.tell() != start + entry.file_size:
-        raise ValueError("the array does not fill its place in the file")
-    return array
+            yield entry.filename, read_array(packed, allow_pickle=False)
+
+
+def _members(stream: IO[bytes], archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:
+    """The arrays of an npz file that is not packed, past zipfile, whose copies take ten times as long.
+
+    Nothing is made of the bytes before their checksum, that of the zip file, is right (1.9 GB/s); and they must follow
+    each other without a gap up to the table of contents, so that none is missing.
+    """
+    place = 0
+    for entry in archive.infolist():
+        stream.seek(place)
+        header = stream.read(_LOCAL_HEADER)
+        if entry.header_offset != place or len(header) < _LOCAL_HEADER or not header.startswith(b"PK\x03\x04"):
+            raise ValueError("no local header of a zip file where one should be")
+        name, extra = struct.unpack_from("<HH", header, 26)
+        if stream.read(name) != entry.filename.encode():
+            raise ValueError("the name of an array is not the same in both places")
+        start = place + _LOCAL_HEADER + name + extra
+        place = start + entry.file_size
+        if place > archive.start_dir:
+            raise ValueError("the file ends before the array")
+        stream.seek(start)
+        content = stream.read(entry.file_size)
+        if zlib.crc32(content) != entry.CRC:
+            raise ValueError("the checksum is another one")
+        yield entry.filename, read_array(io.BytesIO(content), allow_pickle=False)
+    if place != archive.start_dir:
+        raise ValueError("an array is missing")
 
 
 def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
+    limit = cache_limit()
+    if not limit:
+        return
     temporary = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -84,7 +167,37 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
         os.replace(temporary, file)
     except OSError:  # read-only or full disk: the cache is a convenience
         if temporary is not None:
-            try:
+            with suppress(OSError):
                 os.unlink(temporary)
-            except OSError:
-                pass
+        return
+    with suppress(OSError), _being_read(file):
+        clear_cache(limit)
+
+
+@contextmanager
+def _being_read(file: Path) -> Iterator[None]:
+    """While the block runs, nobody removes the file."""
+    with open(file, "rb") as stream:
+        if fcntl is not None:
+            fcntl.flock(stream, fcntl.LOCK_SH)
+        yield
+
+
+@contextmanager
+def _open_alone(file: Path) -> Iterator[bool]:
+    """Whether no process is reading the file; none begins to while the block runs."""
+    with open(file, "rb") as stream:
+        try:
+            if fcntl is not None:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
+
+
+def _abandoned() -> list[Path]:
+    old = time.time() - _ABANDONED
+    with suppress(OSError):
+        return [file for file in cache_directory().glob("*.part") if file.stat().st_mtime < old]
+    return []

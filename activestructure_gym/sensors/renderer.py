@@ -70,7 +70,7 @@ def renderer_status() -> dict[str, str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     try:
         probe = subprocess.run(
-            [sys.executable, "-c", command], env=environment, capture_output=True, text=True, timeout=60
+            [sys.executable, "-P", "-c", command], env=environment, capture_output=True, text=True, timeout=60
         )
         answer = probe.stdout.strip().splitlines()
         status["pyrender"] = answer[-1] if answer else f"starting OpenGL ended the process (code {probe.returncode})"

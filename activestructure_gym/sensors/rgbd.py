@@ -6,16 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ranges import check_ranges
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.noise import DEPTH_NOISE, drop_edges, noisy_depth, noisy_pose
 from activestructure_gym.sensors.renderer import RENDERERS, Renderer, make_renderer
 
 # Larger images are a typing mistake, not a sensor.
-_MAX_SIDE = 8192
-_MAX_SUPERSAMPLE = 16
+_MOST_RAYS = 1 << 25
+_RANGES = {
+    "width": "[1, 8192]",
+    "height": "[1, 8192]",
+    "horizontal_fov_deg": "[0.1, 179]",
+    "max_range": "[0.01, 1000]",
+    "supersample": "[1, 16]",
+    "noise_multiplier": "[0, 1000]",
+    "pose_noise_m": "[0, 100]",
+    "pose_noise_deg": "[0, 180]",
+}
 
 
 @dataclass(frozen=True)
@@ -35,22 +45,15 @@ class SensorConfig:
     pose_noise_deg: float = 0.0  # degrees per axis, standard deviation of the reported rotation
 
     def __post_init__(self) -> None:
-        for name, most in (("width", _MAX_SIDE), ("height", _MAX_SIDE), ("supersample", _MAX_SUPERSAMPLE)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
-                raise InputError(f"sensor {name} must be a whole number from 1 to {most}, got {value!r}")
-        for name in ("horizontal_fov_deg", "max_range", "noise_multiplier", "pose_noise_m", "pose_noise_deg"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
-                raise InputError(f"sensor {name} must be a finite number, got {value!r}")
-            if name not in ("horizontal_fov_deg", "max_range") and value < 0:
-                raise InputError(f"sensor {name} must be 0 or more, got {value}")
-        if not 0 < self.horizontal_fov_deg < 180:
-            raise InputError(f"sensor horizontal_fov_deg must lie between 0 and 180, got {self.horizontal_fov_deg}")
-        if not self.max_range > 0:
-            raise InputError(f"sensor max_range must be above 0 metres, got {self.max_range}")
+        check_ranges(self, _RANGES, "sensor ")
+        rays = int(self.width) * int(self.height) * int(self.supersample) ** 2
+        if rays > _MOST_RAYS:
+            raise InputError(
+                f"sensor width x height x supersample^2 must be at most {_MOST_RAYS} rays, got {rays}: "
+                "choose smaller images or a smaller supersample"
+            )
         if not isinstance(self.edge_dropout, (bool, np.bool_)):
-            raise InputError(f"sensor edge_dropout must be True or False, got {self.edge_dropout!r}")
+            raise InputError(f"sensor edge_dropout must be True or False, got {shown(self.edge_dropout)}")
         if self.backend not in RENDERERS:
             raise unknown_name("sensor backend", str(self.backend), RENDERERS)
         if self.depth_noise not in DEPTH_NOISE:

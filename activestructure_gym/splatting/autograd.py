@@ -12,13 +12,13 @@ import torch
 
 from activestructure_gym.compiling.crew import default_threads
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting import kernels, passes
+from activestructure_gym.splatting import layout, passes
 from activestructure_gym.splatting.packing import packed, unpacked
 from activestructure_gym.splatting.spherical_harmonics import shade, unshade
 from activestructure_gym.splatting.workspace import Lease, make_grid, make_view
 
-_TO_GRADIENT, _TO_POSE = np.zeros((2, kernels.RATES), np.float32)
-_TO_GRADIENT[kernels.MODE], _TO_POSE[kernels.MODE] = kernels.TO_GRADIENT, kernels.POSE_ONLY
+_TO_GRADIENT, _TO_POSE = np.zeros((2, layout.RATES), np.float32)
+_TO_GRADIENT[layout.MODE], _TO_POSE[layout.MODE] = layout.TO_GRADIENT, layout.POSE_ONLY
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ import numpy as np
 
 from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
-from activestructure_gym.splatting import kernels
+from activestructure_gym.ranges import check_ranges
+from activestructure_gym.splatting import kernels, layout
 from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, inverse_of_pose, make_grid, make_view
 
-PARAMETER_ROWS = kernels.ROWS
+PARAMETER_ROWS = layout.ROWS
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,7 @@ class LossWeights:
     normalised_depth: bool = True
 
     def __post_init__(self) -> None:
-        if self.image < 0 or self.depth < 0 or self.alpha < 0:
-            raise ValueError(f"loss weights must not be negative, got {self}")
-        if not 0.0 <= self.l1_share <= 1.0:
-            raise ValueError(f"l1_share must lie in [0, 1], got {self.l1_share}")
+        check_ranges(self, {**dict.fromkeys(("image", "depth", "alpha"), "[0, 1e6]"), "l1_share": "[0, 1]"})
 
 
 @dataclass(frozen=True)
@@ -75,10 +73,7 @@ class TrackingWeights:
     mean: bool = False
 
     def __post_init__(self) -> None:
-        if self.color < 0 or self.depth < 0:
-            raise ValueError(f"tracking weights must not be negative, got {self}")
-        if not 0.0 <= self.min_alpha < 1.0:
-            raise ValueError(f"min_alpha must lie in [0, 1), got {self.min_alpha}")
+        check_ranges(self, {"color": "[0, 1e6]", "depth": "[0, 1e6]", "min_alpha": "[0, 1)"})
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,7 @@ def render_depth_alpha(
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
     views = np.repeat(make_view(camera, np.eye(4))[None], len(poses), axis=0)
-    views[:, : kernels.FX] = poses[:, :3].reshape(-1, kernels.FX)
+    views[:, : layout.FX] = poses[:, :3].reshape(-1, layout.FX)
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     tickets = np.zeros(1, np.int64)
     arguments = (tickets, parameters, views, make_grid(count, parameters.shape[1], camera), depth, alpha)
@@ -168,9 +163,9 @@ def mapping_step(
     for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
         if array.shape != parameters.shape or array.dtype != np.float32:
             raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")
-    rates = np.empty(kernels.RATES, np.float32)
-    rates[: kernels.ROWS] = learning_rates
-    rates[kernels.ROWS :] = beta1, beta2, epsilon, kernels.TO_ADAM, isotropic
+    rates = np.empty(layout.RATES, np.float32)
+    rates[: layout.ROWS] = learning_rates
+    rates[layout.ROWS :] = beta1, beta2, epsilon, layout.TO_ADAM, isotropic
     if isotropic and not rates[7] == rates[8] == rates[9]:
         raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")
     state = (parameters, first_moment, second_moment)

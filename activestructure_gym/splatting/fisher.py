@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.cpu import _check
+from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, Workspace, fitted, flat, inverse_of_pose
 
 TOUCH_TRANSMITTANCE = 0.5  # the released counters take 0.5 or 0.8
@@ -119,7 +120,7 @@ def _run(
     from activestructure_gym.splatting import fisher_kernels as f
 
     camera, grid = workspace.camera, workspace.grid
-    capacity, count = int(grid[k.CAPACITY]), int(grid[k.COUNT])
+    capacity, count = int(grid[layout.CAPACITY]), int(grid[layout.COUNT])
     pixels = camera.width * camera.height
     workspace.depth, workspace.alpha = workspace._buffer("depth", pixels), workspace._buffer("alpha", pixels)
     workspace.color = workspace._image("color")
@@ -131,7 +132,7 @@ def _run(
         workspace._scratch, touch, channels, values, workspace.color, workspace.depth, workspace.alpha,
         pictures.reshape(-1), slots, result,
     )  # fmt: skip
-    bits = workspace.visible[: -(-count // k.LANES)].astype("<u2").view(np.uint8)
+    bits = workspace.visible[: -(-count // LANES)].astype("<u2").view(np.uint8)
     indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])
     rows = result[: capacity * f.RESULT_FLOATS].reshape(capacity, f.RESULT_FLOATS)
     # Whole rows: copying 26 numbers of 32 takes longer.

@@ -20,54 +20,73 @@ import numpy as np
 from numba import njit
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import blending, layout, projection, tile_lists
+from activestructure_gym.splatting.counters import STEPPED, THREAD_TICKET, TILES_DONE, all_done, take_ticket
+from activestructure_gym.splatting.elementary import dot3, larger
+from activestructure_gym.splatting.memory import (
+    SUM_LANES,
+    count_bits,
+    load,
+    load_sums,
+    load_transposed,
+    lowest_bit,
+    peek,
+    peek_bits,
+    poke,
+    prefetch,
+    scratch_of,
+    store,
+    store_transposed,
+    sums,
+)
+from activestructure_gym.splatting.simd import LANES, bits, fma, neg, sel, spread
 
 _plain = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
 _inner, _inline = njit(**_plain), njit(forceinline=True, **_plain)
 F = np.float32
 
-SLOT_FLOATS = 2 * k.LANES  # of a (tile, Gaussian): the moments and the sum of weights; what follows it
+SLOT_FLOATS = 2 * LANES  # of a (tile, Gaussian): the moments and the sum of weights; what follows it
 SQUARED, GATHERED, TOUCHES = range(3)  # in the second vector
-_TOUCHES_LANE = k.SUM_LANES.index(TOUCHES)
+_TOUCHES_LANE = SUM_LANES.index(TOUCHES)
 # Columns of a result: the block by mean and log-scale row by row from the diagonal on; the opacity logit's own entry;
 # sums of squared weights, of weights, of pixels in which the transmittance before it is above a limit, and of weight
 # times pixel value in these.
 BLOCK, LOGIT, COLOR, WEIGHT, TOUCH, SCATTER, COLUMNS = 0, *range(21, 27)
-RESULT_FLOATS = 2 * k.LANES
-_STATE = 64 * k._COLORED
+RESULT_FLOATS = 2 * LANES
+_STATE = 64 * blending.COLORED_STATE
 
 
 @_inline
 def _turn_back(state, tile, grid, pixel_values):
     """From what blending leaves to what the pass begins with: transmittance, colour behind (none), pixel values."""
-    zero, width = k.spread(F(0.0)), grid[k.WIDTH]
-    x, y = k._corner(tile, grid)
-    for block in range(grid[k.TILE_BLOCKS]):
-        at = k._COLORED * block
-        left_over = k.load(state, at)
-        k.store(state, at, k._most(left_over, k.neg(left_over)))
-        for offset in range(k.LANES, 6 * k.LANES, k.LANES):
-            k.store(state, at + offset, zero)
+    zero, width = spread(F(0.0)), grid[layout.WIDTH]
+    x, y = blending.corner_of(tile, grid)
+    for block in range(grid[layout.TILE_BLOCKS]):
+        at = blending.COLORED_STATE * block
+        left_over = load(state, at)
+        store(state, at, larger(left_over, neg(left_over)))
+        for offset in range(LANES, 6 * LANES, LANES):
+            store(state, at + offset, zero)
         left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
         if len(pixel_values) != 0:
-            for row in range(min(4, grid[k.HEIGHT] - top)):
+            for row in range(min(4, grid[layout.HEIGHT] - top)):
                 for column in range(min(4, width - left)):
-                    value = k.peek(pixel_values, (top + row) * width + left + column)
-                    k.poke(state, at + 80 + 4 * row + column, value)
+                    value = peek(pixel_values, (top + row) * width + left + column)
+                    poke(state, at + 80 + 4 * row + column, value)
 
 
 @_inner
 def _write_channels(tile, grid, painted, channels, pictures):
     """The further channels of a tile, ``painted [64, D, 16]``, into ``pictures [H * W * D]``."""
-    x, y = k._corner(tile, grid)
-    for block in range(grid[k.TILE_BLOCKS]):
+    x, y = blending.corner_of(tile, grid)
+    for block in range(grid[layout.TILE_BLOCKS]):
         left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
-        for row in range(min(4, grid[k.HEIGHT] - top)):
-            for column in range(min(4, grid[k.WIDTH] - left)):
-                pixel = (top + row) * grid[k.WIDTH] + left + column
+        for row in range(min(4, grid[layout.HEIGHT] - top)):
+            for column in range(min(4, grid[layout.WIDTH] - left)):
+                pixel = (top + row) * grid[layout.WIDTH] + left + column
                 for channel in range(channels):
-                    at = k.LANES * (channels * block + channel) + 4 * row + column
-                    k.poke(pictures, pixel * channels + channel, k.peek(painted, at))
+                    at = LANES * (channels * block + channel) + 4 * row + column
+                    poke(pictures, pixel * channels + channel, peek(painted, at))
 
 
 @_inner
@@ -81,82 +100,82 @@ def _sum_tile(
     Few callers gather pixel values or paint channels: these sums lie in memory, behind ``painted``, since all others
     together just fit into the registers.
     """
-    room, zero, end = entries.shape[1], k.spread(F(0.0)), np.int64(0)
-    at_gathered = 64 * k.LANES * width
+    room, zero, end = entries.shape[1], spread(F(0.0)), np.int64(0)
+    at_gathered = 64 * LANES * width
     for entry in range(start, done):
-        end += k.LANES * k.count_bits(k.peek(entries, k.SORTED_REACH * room + entry))
+        end += LANES * count_bits(peek(entries, layout.SORTED_REACH * room + entry))
     for entry in range(done - 1, start - 1, -1):
-        packed = k.peek(entries, k.SORTED_SPLAT * room + entry)
+        packed = peek(entries, layout.SORTED_SPLAT * room + entry)
         slot = SLOT_FLOATS * np.int64(packed >> np.uint64(32))
-        bitmap = k.peek(entries, k.SORTED_REACH * room + entry)
+        bitmap = peek(entries, layout.SORTED_REACH * room + entry)
         reach = np.int64(bitmap)
         if reach == 0:
-            k.store(slots, slot, zero)
-            k.store(slots, slot + k.LANES, zero)
+            store(slots, slot, zero)
+            store(slots, slot + LANES, zero)
             continue
         splat = np.int64(packed & np.uint64(0xFFFFFFFF))
-        earlier = k.peek(entries, k.SORTED_SPLAT * room + max(entry - 6, start))
-        k.prefetch(records, k.RECORD * np.int64(earlier & np.uint64(0xFFFFFFFF)))
-        base = k.RECORD * splat
-        end -= k.LANES * k.count_bits(bitmap)
+        earlier = peek(entries, layout.SORTED_SPLAT * room + max(entry - 6, start))
+        prefetch(records, layout.RECORD * np.int64(earlier & np.uint64(0xFFFFFFFF)))
+        base = layout.RECORD * splat
+        end -= LANES * count_bits(bitmap)
         at_kept = end
-        along, across = k._splat(records, base, x, y)
+        along, across = blending.splat_at(records, base, x, y)
         r, g, b = (
-            k.spread(k.peek(records, base + k.RED)), k.spread(k.peek(records, base + k.GREEN)),
-            k.spread(k.peek(records, base + k.BLUE)),
+            spread(peek(records, base + layout.RED)), spread(peek(records, base + layout.GREEN)),
+            spread(peek(records, base + layout.BLUE)),
         )  # fmt: skip
         m00, m10, m01, m20, m11, m02, m30, m21 = zero, zero, zero, zero, zero, zero, zero, zero
         m12, m03, m40, m31, m22, m13, m04 = zero, zero, zero, zero, zero, zero, zero
         weights, squares, touches = zero, zero, np.int64(0)
-        k.store(painted, at_gathered, zero)
+        store(painted, at_gathered, zero)
         while reach != 0:
-            block = k.lowest_bit(reach)
+            block = lowest_bit(reach)
             reach &= reach - 1
-            at = k._COLORED * block
-            t, s = k._place(records, base, block, along, across)
-            opaque = k.load(kept, at_kept)
-            at_kept += k.LANES
-            after = k.load(state, at)
-            ratio = opaque / (k.peek(view, k.ONE) - opaque)
+            at = blending.COLORED_STATE * block
+            t, s = blending.place_of(records, base, block, along, across)
+            opaque = load(kept, at_kept)
+            at_kept += LANES
+            after = load(state, at)
+            ratio = opaque / (peek(view, layout.ONE) - opaque)
             weight = ratio * after
             before = after + weight
-            k.store(state, at, before)
-            rest_r, rest_g, rest_b = k.load(state, at + 32), k.load(state, at + 48), k.load(state, at + 64)
-            k.store(state, at + 32, k.fma(weight, r, rest_r))
-            k.store(state, at + 48, k.fma(weight, g, rest_g))
-            k.store(state, at + 64, k.fma(weight, b, rest_b))
+            store(state, at, before)
+            rest_r, rest_g, rest_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+            store(state, at + 32, fma(weight, r, rest_r))
+            store(state, at + 48, fma(weight, g, rest_g))
+            store(state, at + 64, fma(weight, b, rest_b))
             d_r, d_g, d_b = (
-                k.fma(after, r, k.neg(rest_r)), k.fma(after, g, k.neg(rest_g)), k.fma(after, b, k.neg(rest_b)),
+                fma(after, r, neg(rest_r)), fma(after, g, neg(rest_g)), fma(after, b, neg(rest_b)),
             )  # fmt: skip
-            q = ratio * ratio * k.fma(d_r, d_r, k.fma(d_g, d_g, d_b * d_b))
-            q = k.sel(opaque < k.peek(view, k.MAX_ALPHA), q, F(0.0))  # at its limit alpha does not move
+            q = ratio * ratio * fma(d_r, d_r, fma(d_g, d_g, d_b * d_b))
+            q = sel(opaque < peek(view, layout.MAX_ALPHA), q, F(0.0))  # at its limit alpha does not move
             tt, ts, ss = t * t, t * s, s * s
             q10, q01, q20, q11, q02 = q * t, q * s, q * tt, q * ts, q * ss
             m00, m10, m01 = m00 + q, m10 + q10, m01 + q01
             m20, m11, m02 = m20 + q20, m11 + q11, m02 + q02
-            m30, m21, m12, m03 = k.fma(q20, t, m30), k.fma(q20, s, m21), k.fma(q02, t, m12), k.fma(q02, s, m03)
-            m40, m31, m22 = k.fma(q20, tt, m40), k.fma(q20, ts, m31), k.fma(q20, ss, m22)
-            m13, m04 = k.fma(q02, ts, m13), k.fma(q02, ss, m04)
-            weights, squares = weights + weight, k.fma(weight, weight, squares)
+            m30, m21, m12, m03 = fma(q20, t, m30), fma(q20, s, m21), fma(q02, t, m12), fma(q02, s, m03)
+            m40, m31, m22 = fma(q20, tt, m40), fma(q20, ts, m31), fma(q20, ss, m22)
+            m13, m04 = fma(q02, ts, m13), fma(q02, ss, m04)
+            weights, squares = weights + weight, fma(weight, weight, squares)
             counts = (opaque > F(0.0)) & (before > touch)
-            touches += k.count_bits(np.uint64(k.bits(counts)))
+            touches += count_bits(np.uint64(bits(counts)))
             if gathers:
-                share = k.sel(counts, weight, F(0.0))
-                k.store(painted, at_gathered, k.fma(share, k.load(state, at + 80), k.load(painted, at_gathered)))
+                share = sel(counts, weight, F(0.0))
+                store(painted, at_gathered, fma(share, load(state, at + 80), load(painted, at_gathered)))
             for channel in range(width):
-                own = k.LANES * (width * block + channel)
-                value = k.spread(k.peek(channels, width * splat + channel))
-                k.store(painted, own, k.fma(weight, value, k.load(painted, own)))
-        k.store(
+                own = LANES * (width * block + channel)
+                value = spread(peek(channels, width * splat + channel))
+                store(painted, own, fma(weight, value, load(painted, own)))
+        store(
             slots, slot,
-            k.sums((m00, m10, m01, m20, m11, m02, m30, m21, m12, m03, m40, m31, m22, m13, m04, weights)),
+            sums((m00, m10, m01, m20, m11, m02, m30, m21, m12, m03, m40, m31, m22, m13, m04, weights)),
         )  # fmt: skip
-        k.store(slots, slot + k.LANES, k.sums((squares, k.load(painted, at_gathered))))
-        k.poke(slots, slot + k.LANES + _TOUCHES_LANE, F(touches))
+        store(slots, slot + LANES, sums((squares, load(painted, at_gathered))))
+        poke(slots, slot + LANES + _TOUCHES_LANE, F(touches))
     for entry in range(done, stop):
-        slot = SLOT_FLOATS * np.int64(k.peek(entries, k.SORTED_SPLAT * room + entry) >> np.uint64(32))
-        k.store(slots, slot, zero)
-        k.store(slots, slot + k.LANES, zero)
+        slot = SLOT_FLOATS * np.int64(peek(entries, layout.SORTED_SPLAT * room + entry) >> np.uint64(32))
+        store(slots, slot, zero)
+        store(slots, slot + LANES, zero)
 
 
 @_inline
@@ -164,35 +183,35 @@ def _axis(r0, r1, r2, scale, lens, view):
     """One axis of the Gaussian: turned into the camera (first and last two numbers used), and projected."""
     j00, j02, j11, j12 = lens
     k0, k1, k2 = r0 * scale, r1 * scale, r2 * scale
-    t0 = k._dot3(k0, k1, k2, k.spread(view[0]), k.spread(view[1]), k.spread(view[2]))
-    t1 = k._dot3(k0, k1, k2, k.spread(view[4]), k.spread(view[5]), k.spread(view[6]))
-    t2 = k._dot3(k0, k1, k2, k.spread(view[8]), k.spread(view[9]), k.spread(view[10]))
-    return t0, t1, t2, k.fma(j02, t2, j00 * t0), k.fma(j12, t2, j11 * t1)
+    t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))
+    t1 = dot3(k0, k1, k2, spread(view[4]), spread(view[5]), spread(view[6]))
+    t2 = dot3(k0, k1, k2, spread(view[8]), spread(view[9]), spread(view[10]))
+    return t0, t1, t2, fma(j02, t2, j00 * t0), fma(j12, t2, j11 * t1)
 
 
 @_inline
 def _white(axis, whitening):
     """A projected axis in the coordinates t and s."""
     l00, l01, l11 = whitening
-    return k.fma(l00, axis[3], l01 * axis[4]), l11 * axis[4]
+    return fma(l00, axis[3], l01 * axis[4]), l11 * axis[4]
 
 
 @_inline
 def _add_lens(e0, e1, axis, whitening, by_j):
     """Derivatives by J00, J02, J11 and J12 through one axis: 2 S b with S b = L^T e / 2."""
     l00, l01, l11 = whitening
-    by_b0, by_b1 = l00 * e0, k.fma(l01, e0, l11 * e1)
+    by_b0, by_b1 = l00 * e0, fma(l01, e0, l11 * e1)
     return (
-        k.fma(by_b0, axis[0], by_j[0]), k.fma(by_b0, axis[2], by_j[1]),
-        k.fma(by_b1, axis[1], by_j[2]), k.fma(by_b1, axis[2], by_j[3]),
+        fma(by_b0, axis[0], by_j[0]), fma(by_b0, axis[2], by_j[1]),
+        fma(by_b1, axis[1], by_j[2]), fma(by_b1, axis[2], by_j[3]),
     )  # fmt: skip
 
 
 @_inline
 def _to_world(x, y, z, view):
     return (
-        k.fma(z, view[8], k.fma(y, view[4], x * view[0])), k.fma(z, view[9], k.fma(y, view[5], x * view[1])),
-        k.fma(z, view[10], k.fma(y, view[6], x * view[2])),
+        fma(z, view[8], fma(y, view[4], x * view[0])), fma(z, view[9], fma(y, view[5], x * view[1])),
+        fma(z, view[10], fma(y, view[6], x * view[2])),
     )  # fmt: skip
 
 
@@ -202,40 +221,40 @@ def _point_by_lens(by_j, point, lens_slopes, view):
     j00, j02, j11, j12 = by_j
     f_x, f_y, inside_x, inside_y = point
     slope_x, slope_y = lens_slopes
-    moved_x, moved_y = k.sel(inside_x, f_x * j02, F(0.0)), k.sel(inside_y, f_y * j12, F(0.0))
-    by_z = k.fma(slope_x, k.fma(f_x, j02, moved_x), slope_y * k.fma(f_y, j12, moved_y))
-    return _to_world(k.neg(moved_x), k.neg(moved_y), by_z - k.fma(f_x, j00, f_y * j11), view)
+    moved_x, moved_y = sel(inside_x, f_x * j02, F(0.0)), sel(inside_y, f_y * j12, F(0.0))
+    by_z = fma(slope_x, fma(f_x, j02, moved_x), slope_y * fma(f_y, j12, moved_y))
+    return _to_world(neg(moved_x), neg(moved_y), by_z - fma(f_x, j00, f_y * j11), view)
 
 
 @_inline
 def _times_moments(a, m):
     """The 5 x 5 matrix of moments of (t, s, tt, ts, ss) times a vector of as many numbers."""
     return (
-        k.fma(a[4], m[8], k.fma(a[3], m[7], k.fma(a[2], m[6], k.fma(a[1], m[4], a[0] * m[3])))),
-        k.fma(a[4], m[9], k.fma(a[3], m[8], k.fma(a[2], m[7], k.fma(a[1], m[5], a[0] * m[4])))),
-        k.fma(a[4], m[12], k.fma(a[3], m[11], k.fma(a[2], m[10], k.fma(a[1], m[7], a[0] * m[6])))),
-        k.fma(a[4], m[13], k.fma(a[3], m[12], k.fma(a[2], m[11], k.fma(a[1], m[8], a[0] * m[7])))),
-        k.fma(a[4], m[14], k.fma(a[3], m[13], k.fma(a[2], m[12], k.fma(a[1], m[9], a[0] * m[8])))),
+        fma(a[4], m[8], fma(a[3], m[7], fma(a[2], m[6], fma(a[1], m[4], a[0] * m[3])))),
+        fma(a[4], m[9], fma(a[3], m[8], fma(a[2], m[7], fma(a[1], m[5], a[0] * m[4])))),
+        fma(a[4], m[12], fma(a[3], m[11], fma(a[2], m[10], fma(a[1], m[7], a[0] * m[6])))),
+        fma(a[4], m[13], fma(a[3], m[12], fma(a[2], m[11], fma(a[1], m[8], a[0] * m[7])))),
+        fma(a[4], m[14], fma(a[3], m[13], fma(a[2], m[12], fma(a[1], m[9], a[0] * m[8])))),
     )
 
 
 @_inline
 def _dot5(a, b):
-    return k.fma(a[4], b[4], k.fma(a[3], b[3], k.fma(a[2], b[2], k.fma(a[1], b[1], a[0] * b[0]))))
+    return fma(a[4], b[4], fma(a[3], b[3], fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]))))
 
 
 @_inline
 def _dot_curved(a, b):
     """As `_dot5` where the first two of ``a`` are 0: a log-scale does not move the mean."""
-    return k.fma(a[2], b[4], k.fma(a[1], b[3], a[0] * b[2]))
+    return fma(a[2], b[4], fma(a[1], b[3], a[0] * b[2]))
 
 
 @_inline
 def _times_curved(a, m):
     """The moments of (tt, ts, ss) times three numbers."""
     return (
-        k.fma(a[2], m[12], k.fma(a[1], m[11], a[0] * m[10])), k.fma(a[2], m[13], k.fma(a[1], m[12], a[0] * m[11])),
-        k.fma(a[2], m[14], k.fma(a[1], m[13], a[0] * m[12])),
+        fma(a[2], m[12], fma(a[1], m[11], a[0] * m[10])), fma(a[2], m[13], fma(a[1], m[12], a[0] * m[11])),
+        fma(a[2], m[14], fma(a[1], m[13], a[0] * m[12])),
     )  # fmt: skip
 
 
@@ -245,40 +264,40 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
 
     ``sums_of [2 * 256]``: the moments, then the other sums; lost. ``result [count, 32]``.
     """
-    capacity = grid[k.CAPACITY]
-    m = k.load_sums(sums_of, 0)
+    capacity = grid[layout.CAPACITY]
+    m = load_sums(sums_of, 0)
     seen = m[15] > F(0.0)
-    if k.bits(seen) == 0:
+    if bits(seen) == 0:
         return np.int64(0)
-    n = k.load_sums(sums_of, k.LANES * k.LANES)
-    record = k.load_transposed(records, k.RECORD * i)
-    l00, l01, l11 = k.sel(seen, record[k.L00], F(0.0)), k.sel(seen, record[k.L01], F(0.0)), record[k.L11]
-    l11 = k.sel(seen, l11, F(0.0))
+    n = load_sums(sums_of, LANES * LANES)
+    record = load_transposed(records, layout.RECORD * i)
+    l00, l01, l11 = sel(seen, record[layout.L00], F(0.0)), sel(seen, record[layout.L01], F(0.0)), record[layout.L11]
+    l11 = sel(seen, l11, F(0.0))
     whitening = (l00, l01, l11)
-    x, y, z = k._camera_point(parameters, capacity, i, view)
-    z = k._most(z, k.spread(k.NEAR_PLANE))
-    inverse_z = k.spread(F(1.0)) / z
-    j00, j02, j11, j12, slope_x, slope_y = k._jacobian(x, y, inverse_z, view)
+    x, y, z = projection.camera_point(parameters, capacity, i, view)
+    z = larger(z, spread(layout.NEAR_PLANE))
+    inverse_z = spread(F(1.0)) / z
+    j00, j02, j11, j12, slope_x, slope_y = projection.jacobian_of(x, y, inverse_z, view)
     lens, square = (j00, j02, j11, j12), inverse_z * inverse_z
     point = (
-        square * view[k.FX], square * view[k.FY],
-        (x * inverse_z >= view[k.LOW_X]) & (x * inverse_z <= view[k.HIGH_X]),
-        (y * inverse_z >= view[k.LOW_Y]) & (y * inverse_z <= view[k.HIGH_Y]),
+        square * view[layout.FX], square * view[layout.FY],
+        (x * inverse_z >= view[layout.LOW_X]) & (x * inverse_z <= view[layout.HIGH_X]),
+        (y * inverse_z >= view[layout.LOW_Y]) & (y * inverse_z <= view[layout.HIGH_Y]),
     )  # fmt: skip
-    _, _, r = k._rotation(parameters, capacity, i)
-    axis0 = _axis(r[0], r[3], r[6], k._scale(parameters, capacity, i, np.int64(0)), lens, view)
-    axis1 = _axis(r[1], r[4], r[7], k._scale(parameters, capacity, i, np.int64(1)), lens, view)
-    axis2 = _axis(r[2], r[5], r[8], k._scale(parameters, capacity, i, np.int64(2)), lens, view)
+    _, _, r = projection.rotation_of(parameters, capacity, i)
+    axis0 = _axis(r[0], r[3], r[6], projection.scale_of(parameters, capacity, i, np.int64(0)), lens, view)
+    axis1 = _axis(r[1], r[4], r[7], projection.scale_of(parameters, capacity, i, np.int64(1)), lens, view)
+    axis2 = _axis(r[2], r[5], r[8], projection.scale_of(parameters, capacity, i, np.int64(2)), lens, view)
     p0, r0 = _white(axis0, whitening)
     p1, r1 = _white(axis1, whitening)
     p2, r2 = _white(axis2, whitening)
-    zero = k.spread(F(0.0))
-    nothing, four, slopes = (zero, zero, zero, zero), k.LN_4 * k.LN_4, (slope_x, slope_y)
+    zero = spread(F(0.0))
+    nothing, four, slopes = (zero, zero, zero, zero), layout.LN_4 * layout.LN_4, (slope_x, slope_y)
     # Coefficients of the derivatives by the mean: of t and s through the projected mean, ...
     f_x, f_y = point[0], point[1]
-    u_t, v_t, v_s = l00 * k.LN_4, l01 * k.LN_4, l11 * k.LN_4
-    of_t = _to_world(j00 * u_t, j11 * v_t, k.neg(k.fma(f_x * x, u_t, f_y * y * v_t)), view)
-    of_s = _to_world(zero, j11 * v_s, k.neg(f_y * y * v_s), view)
+    u_t, v_t, v_s = l00 * layout.LN_4, l01 * layout.LN_4, l11 * layout.LN_4
+    of_t = _to_world(j00 * u_t, j11 * v_t, neg(fma(f_x * x, u_t, f_y * y * v_t)), view)
+    of_s = _to_world(zero, j11 * v_s, neg(f_y * y * v_s), view)
     # ... of t^2, t s and s^2 through the Jacobian of the projection.
     by_j = _add_lens(p0, zero, axis0, whitening, nothing)
     by_j = _add_lens(p1, zero, axis1, whitening, by_j)
@@ -297,52 +316,52 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
     c2 = (p2 * p2 * four, (p2 + p2) * r2 * four, r2 * r2 * four)
     b0, b1, b2 = _times_moments(a0, m), _times_moments(a1, m), _times_moments(a2, m)
     d0, d1, d2 = _times_curved(c0, m), _times_curved(c1, m), _times_curved(c2, m)
-    _, complement, _ = k._opacity(parameters, capacity, i)
-    k.store_transposed(
+    _, complement, _ = projection.opacity_of(parameters, capacity, i)
+    store_transposed(
         sums_of, 0,
         (
             _dot5(a0, b0), _dot5(a1, b0), _dot5(a2, b0), _dot_curved(c0, b0), _dot_curved(c1, b0), _dot_curved(c2, b0),
             _dot5(a1, b1), _dot5(a2, b1), _dot_curved(c0, b1), _dot_curved(c1, b1), _dot_curved(c2, b1),
             _dot5(a2, b2), _dot_curved(c0, b2), _dot_curved(c1, b2), _dot_curved(c2, b2),
-            k._dot3(c0[0], c0[1], c0[2], d0[0], d0[1], d0[2]),
+            dot3(c0[0], c0[1], c0[2], d0[0], d0[1], d0[2]),
         ),
     )  # fmt: skip
-    k.store_transposed(
-        sums_of, k.LANES * k.LANES,
+    store_transposed(
+        sums_of, LANES * LANES,
         (
-            k._dot3(c1[0], c1[1], c1[2], d0[0], d0[1], d0[2]), k._dot3(c2[0], c2[1], c2[2], d0[0], d0[1], d0[2]),
-            k._dot3(c1[0], c1[1], c1[2], d1[0], d1[1], d1[2]), k._dot3(c2[0], c2[1], c2[2], d1[0], d1[1], d1[2]),
-            k._dot3(c2[0], c2[1], c2[2], d2[0], d2[1], d2[2]),
+            dot3(c1[0], c1[1], c1[2], d0[0], d0[1], d0[2]), dot3(c2[0], c2[1], c2[2], d0[0], d0[1], d0[2]),
+            dot3(c1[0], c1[1], c1[2], d1[0], d1[1], d1[2]), dot3(c2[0], c2[1], c2[2], d1[0], d1[1], d1[2]),
+            dot3(c2[0], c2[1], c2[2], d2[0], d2[1], d2[2]),
             complement * complement * m[0], n[SQUARED], m[15], n[TOUCHES], n[GATHERED],
         ),
     )  # fmt: skip
-    for lane in range(k.LANES):
+    for lane in range(LANES):
         row = RESULT_FLOATS * (i + lane)
-        k.store(result, row, k.load(sums_of, k.LANES * lane))
-        k.store(result, row + k.LANES, k.load(sums_of, k.LANES * (k.LANES + lane)))
-    return k.bits(seen)
+        store(result, row, load(sums_of, LANES * lane))
+        store(result, row + LANES, load(sums_of, LANES * (LANES + lane)))
+    return bits(seen)
 
 
 @_inner
 def _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of, result):
     """Gather the slots of 1024 Gaussians and chain them; ``visible`` then tells which have a row in ``result``."""
-    zero = k.spread(F(0.0))
-    for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT]), k.LANES):
-        seen = np.int64(k.peek(visible, i // k.LANES))
+    zero = spread(F(0.0))
+    for i in range(chunk * layout.CHUNK, min((chunk + 1) * layout.CHUNK, grid[layout.COUNT]), LANES):
+        seen = np.int64(peek(visible, i // LANES))
         if seen == 0:
             continue
-        for lane in range(k.LANES):
+        for lane in range(LANES):
             first, second = zero, zero
             if (seen >> lane) & 1:
-                base = k.RECORD * (i + lane)
-                slot = k.peek_bits(records, base + k.SLOT)
-                for at in range(slot, slot + k.peek_bits(records, base + k.SLOTS)):
-                    first = first + k.load(slots, SLOT_FLOATS * at)
-                    second = second + k.load(slots, SLOT_FLOATS * at + k.LANES)
-            k.store(sums_of, k.LANES * lane, first)
-            k.store(sums_of, k.LANES * (k.LANES + lane), second)
+                base = layout.RECORD * (i + lane)
+                slot = peek_bits(records, base + layout.SLOT)
+                for at in range(slot, slot + peek_bits(records, base + layout.SLOTS)):
+                    first = first + load(slots, SLOT_FLOATS * at)
+                    second = second + load(slots, SLOT_FLOATS * at + LANES)
+            store(sums_of, LANES * lane, first)
+            store(sums_of, LANES * (LANES + lane), second)
         seen = _chain_block(parameters, i, view, grid, records, sums_of, result)
-        k.poke(visible, i // k.LANES, np.int32(seen))
+        poke(visible, i // LANES, np.int32(seen))
 
 
 @kernel
@@ -372,41 +391,41 @@ def inform(
     ``channels [N * D]`` and ``pictures [H * W * D]``; ``pixel_values [H * W]`` or none. ``slots`` has room for 32
     floats per entry, ``result`` for 32 per column of ``parameters``.
     """
-    own = k.LANES * k.take_ticket(tickets, k.THREAD_TICKET) * (k.SCRATCH // k.LANES)
-    state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + k.SCRATCH]
-    digits, tiles = np.empty(k.DIGITS, np.int64), grid[k.TILES_X] * grid[k.TILES_Y]
-    width = len(pictures) // (grid[k.WIDTH] * grid[k.HEIGHT])
-    painted, no_light = k._scratch(64 * k.LANES * width + k.LANES), k.spread(F(0.0))
+    own = LANES * take_ticket(tickets, THREAD_TICKET) * (layout.SCRATCH // LANES)
+    state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + layout.SCRATCH]
+    digits, tiles = np.empty(layout.DIGITS, np.int64), grid[layout.TILES_X] * grid[layout.TILES_Y]
+    width = len(pictures) // (grid[layout.WIDTH] * grid[layout.HEIGHT])
+    painted, no_light = scratch_of(64 * LANES * width + LANES), spread(F(0.0))
     while True:
-        ticket = k.take_ticket(tickets, 2)
+        ticket = take_ticket(tickets, 2)
         if ticket >= tiles:
             break
         tile = tile_order[ticket]
         start, stop = tile_start[tile], tile_start[tile + 1]
-        blocks = k._sort_tile(start, stop, entries, digits)
-        if k.LANES * blocks > len(kept):
-            kept = k._scratch(k.LANES * (blocks + blocks // 4))
-        alive = k._open_tile(tile, grid, state, np.int64(k._COLORED))
-        x, y = k._corner(tile, grid)
-        keeps = np.int64(k.LANES)
-        done = k._forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
-        k._write_tile(tile, grid, state, np.int64(k._COLORED), color, depth, alpha)
+        blocks = tile_lists.sort_tile(start, stop, entries, digits)
+        if LANES * blocks > len(kept):
+            kept = scratch_of(LANES * (blocks + blocks // 4))
+        alive = blending.open_tile(tile, grid, state, np.int64(blending.COLORED_STATE))
+        x, y = blending.corner_of(tile, grid)
+        keeps = np.int64(LANES)
+        done = blending.blend_forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
+        blending.write_tile(tile, grid, state, np.int64(blending.COLORED_STATE), color, depth, alpha)
         _turn_back(state, tile, grid, pixel_values)
-        for at in range(0, 64 * k.LANES * width, k.LANES):
-            k.store(painted, at, no_light)
+        for at in range(0, 64 * LANES * width, LANES):
+            store(painted, at, no_light)
         _sum_tile(
             F(x), F(y), start, done, stop, entries, records, view, state, kept, touch, len(pixel_values) != 0,
             channels, width, painted, slots,
         )  # fmt: skip
         if width != 0:
             _write_channels(tile, grid, painted, width, pictures)
-        k.take_ticket(tickets, k.TILES_DONE)
-    if not k._all_done(tickets, k.TILES_DONE, tiles):
+        take_ticket(tickets, TILES_DONE)
+    if not all_done(tickets, TILES_DONE, tiles):
         return
-    sums_of = scratch[own : own + k.SCRATCH]
+    sums_of = scratch[own : own + layout.SCRATCH]
     while True:
-        chunk = k.take_ticket(tickets, 6)
-        if chunk >= grid[k.CHUNKS]:
+        chunk = take_ticket(tickets, 6)
+        if chunk >= grid[layout.CHUNKS]:
             return
         _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of, result)
-        k.take_ticket(tickets, k.STEPPED)
+        take_ticket(tickets, STEPPED)

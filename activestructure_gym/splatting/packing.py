@@ -11,7 +11,8 @@ from numba import njit
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.crew import CREW
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import counters, layout, memory
+from activestructure_gym.splatting.simd import LANES
 
 _inline = njit(forceinline=True)
 _ROWS = ((0, 3), (3, 7), (7, 10), (10, 11), (11, 14))  # mean, quaternion, log-scale, opacity, colour
@@ -40,7 +41,7 @@ def packed(
     if shared is not None:
         return shared
     count = len(tensors[0])
-    block = np.empty((k.ROWS, -(-count // k.LANES) * k.LANES), np.float32)
+    block = np.empty((layout.ROWS, -(-count // LANES) * LANES), np.float32)
     block[:, count:] = 0.0
     columns = [_columns(tensor) for tensor in tensors if tensor is not None]
     CREW.run(_pack, (np.zeros(1, np.int64), block, *columns, *[columns[0]] * (5 - len(columns))), threads)
@@ -73,7 +74,7 @@ def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
     if not len(means) or any(tensor is None for tensor in tensors):
         return None
     capacity, start, storage = means.stride(1), means.storage_offset(), means.untyped_storage()
-    if capacity % k.LANES or capacity < len(means) or storage.nbytes() < 4 * (start + k.ROWS * capacity):
+    if capacity % LANES or capacity < len(means) or storage.nbytes() < 4 * (start + layout.ROWS * capacity):
         return None
     for (first, _), tensor in zip(_ROWS, tensors):
         if (
@@ -82,7 +83,7 @@ def _shared(tensors: tuple[torch.Tensor | None, ...]) -> np.ndarray | None:
             or tensor.stride() != (1, capacity)[: tensor.dim()]
         ):
             return None
-    return torch.as_strided(means, (k.ROWS, capacity), (capacity, 1), start).numpy()
+    return torch.as_strided(means, (layout.ROWS, capacity), (capacity, 1), start).numpy()
 
 
 @_inline
@@ -91,7 +92,7 @@ def _to_rows(block, row, values, size, first, last):
     capacity = block.shape[1]
     for d in range(size):
         for i in range(first, last):
-            k.poke(block, (row + d) * capacity + i, k.peek(values, size * i + d))
+            memory.poke(block, (row + d) * capacity + i, memory.peek(values, size * i + d))
 
 
 @_inline
@@ -99,17 +100,17 @@ def _from_rows(block, row, values, size, first, last):
     capacity = block.shape[1]
     for d in range(size):
         for i in range(first, last):
-            k.poke(values, size * i + d, k.peek(block, (row + d) * capacity + i))
+            memory.poke(values, size * i + d, memory.peek(block, (row + d) * capacity + i))
 
 
 @kernel
 def _pack(tickets, block, means, quaternions, log_scales, logits, colors):
     count = means.shape[0]
     while True:
-        first = k.CHUNK * k.take_ticket(tickets, 0)
+        first = layout.CHUNK * counters.take_ticket(tickets, 0)
         if first >= count:
             return
-        last = min(first + k.CHUNK, count)
+        last = min(first + layout.CHUNK, count)
         _to_rows(block, 0, means, 3, first, last)
         _to_rows(block, 3, quaternions, 4, first, last)
         _to_rows(block, 7, log_scales, 3, first, last)
@@ -121,10 +122,10 @@ def _pack(tickets, block, means, quaternions, log_scales, logits, colors):
 def _unpack(tickets, block, means, quaternions, log_scales, logits, colors):
     count = means.shape[0]
     while True:
-        first = k.CHUNK * k.take_ticket(tickets, 0)
+        first = layout.CHUNK * counters.take_ticket(tickets, 0)
         if first >= count:
             return
-        last = min(first + k.CHUNK, count)
+        last = min(first + layout.CHUNK, count)
         _from_rows(block, 0, means, 3, first, last)
         _from_rows(block, 3, quaternions, 4, first, last)
         _from_rows(block, 7, log_scales, 3, first, last)

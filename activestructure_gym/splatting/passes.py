@@ -13,11 +13,14 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import blending, layout
+from activestructure_gym.splatting.counters import take_ticket
+from activestructure_gym.splatting.memory import load, lowest_bit, peek, scratch_of, store
+from activestructure_gym.splatting.simd import LANES, bits, fma, lane_x, lane_y, neg, sel, spread
 from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
 
-_TO_GRADIENT = np.zeros(k.RATES, np.float32)
-_TO_GRADIENT[k.MODE] = k.TO_GRADIENT
+_TO_GRADIENT = np.zeros(layout.RATES, np.float32)
+_TO_GRADIENT[layout.MODE] = layout.TO_GRADIENT
 _AT_ONCE = 3  # channels a rendering carries
 
 
@@ -35,51 +38,51 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
 
 @kernel
 def _median(tickets, view, grid, records, tile_start, tile_order, entries, picture):
-    width = 2 * k.LANES  # floats of state per block: transmittance, median depth
-    state = k._scratch(64 * width)
-    half, zero = np.float32(0.5), k.spread(np.float32(0.0))
-    room, tiles_x = entries.shape[1], grid[k.TILES_X]
+    width = 2 * LANES  # floats of state per block: transmittance, median depth
+    state = scratch_of(64 * width)
+    half, zero = np.float32(0.5), spread(np.float32(0.0))
+    room, tiles_x = entries.shape[1], grid[layout.TILES_X]
     while True:
-        ticket = k.take_ticket(tickets, 0)
-        if ticket >= tiles_x * grid[k.TILES_Y]:
+        ticket = take_ticket(tickets, 0)
+        if ticket >= tiles_x * grid[layout.TILES_Y]:
             return
         tile = tile_order[ticket]
-        x, y = k.TILE * (tile % tiles_x), k.TILE * (tile // tiles_x)
-        alive = k._open_tile(tile, grid, state, width)
+        x, y = layout.TILE * (tile % tiles_x), layout.TILE * (tile // tiles_x)
+        alive = blending.open_tile(tile, grid, state, width)
         for block in range(64):
-            k.store(state, width * block + k.LANES, zero)
+            store(state, width * block + LANES, zero)
         for entry in range(tile_start[tile], tile_start[tile + 1]):
             if alive == 0:
                 break
-            reach = np.int64(k.peek(entries, k.SORTED_REACH * room + entry)) & alive
+            reach = np.int64(peek(entries, layout.SORTED_REACH * room + entry)) & alive
             if reach == 0:
                 continue
-            base = k.RECORD * np.int64(k.peek(entries, k.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
-            dx = k.lane_x() - (k.peek(records, base + k.U) - np.float32(x))
-            dy = k.lane_y() - (k.peek(records, base + k.V) - np.float32(y))
-            along = k.fma(dx, k.peek(records, base + k.L00), dy * k.peek(records, base + k.L01))
-            across = dy * k.peek(records, base + k.L11)
+            base = layout.RECORD * np.int64(peek(entries, layout.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
+            dx = lane_x() - (peek(records, base + layout.U) - np.float32(x))
+            dy = lane_y() - (peek(records, base + layout.V) - np.float32(y))
+            along = fma(dx, peek(records, base + layout.L00), dy * peek(records, base + layout.L01))
+            across = dy * peek(records, base + layout.L11)
             while reach != 0:
-                block = k.lowest_bit(reach)
+                block = lowest_bit(reach)
                 reach &= reach - 1
                 at = width * block
-                opaque = k._alpha(records, base, block, along, across, view)
-                before = k.load(state, at)
-                after = k.fma(k.neg(opaque), before, before)
-                goes_on = after > k.peek(view, k.LEAST_LEFT)  # else this Gaussian is not part of the pixel
+                opaque = blending.alpha_of(records, base, block, along, across, view)
+                before = load(state, at)
+                after = fma(neg(opaque), before, before)
+                goes_on = after > peek(view, layout.LEAST_LEFT)  # else this Gaussian is not part of the pixel
                 crosses = goes_on & (after <= half)
-                found = k.sel(crosses, k.spread(k.peek(records, base + k.DEPTH)), k.load(state, at + k.LANES))
-                k.store(state, at + k.LANES, found)
+                found = sel(crosses, spread(peek(records, base + layout.DEPTH)), load(state, at + LANES))
+                store(state, at + LANES, found)
                 searching = goes_on & (after > half)
-                k.store(state, at, k.sel(searching, after, k._stopped(before)))
-                if k.bits(searching) == 0:
+                store(state, at, sel(searching, after, blending.stopped(before)))
+                if bits(searching) == 0:
                     alive &= ~(1 << block)
         for block in range(64):
             left, top = x + 4 * (block & 7), y + 4 * (block >> 3)
-            for row in range(min(4, grid[k.HEIGHT] - top)):
-                for column in range(min(4, grid[k.WIDTH] - left)):
-                    value = state[width * block + k.LANES + 4 * row + column]
-                    picture[(top + row) * grid[k.WIDTH] + left + column] = value
+            for row in range(min(4, grid[layout.HEIGHT] - top)):
+                for column in range(min(4, grid[layout.WIDTH] - left)):
+                    value = state[width * block + LANES + 4 * row + column]
+                    picture[(top + row) * grid[layout.WIDTH] + left + column] = value
 
 
 def blend_channels(
@@ -96,7 +99,7 @@ def blend_channels(
     for first in range(0, channels.shape[1], _AT_ONCE):
         share = channels[:, first : first + _AT_ONCE]
         _paint(colors, share)
-        workspace.color = aligned_zeros(workspace.camera.height * int(workspace.grid[k.STRIDE]))
+        workspace.color = aligned_zeros(workspace.camera.height * int(workspace.grid[layout.STRIDE]))
         workspace.blend()
         picture[..., first : first + _AT_ONCE] = workspace.pixels_of(workspace.color)[..., : share.shape[1]]
         kept.append(workspace.color)
@@ -127,16 +130,16 @@ def unblend_channels(
         of_group[..., : share.shape[1]] = by_picture[..., first : first + _AT_ONCE]
         workspace.set_gradient_images(of_group, nothing, nothing)
         by_pose += workspace.backward(_TO_GRADIENT, part, part, part)
-        gradient[: k.ROWS - 3] += part[: k.ROWS - 3]
-        by_channels[:, first : first + _AT_ONCE] += part[k.ROWS - 3 : k.ROWS - 3 + share.shape[1], :count].T
+        gradient[: layout.ROWS - 3] += part[: layout.ROWS - 3]
+        by_channels[:, first : first + _AT_ONCE] += part[layout.ROWS - 3 : layout.ROWS - 3 + share.shape[1], :count].T
     colors[:], workspace.color = before, own
     return by_pose
 
 
 def _colors(workspace: Workspace, count: int) -> np.ndarray:  # [N, 3], a view
     """The colour fields of the records."""
-    assert (k.GREEN, k.BLUE) == (k.RED + 1, k.RED + 2)
-    return workspace.records[: count * k.RECORD].reshape(count, k.RECORD)[:, k.RED : k.RED + 3]
+    assert (layout.GREEN, layout.BLUE) == (layout.RED + 1, layout.RED + 2)
+    return workspace.records[: count * layout.RECORD].reshape(count, layout.RECORD)[:, layout.RED : layout.RED + 3]
 
 
 def _paint(colors: np.ndarray, share: np.ndarray) -> None:

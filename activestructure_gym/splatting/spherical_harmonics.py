@@ -18,7 +18,7 @@ from numba import njit
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.crew import CREW
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import counters, layout
 
 if TYPE_CHECKING:
     import torch
@@ -142,20 +142,20 @@ def _may_be_seen(parameters, i, view, grid):
     """False only for Gaussians that the projection drops: the same bound, a little wider."""
     mx, my, mz = parameters[0, i], parameters[1, i], parameters[2, i]
     z = view[8] * mx + view[9] * my + view[10] * mz + view[11]
-    if not z > np.float32(0.5) * k.NEAR_PLANE:
+    if not z > np.float32(0.5) * layout.NEAR_PLANE:
         return False
     x = (view[0] * mx + view[1] * my + view[2] * mz + view[3]) / z
     y = (view[4] * mx + view[5] * my + view[6] * mz + view[7]) / z
-    u, v = x * view[k.FX] + view[k.CX], y * view[k.FY] + view[k.CY]
-    if u >= 0 and u < grid[k.WIDTH] and v >= 0 and v < grid[k.HEIGHT]:
+    u, v = x * view[layout.FX] + view[layout.CX], y * view[layout.FY] + view[layout.CY]
+    if u >= 0 and u < grid[layout.WIDTH] and v >= 0 and v < grid[layout.HEIGHT]:
         return True
     largest = np.exp(max(parameters[7, i], max(parameters[8, i], parameters[9, i])))
-    slope_x = min(max(x, view[k.LOW_X]), view[k.HIGH_X])
-    slope_y = min(max(y, view[k.LOW_Y]), view[k.HIGH_Y])
-    across, down = largest * view[k.FX] / z, largest * view[k.FY] / z
+    slope_x = min(max(x, view[layout.LOW_X]), view[layout.HIGH_X])
+    slope_y = min(max(y, view[layout.LOW_Y]), view[layout.HIGH_Y])
+    across, down = largest * view[layout.FX] / z, largest * view[layout.FY] / z
     size = across * across * (np.float32(1.0) + slope_x * slope_x) + down * down * (np.float32(1.0) + slope_y * slope_y)
-    reach = np.float32(3.4) * np.sqrt(size + k.BLUR_VARIANCE) + np.float32(1.0)
-    return u + reach > 0 and u - reach < grid[k.WIDTH] and v + reach > 0 and v - reach < grid[k.HEIGHT]
+    reach = np.float32(3.4) * np.sqrt(size + layout.BLUR_VARIANCE) + np.float32(1.0)
+    return u + reach > 0 and u - reach < grid[layout.WIDTH] and v + reach > 0 and v - reach < grid[layout.HEIGHT]
 
 
 @njit
@@ -171,10 +171,10 @@ def _shade(tickets, parameters, view, grid, centre, coefficients):
     """Rows 11 to 13 of the parameters from ``coefficients [N, K, 3]``."""
     terms, basis = coefficients.shape[1], np.empty(16, np.float32)
     while True:
-        chunk = k.take_ticket(tickets, 0)
-        if chunk >= grid[k.CHUNKS]:
+        chunk = counters.take_ticket(tickets, 0)
+        if chunk >= grid[layout.CHUNKS]:
             return
-        for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT])):
+        for i in range(chunk * layout.CHUNK, min((chunk + 1) * layout.CHUNK, grid[layout.COUNT])):
             r = g = b = np.float32(0.0)
             if _may_be_seen(parameters, i, view, grid):
                 x, y, z, _ = _direction(parameters, i, centre)
@@ -199,11 +199,11 @@ def _unshade(tickets, parameters, grid, centre, coefficients, gradient, by_coeff
     terms, zero = coefficients.shape[1], np.float32(0.0)
     basis, slopes = np.empty(16, np.float32), np.empty((3, 16), np.float32)
     while True:
-        chunk = k.take_ticket(tickets, 0)
-        if chunk >= grid[k.CHUNKS]:
+        chunk = counters.take_ticket(tickets, 0)
+        if chunk >= grid[layout.CHUNKS]:
             return
         total_x = total_y = total_z = 0.0
-        for i in range(chunk * k.CHUNK, min((chunk + 1) * k.CHUNK, grid[k.COUNT])):
+        for i in range(chunk * layout.CHUNK, min((chunk + 1) * layout.CHUNK, grid[layout.COUNT])):
             r, g, b = gradient[11, i], gradient[12, i], gradient[13, i]
             if r == zero and g == zero and b == zero:
                 continue
@@ -270,7 +270,7 @@ def unshade(
 ) -> np.ndarray:  # [3, 4] derivative by camera_from_world, through the camera centre
     """The derivative of `shade`."""
     centre = camera_centre(camera_from_world)
-    parts = np.zeros((int(grid[k.CHUNKS]), 3))
+    parts = np.zeros((int(grid[layout.CHUNKS]), 3))
     arguments = (parameters, grid, centre.astype(np.float32), coefficients, gradient, by_coefficients, parts)
     CREW.run(_unshade, (np.zeros(1, np.int64), *arguments), threads)
     # centre = -R^-1 t: a change of R and t moves it by -R^-1 (dt + dR centre).

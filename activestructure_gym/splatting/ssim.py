@@ -1,7 +1,7 @@
 """Structural similarity and its gradient (11 taps, sigma 1.5, zero padding; Wang et al. 2004).
 
 Derivative as in ``../shared/research/backbones.md`` 4.6. Only the sum of the two variances enters SSIM, so four blurs
-make the value and three the gradient. The loops live in `kernels` and are the ones of the mapping step.
+make the value and three the gradient. The loops live in `image_losses` and are the ones of the mapping step.
 """
 
 from __future__ import annotations

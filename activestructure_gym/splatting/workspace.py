@@ -8,7 +8,8 @@ import numpy as np
 
 from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import counters, image_losses, kernels, layout, stepping, tile_losses
+from activestructure_gym.splatting.simd import LANES
 
 MAX_ALPHA = 0.999
 _NO_FLOATS = np.empty(0, np.float32)
@@ -17,24 +18,24 @@ _MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a Gaussian of usual size r
 
 
 def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: float = MAX_ALPHA) -> np.ndarray:
-    """The floats of a camera as the kernels read them (``kernels.POSE ...``); of the pose ``[4, 4]`` or ``[3, 4]``."""
+    """The floats of a camera as the kernels read them (``layout.POSE ...``); of the pose ``[4, 4]`` or ``[3, 4]``."""
     view = _view_of(camera).copy()
-    view[: k.FX] = camera_from_world[:3].reshape(-1)
-    view[k.MAX_ALPHA] = max_alpha
+    view[: layout.FX] = camera_from_world[:3].reshape(-1)
+    view[layout.MAX_ALPHA] = max_alpha
     return view
 
 
 @lru_cache(64)
 def _view_of(camera: PinholeCamera) -> np.ndarray:
     """All of `make_view` that a camera keeps while it moves."""
-    view = np.zeros(k.VIEW_SIZE, np.float32)
-    view[k.FX : k.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
-    margin_x, margin_y = 0.5 * k.CLAMP_MARGIN * camera.width, 0.5 * k.CLAMP_MARGIN * camera.height
-    view[k.LOW_X] = (-camera.cx - margin_x) / camera.fx
-    view[k.HIGH_X] = (camera.width - camera.cx + margin_x) / camera.fx
-    view[k.LOW_Y] = (-camera.cy - margin_y) / camera.fy
-    view[k.HIGH_Y] = (camera.height - camera.cy + margin_y) / camera.fy
-    view[k.CONSTANTS : k.CONSTANTS + len(k.CONSTANT_VALUES)] = k.CONSTANT_VALUES
+    view = np.zeros(layout.VIEW_SIZE, np.float32)
+    view[layout.FX : layout.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
+    margin_x, margin_y = 0.5 * layout.CLAMP_MARGIN * camera.width, 0.5 * layout.CLAMP_MARGIN * camera.height
+    view[layout.LOW_X] = (-camera.cx - margin_x) / camera.fx
+    view[layout.HIGH_X] = (camera.width - camera.cx + margin_x) / camera.fx
+    view[layout.LOW_Y] = (-camera.cy - margin_y) / camera.fy
+    view[layout.HIGH_Y] = (camera.height - camera.cy + margin_y) / camera.fy
+    view[layout.CONSTANTS : layout.CONSTANTS + len(layout.CONSTANT_VALUES)] = layout.CONSTANT_VALUES
     return view
 
 
@@ -48,23 +49,24 @@ def inverse_of_pose(pose: np.ndarray) -> np.ndarray:  # [4, 4] -> [3, 4]
 
 @lru_cache(64)
 def make_grid(count: int, capacity: int, camera: PinholeCamera) -> np.ndarray:
-    """The integers of a rendering as the kernels read them (``kernels.COUNT ...``); not to be written to."""
-    grid = np.empty(k.GRID_SIZE, np.int64)
-    grid[k.COUNT], grid[k.CAPACITY], grid[k.WIDTH], grid[k.HEIGHT] = count, capacity, camera.width, camera.height
-    grid[k.TILES_X], grid[k.TILES_Y] = -(-camera.width // k.TILE), -(-camera.height // k.TILE)
-    grid[k.BLOCKS_X], grid[k.BLOCKS_Y] = -(-camera.width // 4), -(-camera.height // 4)
-    grid[k.CHUNKS] = max(1, -(-count // k.CHUNK))  # an empty map has an empty one
-    grid[k.MARGIN], grid[k.TILE_BLOCKS] = k.LANES, 64
-    grid[k.STRIDE] = 2 * k.LANES + k.LANES * -(-3 * camera.width // k.LANES)
+    """The integers of a rendering as the kernels read them (``layout.COUNT ...``); not to be written to."""
+    grid = np.empty(layout.GRID_SIZE, np.int64)
+    grid[layout.COUNT], grid[layout.CAPACITY] = count, capacity
+    grid[layout.WIDTH], grid[layout.HEIGHT] = camera.width, camera.height
+    grid[layout.TILES_X], grid[layout.TILES_Y] = -(-camera.width // layout.TILE), -(-camera.height // layout.TILE)
+    grid[layout.BLOCKS_X], grid[layout.BLOCKS_Y] = -(-camera.width // 4), -(-camera.height // 4)
+    grid[layout.CHUNKS] = max(1, -(-count // layout.CHUNK))  # an empty map has an empty one
+    grid[layout.MARGIN], grid[layout.TILE_BLOCKS] = LANES, 64
+    grid[layout.STRIDE] = 2 * LANES + LANES * -(-3 * camera.width // LANES)
     return grid
 
 
 def fitted(parameters: np.ndarray) -> np.ndarray:
     """The array itself if the kernels can use it as it is, else a copy padded to a multiple of 16 columns."""
     rows, columns = parameters.shape
-    if columns % k.LANES == 0 and parameters.flags.c_contiguous and parameters.flags.writeable:
+    if columns % LANES == 0 and parameters.flags.c_contiguous and parameters.flags.writeable:
         return parameters
-    padded = np.zeros((rows, -(-columns // k.LANES) * k.LANES), np.float32)
+    padded = np.zeros((rows, -(-columns // LANES) * LANES), np.float32)
     padded[:, :columns] = parameters
     return padded
 
@@ -86,9 +88,9 @@ class Workspace:
 
     def __init__(self) -> None:
         self._buffers: dict[str, np.ndarray] = {}
-        self.tickets = np.zeros(k.TICKETS, np.int64)
-        self._results = np.zeros(k.RESULTS)
-        self.entries = np.empty((k.ENTRY_ROWS, 0), np.uint64)
+        self.tickets = np.zeros(counters.TICKETS, np.int64)
+        self._results = np.zeros(stepping.RESULTS)
+        self.entries = np.empty((layout.ENTRY_ROWS, 0), np.uint64)
 
     def _buffer(self, name: str, size: int, dtype: type = np.float32) -> np.ndarray:
         """A flat buffer of at least ``size`` elements; zero when new."""
@@ -99,7 +101,7 @@ class Workspace:
 
     def _image(self, name: str) -> np.ndarray:
         """A padded colour image; its margins must be zero, so another size means a new buffer."""
-        shape = (int(self.grid[k.HEIGHT]), int(self.grid[k.STRIDE]), int(self.grid[k.WIDTH]))
+        shape = (int(self.grid[layout.HEIGHT]), int(self.grid[layout.STRIDE]), int(self.grid[layout.WIDTH]))
         name = f"{name} {shape}"
         if name not in self._buffers:
             self._buffers[name] = aligned_zeros(shape[0] * shape[1])
@@ -124,25 +126,25 @@ class Workspace:
         self.parameters, self.camera = parameters, camera
         self.view = make_view(camera, camera_from_world, max_alpha)
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
-        chunks, tiles = int(grid[k.CHUNKS]), int(grid[k.TILES_X] * grid[k.TILES_Y])
-        self.records = self._buffer("records", chunks * k.CHUNK * k.RECORD)
-        self.visible = self._buffer("visible", chunks * k.CHUNK // k.LANES, np.int32)
+        chunks, tiles = int(grid[layout.CHUNKS]), int(grid[layout.TILES_X] * grid[layout.TILES_Y])
+        self.records = self._buffer("records", chunks * layout.CHUNK * layout.RECORD)
+        self.visible = self._buffer("visible", chunks * layout.CHUNK // LANES, np.int32)
         histogram = self._buffer("histogram", chunks * tiles, np.int32)
         chunk_entries = self._buffer("chunk entries", chunks, np.int64)
         self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
-        self.tile_order = self._buffer("tile order", tiles + k.PLACES, np.int64)
+        self.tile_order = self._buffer("tile order", tiles + layout.PLACES, np.int64)
         if unseen is not None:
-            self.visible[np.flatnonzero(unseen) * (k.CHUNK // k.LANES)] = -1
+            self.visible[np.flatnonzero(unseen) * (layout.CHUNK // LANES)] = -1
         self.tickets[:] = 0
         found = (self.records, self.visible, histogram, chunk_entries, self.tile_start, self.tile_order)
-        while self.tickets[k.FILLED] < chunks:
-            self.total = int(self.tickets[k.ENTRIES])
+        while self.tickets[counters.FILLED] < chunks:
+            self.total = int(self.tickets[counters.ENTRIES])
             if self.total > self.entries.shape[1]:
-                self.entries = np.empty((k.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
-            self._run(k.prepare, parameters, self.view, grid, *found, self.entries)
-        self.total = int(self.tickets[k.ENTRIES])
+                self.entries = np.empty((layout.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
+            self._run(kernels.prepare, parameters, self.view, grid, *found, self.entries)
+        self.total = int(self.tickets[counters.ENTRIES])
         self._lists = (self.view, grid, self.records, self.tile_start, self.tile_order, self.entries)
-        self._scratch = self._buffer("scratch", self.threads * k.SCRATCH)
+        self._scratch = self._buffer("scratch", self.threads * layout.SCRATCH)
 
     def render(
         self,
@@ -170,12 +172,14 @@ class Workspace:
 
     def blend(self, *, keep: bool = True) -> None:
         """The tiles of `render`, into ``color``, ``depth`` and ``alpha``; also again, with other colours."""
-        tiles = int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
-        most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * k.LANES * self.total)
+        tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
+        most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * LANES * self.total)
         self.kept_at = self._buffer("kept at", 2 * tiles, np.int64)
         self.kept = self._buffer("kept", most)[:most] if keep else _NO_FLOATS
         self.tickets[:] = 0
-        self._run(k.blend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha)
+        self._run(
+            kernels.blend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha
+        )
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
@@ -198,14 +202,14 @@ class Workspace:
 
     def pixels_of(self, image: np.ndarray) -> np.ndarray:  # [H, W, 3], a copy
         """A padded colour image without its margins."""
-        margin, width = int(self.grid[k.MARGIN]), self.camera.width
-        rows = image.reshape(self.camera.height, int(self.grid[k.STRIDE]))
+        margin, width = int(self.grid[layout.MARGIN]), self.camera.width
+        rows = image.reshape(self.camera.height, int(self.grid[layout.STRIDE]))
         return rows[:, margin : margin + 3 * width].copy().reshape(-1, width, 3)
 
     def _padded(self, name: str, image: np.ndarray) -> np.ndarray:
         """``image [H, W, 3]`` in the kernels' layout."""
-        margin, buffer = int(self.grid[k.MARGIN]), self._image(name)
-        rows = buffer.reshape(self.camera.height, int(self.grid[k.STRIDE]))
+        margin, buffer = int(self.grid[layout.MARGIN]), self._image(name)
+        rows = buffer.reshape(self.camera.height, int(self.grid[layout.STRIDE]))
         rows[:, margin : margin + 3 * self.camera.width] = np.asarray(image).reshape(self.camera.height, -1)
         return buffer
 
@@ -227,36 +231,38 @@ class Workspace:
         height, width = self.camera.height, self.camera.width
         target_depth = flat(target_depth)
         measured = max(1, int(np.count_nonzero(target_depth > 0)))
-        columns, pieces = -(-3 * width // k.LANES), -(-height * width // k.PIECE)
-        terms = self._buffer("terms", columns * k.TERMS + pieces * k.LANES)
+        columns, pieces = -(-3 * width // LANES), -(-height * width // image_losses.PIECE)
+        terms = self._buffer("terms", columns * image_losses.TERMS + pieces * LANES)
         factors = self._factors(of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured)
         self.by_color = self._image("by color")
-        self._by_layout = self.grid[[k.STRIDE, k.MARGIN]]
+        self._by_layout = self.grid[[layout.STRIDE, layout.MARGIN]]
         self.by_depth = self._buffer("by depth", height * width)
         self.by_alpha = self._buffer("by alpha", height * width)
-        scratch = self._buffer("scratch", self.threads * k.SCRATCH)
+        scratch = self._buffer("scratch", self.threads * layout.SCRATCH)
         self._run(
-            k.compare, self._strip(columns), self.grid, self.color, self.depth, self.alpha, flat(target_rgb),
+            kernels.compare, self._strip(columns), self.grid, self.color, self.depth, self.alpha, flat(target_rgb),
             target_depth, scratch, factors, terms, self.by_color, self.by_depth, self.by_alpha,
         )  # fmt: skip
-        of_columns, of_pieces = terms[: columns * k.TERMS], terms[columns * k.TERMS :][: pieces * k.LANES]
-        color, ssim = of_columns.reshape(columns, 2, k.LANES).sum(axis=(0, 2), dtype=np.float64) / (3 * height * width)
+        end = columns * image_losses.TERMS
+        of_columns, of_pieces = terms[:end], terms[end:][: pieces * LANES]
+        color, ssim = of_columns.reshape(columns, 2, LANES).sum(axis=(0, 2), dtype=np.float64) / (3 * height * width)
         error = of_pieces.sum(dtype=np.float64) / measured
         return float(color), float(error), float(ssim) if of_ssim else float("nan")
 
     def _strip(self, columns: int) -> int:
         """How many columns of vectors one thread compares at a time: as many strips for each thread."""
         rounds = max(1, round(columns / (_STRIP * self.threads)))
-        return min(-(-columns // (rounds * self.threads)), k.SCRATCH // k.STRIP_FLOATS - 4)
+        return min(-(-columns // (rounds * self.threads)), layout.SCRATCH // image_losses.STRIP_FLOATS - 4)
 
     def _factors(self, of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured) -> np.ndarray:
         """The weights of `losses` as the kernels take them."""
         pixels = self.camera.height * self.camera.width
-        factors = np.empty(k.FACTORS, np.float32)
-        factors[k.OF_COLOR], factors[k.EVERYWHERE] = of_color / (3 * pixels), 1.0
-        factors[k.OF_SSIM], factors[k.OF_DEPTH] = -of_ssim / (3 * pixels), of_depth / measured
-        factors[k.OF_ALPHA] = 2.0 * of_alpha / pixels
-        factors[k.LEAST_ALPHA], factors[k.NORMALISED] = (0.5, 1.0) if normalised_depth else (-1.0, 0.0)
+        factors = np.empty(tile_losses.FACTORS, np.float32)
+        factors[tile_losses.OF_COLOR], factors[tile_losses.EVERYWHERE] = of_color / (3 * pixels), 1.0
+        factors[tile_losses.OF_SSIM], factors[tile_losses.OF_DEPTH] = -of_ssim / (3 * pixels), of_depth / measured
+        factors[tile_losses.OF_ALPHA] = 2.0 * of_alpha / pixels
+        factors[tile_losses.LEAST_ALPHA] = 0.5 if normalised_depth else -1.0
+        factors[tile_losses.NORMALISED] = 1.0 if normalised_depth else 0.0
         return factors
 
     def fused_step(
@@ -291,11 +297,11 @@ class Workspace:
         Returns the sums of |colour difference| and |depth error|, the number of these pixels, and the derivative
         ``[3, 4]`` by camera_from_world; the parameters stay as they are.
         """
-        factors = np.zeros(k.FACTORS, np.float32)
-        factors[k.OF_COLOR], factors[k.OF_DEPTH] = of_color, of_depth
-        factors[k.LEAST_ALPHA], factors[k.NORMALISED] = least_alpha, 1.0
-        rates = np.zeros(k.RATES, np.float32)
-        rates[k.MODE] = k.POSE_ONLY
+        factors = np.zeros(tile_losses.FACTORS, np.float32)
+        factors[tile_losses.OF_COLOR], factors[tile_losses.OF_DEPTH] = of_color, of_depth
+        factors[tile_losses.LEAST_ALPHA], factors[tile_losses.NORMALISED] = least_alpha, 1.0
+        rates = np.zeros(layout.RATES, np.float32)
+        rates[layout.MODE] = layout.POSE_ONLY
         arrays = (rates, self.parameters, self.parameters)
         color, depth, compared = self._fuse(factors, target_rgb, flat(target_depth), *arrays)
         return color, depth, int(compared), self._by_pose()
@@ -309,13 +315,13 @@ class Workspace:
         first_moment: np.ndarray,
         second_moment: np.ndarray,
     ) -> list[float]:
-        tiles = int(self.grid[k.TILES_X] * self.grid[k.TILES_Y])
-        slots = self._buffer("slots", self.total * k.LANES)
-        terms = self._buffer("terms", tiles * k.TILE_TERMS)
+        tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
+        slots = self._buffer("slots", self.total * LANES)
+        terms = self._buffer("terms", tiles * tile_losses.TILE_TERMS)
         images = (factors, flat(target_rgb), target_depth, terms)
         to_map = self._to_map(rates, first_moment, second_moment, self.parameters)
-        self._run_through(k.fuse, *self._lists, self._scratch, *images, slots, *to_map)
-        return self._results[k.OF_POSE :].tolist()
+        self._run_through(kernels.fuse, *self._lists, self._scratch, *images, slots, *to_map)
+        return self._results[stepping.OF_POSE :].tolist()
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
         """Derivatives of any loss by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
@@ -326,16 +332,16 @@ class Workspace:
 
     def backward(
         self,
-        rates: np.ndarray,  # [20] float32: 14 learning rates, then `kernels.BETA1 ...`
+        rates: np.ndarray,  # [20] float32: 14 learning rates, then `layout.BETA1 ...`
         first_moment: np.ndarray,  # [14, capacity] float32
         second_moment: np.ndarray,  # [14, capacity] float32
         gradient: np.ndarray,  # [14, capacity] float32, zeros
     ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
         """From the gradient images to an Adam step in place, to ``gradient``, or to the pose alone."""
-        slots = self._buffer("slots", self.total * k.LANES)
+        slots = self._buffer("slots", self.total * LANES)
         self.tickets[:] = 0
         self._run_through(
-            k.unblend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha,
+            kernels.unblend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha,
             self.by_color, self.by_depth, self.by_alpha, self._by_layout, slots,
             *self._to_map(rates, first_moment, second_moment, gradient),
         )  # fmt: skip
@@ -345,22 +351,22 @@ class Workspace:
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """What the second part of a backward kernel takes."""
-        if len(rates) < k.RATES:  # what is left out is 0
-            rates = np.concatenate([rates, np.zeros(k.RATES - len(rates), np.float32)])
-        pose_parts = self._buffer("pose parts", int(self.grid[k.CHUNKS]) * k.LANES)
+        if len(rates) < layout.RATES:  # what is left out is 0
+            rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
+        pose_parts = self._buffer("pose parts", int(self.grid[layout.CHUNKS]) * LANES)
         return self.parameters, first_moment, second_moment, rates, self.visible, gradient, pose_parts, self._results
 
     def _by_pose(self) -> np.ndarray:  # [3, 4]
         """The derivative by camera_from_world that a backward kernel has left."""
-        return self._results[: k.OF_POSE].reshape(3, 4).astype(np.float32)
+        return self._results[: stepping.OF_POSE].reshape(3, 4).astype(np.float32)
 
     def _run_through(self, kernel, *arguments) -> None:
         """A kernel whose last part steps the map, again while some thread has left it early."""
-        while self.tickets[k.STEPPED] < self.grid[k.CHUNKS]:
+        while self.tickets[counters.STEPPED] < self.grid[layout.CHUNKS]:
             self._run(kernel, *arguments)
 
     def _run(self, kernel, *arguments) -> None:
-        self.tickets[k.THREAD_TICKET] = self.tickets[k.GIVEN_UP] = 0
+        self.tickets[counters.THREAD_TICKET] = self.tickets[counters.GIVEN_UP] = 0
         CREW.run(kernel, (self.tickets, *arguments), self.threads)
 
 

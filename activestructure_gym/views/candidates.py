@@ -15,7 +15,21 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import fibonacci_directions, look_along
 from activestructure_gym.motion import DistanceMap
+from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
+
+_MOST_HEIGHTS = 64
+_RANGES = {
+    "lattice_step_m": "[0.05, 100]",
+    "heights_m": "[-100, 100]",
+    "directions": "[1, 1000]",
+    "max_candidates": "[1, 65536]",
+    "max_revisits": "[0, 65535]",
+    "visited_distance_m": "[0, 100]",
+    "visited_angle_deg": "[0, 180]",
+    "scoring_scale": "(0, 1]",
+    "coverage_alpha": "(0, 1)",
+}
 
 
 @dataclass(frozen=True)
@@ -33,24 +47,14 @@ class ViewConfig:
     coverage_alpha: float = 0.5  # a pixel is covered where the map's alpha exceeds this (M_c of Sec. 3.4)
 
     def __post_init__(self) -> None:
-        if not self.lattice_step_m > 0:
-            raise ValueError(f"lattice_step_m must be above 0, got {self.lattice_step_m}")
-        if not isinstance(self.heights_m, tuple) or not self.heights_m:
-            raise ValueError(f"heights_m must be a tuple of at least one height, got {self.heights_m!r}")
-        if self.directions < 1 or self.max_candidates < 1 or self.max_revisits < 0:
-            raise ValueError(
-                "directions and max_candidates must be at least 1 and max_revisits at least 0, got "
-                f"{self.directions}, {self.max_candidates}, {self.max_revisits}"
-            )
+        check_ranges(self, _RANGES)
+        if len(self.heights_m) > _MOST_HEIGHTS:
+            raise InputError(f"heights_m must be at most {_MOST_HEIGHTS} heights, got {len(self.heights_m)}")
         if self.max_revisits >= self.max_candidates:
-            raise ValueError(
+            raise InputError(
                 f"max_revisits ({self.max_revisits}) must stay below max_candidates ({self.max_candidates}): "
                 "revisits are offered in the same table"
             )
-        if not 0 < self.scoring_scale <= 1:
-            raise ValueError(f"scoring_scale must lie in (0, 1], got {self.scoring_scale}")
-        if not 0 < self.coverage_alpha < 1:
-            raise ValueError(f"coverage_alpha must lie in (0, 1), got {self.coverage_alpha}")
 
 
 @dataclass(frozen=True)

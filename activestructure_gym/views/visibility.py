@@ -10,7 +10,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.crew import CREW, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
-from activestructure_gym.splatting.kernels import take_ticket
+from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 

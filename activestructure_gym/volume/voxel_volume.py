@@ -9,12 +9,22 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import invert_rigid, rotation_angle
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 
 # A grid above this would need gigabytes; it always means wrong units (a mesh in millimetres).
 _MOST_VOXELS = 60_000_000
+_RANGES = {
+    "voxel_size": "[0.0001, 100]",
+    "max_range": "(0, 1000]",
+    **dict.fromkeys(("margin", "margin_growth", "unknown_slack"), "[0, 100]"),
+    **dict.fromkeys(("thinnest", "truncation"), "(0, 100]"),
+    "max_miss_chance": "[0, 1)",
+    **dict.fromkeys(("hit_gain", "hit_ceiling"), "[1, 30000]"),
+    "max_weight": "(0, 1e6]",
+}
 
 
 @dataclass(frozen=True)
@@ -47,16 +57,9 @@ class VolumeConfig:
     """Observations after which the TSDF becomes a moving average."""
 
     def __post_init__(self) -> None:
-        for name in ("voxel_size", "max_range", "thinnest", "truncation", "max_weight"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("margin", "margin_growth", "unknown_slack"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
-        if not 0.0 <= self.max_miss_chance < 1.0:
-            raise ValueError(f"max_miss_chance must lie in [0, 1), got {self.max_miss_chance}")
-        if not 1 <= self.hit_gain <= self.hit_ceiling <= 30_000:
-            raise ValueError(f"expected 1 <= hit_gain <= hit_ceiling, got {self.hit_gain} and {self.hit_ceiling}")
+        check_ranges(self, _RANGES)
+        if self.hit_gain > self.hit_ceiling:
+            raise InputError(f"hit_ceiling must be at least hit_gain ({self.hit_gain}), got {self.hit_ceiling}")
 
 
 def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:

@@ -13,10 +13,11 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from activestructure_gym._version import __version__
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
 
 _HASH_DIGITS = 12
+LARGEST_SEED = 2**63 - 1
 _LONGEST = 80  # characters of a policy in a file's name
 
 
@@ -36,8 +37,8 @@ class Job:
     also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"a seed is a whole number from 0 on, got {self.seed}")
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise InputError(f"a seed is a whole number from 0 to {LARGEST_SEED}, got {shown(self.seed)}")
         if self.frame_budget is not None and self.frame_budget < 1:
             raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
         if self.protocol.name in self.also:

@@ -25,9 +25,10 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.crew import CREW
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.splatting import kernels
+from activestructure_gym.splatting import kernels, layout
 from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
 from activestructure_gym.splatting.fisher import view_information
+from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import Lease, aligned_zeros, inverse_of_pose
 
 WORKLOADS = ("W1", "W2", "W3", "W4")
@@ -193,15 +194,15 @@ def _flops(task: str) -> int:
 def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
     """Flops per second of 16-lane multiply-adds on so many threads, the best of a few tries."""
     pieces, rounds = 8 * threads, 20_000
-    values = aligned_zeros(kernels.LANES * (2 + pieces))
-    values[: 2 * kernels.LANES] = 0.5
+    values = aligned_zeros(LANES * (2 + pieces))
+    values[: 2 * LANES] = 0.5
     best = float("inf")
     for _ in range(tries):
         tickets = np.zeros(1, np.int64)
         start = time.perf_counter()
         CREW.run(kernels.multiply_add, (tickets, rounds, pieces, values), threads)
         best = min(best, time.perf_counter() - start)
-    return 10 * 2 * kernels.LANES * pieces * rounds / best
+    return 10 * 2 * LANES * pieces * rounds / best
 
 
 def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]:
@@ -211,28 +212,28 @@ def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]
     lease = Lease()
     workspace = lease.workspace
     workspace.render(work.parameters, work.count, work.camera, invert_rigid(world_from_camera), threads=1, keep=False)
-    visible = np.unpackbits(workspace.visible[: -(-work.count // kernels.LANES)].view(np.uint8)).sum()
-    splats = workspace.entries[kernels.SORTED_SPLAT]
+    visible = np.unpackbits(workspace.visible[: -(-work.count // LANES)].view(np.uint8)).sum()
+    splats = workspace.entries[layout.SORTED_SPLAT]
     return int(visible), _count_pairs(workspace.grid, workspace.tile_start, splats, workspace.records)
 
 
 @kernel
 def _count_pairs(grid, tile_start, entries, records):
     pairs = 0
-    for tile in range(grid[kernels.TILES_X] * grid[kernels.TILES_Y]):
-        top, left = kernels.TILE * (tile // grid[kernels.TILES_X]), kernels.TILE * (tile % grid[kernels.TILES_X])
-        for row in range(top, min(top + kernels.TILE, grid[kernels.HEIGHT])):
-            for column in range(left, min(left + kernels.TILE, grid[kernels.WIDTH])):
+    for tile in range(grid[layout.TILES_X] * grid[layout.TILES_Y]):
+        top, left = layout.TILE * (tile // grid[layout.TILES_X]), layout.TILE * (tile % grid[layout.TILES_X])
+        for row in range(top, min(top + layout.TILE, grid[layout.HEIGHT])):
+            for column in range(left, min(left + layout.TILE, grid[layout.WIDTH])):
                 rest = 1.0
                 for entry in range(tile_start[tile], tile_start[tile + 1]):
-                    base = kernels.RECORD * np.int64(entries[entry] & np.uint64(0xFFFFFFFF))
-                    dx, dy = column + 0.5 - records[base + kernels.U], row + 0.5 - records[base + kernels.V]
-                    across = records[base + kernels.L00] * dx + records[base + kernels.L01] * dy
-                    down = records[base + kernels.L11] * dy
-                    power = records[base + kernels.LOG_OPACITY] - across * across - down * down
-                    if power >= -kernels.LOG2_255:
+                    base = layout.RECORD * np.int64(entries[entry] & np.uint64(0xFFFFFFFF))
+                    dx, dy = column + 0.5 - records[base + layout.U], row + 0.5 - records[base + layout.V]
+                    across = records[base + layout.L00] * dx + records[base + layout.L01] * dy
+                    down = records[base + layout.L11] * dy
+                    power = records[base + layout.LOG_OPACITY] - across * across - down * down
+                    if power >= -layout.LOG2_255:
                         rest *= 1.0 - min(2.0**power, 0.999)
-                        if rest <= kernels.MIN_TRANSMITTANCE:
+                        if rest <= layout.MIN_TRANSMITTANCE:
                             break
                         pairs += 1
     return pairs
@@ -263,7 +264,7 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
         _ = lease  # holds the workspace
         workspace.render(work.parameters, work.count, work.camera, inverse_of_pose(work.poses[0]), threads=threads)
         workspace.set_gradient_images(*images)
-        workspace.backward(np.zeros(kernels.RATES, np.float32), gradient, gradient, gradient)
+        workspace.backward(np.zeros(layout.RATES, np.float32), gradient, gradient, gradient)
 
     return {
         "forward + backward": there_and_back,
@@ -376,7 +377,7 @@ def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Ge
     normal = normals.reshape(-1, 3)[pixels]
     quaternion = np.concatenate([1.0 + normal[:, 2:], np.cross([0.0, 0.0, 1.0], normal)], axis=1)
     quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # facing down: half a turn
-    sigma = np.sqrt(rng.uniform(1.0, 1.5, count) ** 2 - kernels.BLUR_VARIANCE) * z / camera.fx
+    sigma = np.sqrt(rng.uniform(1.0, 1.5, count) ** 2 - layout.BLUR_VARIANCE) * z / camera.fx
     opacity = rng.uniform(0.5, 0.95, count)
     return np.concatenate([
         points.T, quaternion.T, np.log(sigma)[None], np.log(sigma)[None], np.log(0.1 * sigma)[None],

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 
 # Written out, and not left to the parser, so that it appears at once.
@@ -20,7 +23,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation
   asg train      train a learned policy (bc, rank, ppo), or score policies on layouts nobody was trained on
   asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
-  asg export     write a run's map as 3D Gaussian splatting PLY or as SplaTAM's params.npz
+  asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers
 
   asg COMMAND --help    the options of a command
@@ -43,7 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_passive_waiting()
     try:
         _find_in_working_directory()
-        return _run(arguments)
+        with _doubts_as_lines():
+            return _run(arguments)
     except InputError as error:
         print(f"asg: {error}", file=sys.stderr)
         return 2
@@ -64,6 +68,23 @@ def _find_in_working_directory() -> None:
         raise InputError("the working directory does not exist any more; change into another one") from None
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
+
+
+@contextmanager
+def _doubts_as_lines() -> Iterator[None]:
+    """What is doubtful about the user's files, each once and as one line; Python would show where it was said."""
+    told: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if not issubclass(category, InputWarning):
+            usual(message, category, *place, **more)
+        elif str(message) not in told:
+            told.add(str(message))
+            print(f"asg: note: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        usual, warnings.showwarning = warnings.showwarning, show
+        yield
 
 
 def _run(arguments: Sequence[str]) -> int:

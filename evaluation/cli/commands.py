@@ -289,10 +289,15 @@ class Export:
 
     run_directory: Annotated[str, tyro.conf.Positional, _option("RUN")]
     """The directory of a finished run."""
-    format: Literal["ply", "splatam"] = "ply"
-    """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splatam: SplaTAM's params.npz, with the path."""
+    format: Literal["ply", "splat", "splatam"] | None = None
+    """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splat: 32 bytes per Gaussian, for web pages;
+    splatam: SplaTAM's params.npz, with the path. If not given, what the name in --out ends with says it, else ply."""
     out: Path = None
-    """The file; map.ply or params.npz in the working directory if not given."""
+    """The file, which ends with .ply, .splat or .npz (splatam); map.ply, map.splat or params.npz in the working
+    directory if not given."""
+    up: Literal["z", "y", "-y"] = "z"
+    """What is up in the file: z as in the scene, -y for SuperSplat and most viewers of splats, y for three.js and game
+    engines. The map is turned about the scene's origin."""
 
     def run(self) -> int:
         """See `export.export`."""

@@ -7,6 +7,9 @@ from pathlib import Path
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Export
 
+_FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}
+_NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}
+
 
 def export(options: Export) -> int:
     """Write the file and say what is in it."""
@@ -14,23 +17,49 @@ def export(options: Export) -> int:
     from activestructure_gym.evaluation.running.remeasure import read_path
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.mapping.ply import write_ply
+    from activestructure_gym.mapping.splat_file import write_splat
     from activestructure_gym.mapping.splatam_file import write_splatam
+    from activestructure_gym.mapping.turning import FILE_FROM_WORLD, turned_map
 
+    out, form = destination(options)
+    if form == "splatam" and options.up != "z":
+        raise InputError(
+            f"--up {options.up} is for ply and splat: SplaTAM's params.npz lies in the frame of its first camera"
+        )
     run = read_run(Path(options.run_directory))
-    out = Path(options.out or ("map.ply" if options.format == "ply" else "params.npz"))
-    if out.is_dir():
-        raise InputError(f"'{out}' is a folder; give the name of the file to write")
-    if not out.parent.is_dir():
-        raise InputError(f"'{out}' cannot be written: there is no folder '{out.parent}'")
     gaussians = GaussianMap.load_npz(run.directory / "map.npz")
+    if options.up != "z":
+        gaussians = turned_map(gaussians, FILE_FROM_WORLD[options.up])
     try:
-        if options.format == "ply":
-            write_ply(gaussians, out)
+        if out.is_dir():
+            raise InputError(f"'{out}' is a folder; give the name of the file to write")
+        if not out.parent.is_dir():
+            raise InputError(f"'{out}' cannot be written: there is no folder '{out.parent}'")
+        if form == "ply":
+            write_ply(gaussians, out, up=options.up)
+        elif form == "splat":
+            write_splat(gaussians, out)
         else:
             path = read_path(run.directory / "trajectory.npz")
             poses, keyframes = run.trajectory["world_from_camera"], run.trajectory["keyframes"]
             write_splatam(gaussians, out, poses, path.camera, keyframes)
     except OSError as error:
         raise InputError(f"'{out}' cannot be written: {error.strerror}") from error
-    print(f"{out}: {gaussians.count} Gaussians of {run.job.title}")
+    frame = "in its first camera's frame" if form == "splatam" else f"{options.up} up"
+    print(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}")
     return 0
+
+
+def destination(options: Export) -> tuple[Path, str]:
+    """The file and its format, which the file's name and --format have to agree about; raises `InputError`."""
+    if options.out is None:
+        form = options.format or "ply"
+        return Path(_NAMES[form]), form
+    out = Path(options.out)
+    form = _FORMATS.get(out.suffix.lower(), "")
+    if not form:
+        raise InputError(f"--out is a file that ends with .ply, .splat or .npz (SplaTAM's), got '{out}'")
+    if options.format not in (None, form):
+        suffix = next(suffix for suffix, name in _FORMATS.items() if name == options.format)
+        raise InputError(f"--format {options.format} is written into a {suffix} file, got '{out}': give one of the two")
+    return out, form

@@ -31,8 +31,13 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
     """Like `split_list`, but a word that is a file, with options or without, stays whole whatever its name holds."""
     items: list[str] = []
     for word in words:
-        whole = any(Path(name).expanduser().is_file() for name in (word, word.rpartition("?")[0]))
-        items += [word] if whole else split_list([word])
+        ends = [len(word), *(place for place, letter in enumerate(word) if letter == "?")]
+        file = next((word[:end] for end in ends if Path(word[:end]).expanduser().is_file()), "")
+        if file:
+            first, *others = split_list(["?" + word[len(file) + 1 :]])  # as if the file had no name
+            items += [file + first if file != word else file, *others]
+        else:
+            items += split_list([word])
     return tuple(items)
 
 

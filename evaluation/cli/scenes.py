@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.cli.commands import Scenes
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
 
@@ -51,7 +52,9 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.scenes import load_scene
 
-    scene = load_scene(spec)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)  # they stand in the scene's notes
+        scene = load_scene(spec)
     notify("finding free space")
     known = ground_truth_of(scene)
     space = known.free_space

@@ -42,4 +42,5 @@ def capped_environment(threads: int) -> dict[str, str]:
     environment.update({name: str(max(1, threads)) for name in _COUNT_VARIABLES})
     environment["OMP_WAIT_POLICY"] = "PASSIVE"
     environment["MPLBACKEND"] = "Agg"
+    environment["PYTHONSAFEPATH"] = "1"  # it finds modules as this process does, and not first in the working directory
     return environment

@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.metrics.voxels import matched_distances, nea
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, transform_points
+from activestructure_gym.ranges import check_ranges
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
@@ -59,6 +60,17 @@ class MatchedTruth:
     views: HeldOutViews
 
 
+_RANGES = {
+    "voxel_m": "[0.001, 100]",
+    "threshold_m": "(0, 1000]",
+    "surface_samples": "[1, 5000000]",
+    "image_divisor": "[1, 4]",
+    "view_supersample": "[1, 16]",
+    "center": "[-1e6, 1e6]",
+    "radius": "(0, 1e6]",
+}
+
+
 @dataclass(frozen=True)
 class ActiveGamerProtocol:
     """Means matched to the voxels of the uncropped surface; masked images from one small circle of views."""
@@ -75,16 +87,11 @@ class ActiveGamerProtocol:
     radius: float | None = None  # metres; None = the table's, or what fits
 
     def __post_init__(self) -> None:
-        if not self.voxel_m > 0 or not self.threshold_m > 0:
-            raise InputError(f"voxel_m and threshold_m must be above 0, got {self.voxel_m} and {self.threshold_m}")
-        if min(self.surface_samples, self.view_supersample) < 1:
-            raise InputError("surface_samples and view_supersample must be at least 1")
+        check_ranges(self, _RANGES)
         if self.image_divisor not in (1, 2, 4):
             raise InputError(f"image_divisor must be 1, 2 or 4 (MS-SSIM needs 161 pixels), got {self.image_divisor}")
         if (self.center is None) != (self.radius is None):
             raise InputError("give the circle's center and its radius, or neither")
-        if self.radius is not None and not self.radius > 0:
-            raise InputError(f"the circle's radius must be above 0 metres, got {self.radius}")
 
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant, for the result file."""

@@ -24,6 +24,7 @@ from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.ground_truth.surface_samples import samples_by_area
+from activestructure_gym.ranges import check_ranges
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
@@ -42,6 +43,21 @@ class Truth:
 
     surface: SurfaceSamples
     views: HeldOutViews
+
+
+# Samples and views are held in memory; SSIM needs 11 x 11 pixels.
+_RANGES = {
+    "opacity_threshold": "[0, 1)",
+    "threshold_m": "(0, 1000]",
+    "surface_samples": "[1, 5000000]",
+    "views": "[1, 2000]",
+    **dict.fromkeys(("view_width", "view_height"), "[11, 4096]"),
+    "view_fov_deg": "[0.1, 179]",
+    "view_supersample": "[1, 16]",
+    "coverage_alpha": "[0, 1]",
+    **dict.fromkeys(("tsdf_voxel_m", "tsdf_truncation_m"), "[0.001, 100]"),
+    "tsdf_image_width": "[16, 4096]",
+}
 
 
 @dataclass(frozen=True)
@@ -68,22 +84,13 @@ class StandardProtocol:
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.opacity_threshold < 1.0:
-            raise InputError(f"opacity_threshold must lie in [0, 1), got {self.opacity_threshold}")
-        if not self.threshold_m > 0:
-            raise InputError(f"threshold_m must be above 0 metres, got {self.threshold_m}")
-        if min(self.surface_samples, self.views, self.view_supersample) < 1:
-            raise InputError("surface_samples, views and view_supersample must be at least 1")
-        if min(self.view_width, self.view_height) < 11:
-            raise InputError(f"held-out views need 11 x 11 pixels for SSIM, got {self.view_width}x{self.view_height}")
+        check_ranges(self, _RANGES)
         if self.points_source not in POINTS_SOURCES:
             raise InputError(f"points_source must be one of {', '.join(POINTS_SOURCES)}, got '{self.points_source}'")
-        if not 0.0 < self.tsdf_voxel_m <= self.tsdf_truncation_m:
+        if self.tsdf_voxel_m > self.tsdf_truncation_m:
             raise InputError(
-                f"expected 0 < tsdf_voxel_m <= tsdf_truncation_m, got {self.tsdf_voxel_m} and {self.tsdf_truncation_m}"
+                f"tsdf_truncation_m must be at least tsdf_voxel_m ({self.tsdf_voxel_m}), got {self.tsdf_truncation_m}"
             )
-        if self.tsdf_image_width < 16:
-            raise InputError(f"tsdf_image_width must be at least 16 pixels, got {self.tsdf_image_width}")
         if self.view_source not in VIEW_SOURCES:
             raise InputError(f"view_source must be one of {', '.join(VIEW_SOURCES)}, got '{self.view_source}'")
 

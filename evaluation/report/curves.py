@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,8 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
 
 _POINTS = 61  # places of the common axis
+_SETTLED = 0.01  # of a chart's height, within which of its end a curve says nothing more
+_TAIL = 0.5  # share of a chart's width that may show settled curves only
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,17 @@ def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]
 
 
 def convergence(
-    results: Results, cost: str, measure: str, scene: str | None = None, statistic: Statistic = mean
+    results: Results,
+    cost: str,
+    measure: str,
+    scene: str | None = None,
+    statistic: Statistic = mean,
+    until: float = math.inf,
 ) -> list[Line]:
     """A line per policy that has curves on the scene, or on all of them: the statistic with its 95 % band.
 
     Curves are brought onto one axis; a run that has ended keeps its last value. A line begins where all of its runs
-    have begun and ends with the longest of them.
+    have begun and ends with the longest of them, or at ``until``.
     """
     lines = []
     scenes = [scene] if scene else results.scenes
@@ -76,7 +84,7 @@ def convergence(
             continue
         curves = [curve for own in strata for curve in own]
         start, end = max(x[0] for x, _ in curves), max(x[-1] for x, _ in curves)
-        axis = np.linspace(start, max(start, end), _POINTS)
+        axis = np.linspace(start, max(start, min(end, until)), _POINTS)
         on_one = [np.stack([on_axis(x, y, axis) for x, y in own]) for own in strata]
         value, low, high = curve_band(on_one, statistic)
         lines.append(Line(policy, index, axis, value, low, high))
@@ -87,7 +95,7 @@ def chart_rows(results: Results, scene: str | None = None, statistic: Statistic 
     """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
     rows = []
     for measure in MEASURES:
-        curves = [convergence(results, cost.key, measure.key, scene, statistic) for cost in COSTS]
+        curves = [_telling(results, cost, measure, scene, statistic) for cost in COSTS]
         holds = span([line for lines in curves for line in lines])
         rows.append([
             line_chart(
@@ -100,6 +108,28 @@ def chart_rows(results: Results, scene: str | None = None, statistic: Statistic 
             for cost, lines in zip(COSTS, curves)
         ])  # fmt: skip
     return rows
+
+
+def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, statistic: Statistic) -> list[Line]:
+    """The curves up to where something still happens: one slow run among many must not make a chart of its tail.
+
+    Frames are the budget and always shown whole.
+    """
+    lines = convergence(results, cost.key, measure.key, scene, statistic)
+    if cost.key == "frames" or not lines:
+        return lines
+    low, high = span(lines)
+    settled = max(_settled(line, _SETTLED * (high - low)) for line in lines)
+    if not max(line.x[0] for line in lines) < settled < _TAIL * max(line.x[-1] for line in lines):
+        return lines
+    return convergence(results, cost.key, measure.key, scene, statistic, until=1.1 * settled)
+
+
+def _settled(line: Line, within: float) -> float:
+    """From where on the curve and its band stay that near to where they end."""
+    moving = [np.flatnonzero(np.abs(y - y[-1]) > within) for y in (line.y, line.low, line.high) if y is not None]
+    last = max((int(places[-1]) for places in moving if len(places)), default=-1)
+    return float(line.x[min(last + 1, len(line.x) - 1)])
 
 
 def areas(results: Results, policy: str, cost: str, measure: str) -> list[np.ndarray] | None:

@@ -18,6 +18,7 @@ from activestructure_gym.evaluation.report.canvas import (
     to_image,
     write,
 )
+from activestructure_gym.evaluation.report.layout import decimal
 from activestructure_gym.evaluation.report.plan import draw_plan, flight, legend, plan_arrays
 
 if TYPE_CHECKING:
@@ -106,9 +107,10 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
 
 
 def typical_view(runs: Sequence[Run]) -> int:
-    """Of the stored views that with the median PSNR, averaged over the runs; of an even number the lower middle."""
-    order = np.argsort(np.mean([run.pictures["psnr"] for run in runs], axis=0), kind="stable")
-    return int(order[(len(order) - 1) // 2])
+    """Of the `telling_views` that with the median PSNR, averaged over the runs; of an even number the lower middle."""
+    psnr = np.mean([run.pictures["psnr"] for run in runs], axis=0)
+    ordered = sorted(telling_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
+    return ordered[(len(ordered) - 1) // 2]
 
 
 def telling_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indices, ascending
@@ -120,7 +122,7 @@ def telling_views(true: np.ndarray) -> list[int]:  # [n, H, W, 3] uint8 -> indic
 
 def _rendered_tile(arrays: Mapping[str, np.ndarray], index: int) -> Image.Image:
     tile = to_image(arrays["rendered"][index])
-    corner_label(tile, f"{arrays['psnr'][index]:.1f} dB")
+    corner_label(tile, f"{decimal(float(arrays['psnr'][index]), 1)} dB")
     return tile
 
 

@@ -15,6 +15,7 @@ from activestructure_gym.evaluation.report.columns import COLUMNS
 from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, chart_rows, convergence
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
+from activestructure_gym.evaluation.report.layout import decimal
 from activestructure_gym.evaluation.report.phases import plot_phases, stored_timeline
 from activestructure_gym.evaluation.report.pictures import BLACK, telling_views
 from activestructure_gym.evaluation.report.places import without_places
@@ -109,7 +110,7 @@ def chart_grid(results: Results, scene: str | None = None, statistic: Statistic 
     caption = element(
         "figcaption",
         "The higher and the further left, the better. Charts side by side have one vertical axis; seconds begin where "
-        "the first decision has ended.",
+        "the first decision has ended, and a chart may end where no curve moves any more.",
     )
     return element("figure", caption, element("div", *charts, class_="charts"))
 
@@ -141,7 +142,7 @@ def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> Html:
         for i in telling:
             psnr = float(run.pictures["psnr"][i])
             alt = f"view {i + 1} as {run.job.policy} reconstructed it, PSNR {psnr:.2f} dB"
-            badge = element("b", f"{psnr:.2f}", class_="first" if len(runs) > 1 and psnr == best[i] else None)
+            badge = element("b", decimal(psnr, 2), class_="first" if len(runs) > 1 and psnr == best[i] else None)
             tiles.append((to_image(run.pictures["rendered"][i]), alt, badge))
         rows.append(_view_row(run.job.policy, _result(run), tiles, policies.index(run.job.policy)))
     caption = element(

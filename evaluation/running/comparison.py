@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.engines.base import JOBS, run_directory
-from activestructure_gym.evaluation.running.episode import Progress
+from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import jobs_of, merged, read_record, recorded_jobs
 from activestructure_gym.evaluation.running.warmup import warming_up
 
@@ -38,6 +38,7 @@ class Comparison:
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg
     protocol: StandardProtocol = field(default_factory=StandardProtocol)
     also_protocols: Sequence[str] = ()  # every finished map is measured by these too
+    recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
 
     def __post_init__(self) -> None:
         for name in ("scenes", "policies", "seeds"):
@@ -61,6 +62,7 @@ class Comparison:
             start_pose=first.start_pose,
             protocol=first.protocol,
             also_protocols=first.also,
+            recorded={job.scene: job.scene_hash for job in jobs},
         )
 
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
@@ -114,10 +116,9 @@ class Comparison:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.reconstruction_env import as_pose
         from activestructure_gym.ground_truth import check_start_pose, ground_truth_of
-        from activestructure_gym.scenes import load_scene
         from activestructure_gym.volume.voxel_volume import grid_shape
 
-        scene = load_scene(spec)
+        scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
         known = ground_truth_of(scene)
         config = configure(self.preset, self.overrides)
         grid_shape(scene.bounds, config.volume.voxel_size)

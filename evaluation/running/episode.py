@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary
@@ -93,15 +94,47 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
 
 def load_job_scene(job: Job) -> Scene:
     """The job's scene; raises `InputError` if its file is not the one the job was made for."""
-    from activestructure_gym.scenes import load_scene
+    return scene_as_recorded(job.scene, job.scene_hash)
 
-    scene = load_scene(job.scene)
-    if job.scene_hash and scene.content_hash != job.scene_hash:
-        raise InputError(
-            f"scene '{job.scene}' has changed since this run was planned: expected content "
-            f"{job.scene_hash[:12]}, found {scene.content_hash[:12]}; start a new comparison"
+
+def scene_as_recorded(spec: str, content_hash: str) -> Scene:
+    """The scene of a record, known by its content; an empty hash is that of any.
+
+    A record may name a mesh without the axis that was up then. Where the file turned to that axis is the scene of the
+    record to the last bit, it is used, and said. Raises `InputError` for every other content.
+    """
+    from activestructure_gym.scenes import load_scene
+    from activestructure_gym.scenes.loaders.upright import UP_AXES
+
+    if not content_hash:
+        return load_scene(spec)
+    try:
+        scene = _quietly(load_scene, spec)
+        refusal = InputError(
+            f"scene '{spec}' has changed since this run was planned: expected content {content_hash[:12]}, found "
+            f"{scene.content_hash[:12]}; start a new comparison"
         )
-    return scene
+        if scene.content_hash == content_hash:
+            return scene
+    except InputError as error:
+        refusal = error
+    for up in UP_AXES:
+        try:
+            turned = _quietly(load_scene, spec, up=up)
+        except InputError:  # no mesh file
+            break
+        if turned.content_hash == content_hash:
+            told = f"scene '{spec}': this record was made with {up} up, and is gone on with so; name it with up={up}"
+            warnings.warn(told, InputWarning, stacklevel=2)
+            return turned
+    raise refusal
+
+
+def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
+    """Without doubts about a scene that was chosen long ago."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)
+        return load(spec, **options)
 
 
 def build(job: Job, known: GroundTruth) -> tuple[Policy, ReconstructionEnv]:

@@ -9,10 +9,34 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
+from activestructure_gym.ranges import check_ranges
 
 METHODS = ("bc", "rank", "ppo")
 REWARDS = ("rate", "auc", "env")
 ORACLE = "oracle"  # the teacher who knows the truth
+_WORLD_RANGES = {
+    "layouts": "[1, 1000000]",
+    "frames": "[1, 1000000]",
+    "rooms": "[1, 7]",
+    "max_planes": "[1, 4096]",
+    "episodes_per_layout": "[1, 100000]",
+}
+_RANGES = {
+    "seed": "[0, 4294967295]",  # what every library takes
+    **dict.fromkeys(("planes", "candidates"), "[1, 4096]"),
+    "rounds": "[0, 64]",
+    **dict.fromkeys(("validation_layouts", "episodes"), "[1, 1000000]"),
+    **dict.fromkeys(("validate_every", "epochs", "iterations", "ppo_epochs"), "[1, 10000000]"),
+    **dict.fromkeys(("batch", "ppo_batch", "steps"), "[1, 1000000]"),
+    "envs": "[1, 1024]",
+    "bins": "[2, 1000]",
+    "critic_first": "[0, 10000000]",
+    **dict.fromkeys(("explore", "gamma", "gae_lambda", "weight_decay"), "[0, 1]"),
+    "temperature": "[1e-6, 1e6]",
+    "clip": "(0, 1]",
+    **dict.fromkeys(("entropy", "target_kl"), "[0, 1000]"),
+    "learning_rate": "(0, 1]",
+}
 
 
 @dataclass(frozen=True)
@@ -36,10 +60,7 @@ class WorldConfig:
         object.__setattr__(
             self, "overrides", tuple(sorted((str(k), _fixed(v)) for k, v in dict(self.overrides).items()))
         )
-        for name in ("layouts", "max_planes", "episodes_per_layout"):
-            _check_whole(name, getattr(self, name))
-        if not self.rooms or not all(isinstance(n, int) and 1 <= n <= 7 for n in self.rooms):
-            raise InputError(f"rooms of the layouts are whole numbers from 1 to 7, got {self.rooms}")
+        check_ranges(self, _WORLD_RANGES)
         if self.reward not in REWARDS:
             raise unknown_name("reward", self.reward, REWARDS)
 
@@ -86,23 +107,7 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise unknown_name("method", self.method, METHODS)
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise InputError(f"a seed is a whole number from 0 on, got {self.seed!r}")
-        for name in (
-            "validation_layouts", "validate_every", "episodes", "epochs", "batch", "iterations", "envs", "steps",
-            "ppo_epochs", "ppo_batch",
-        ):  # fmt: skip
-            _check_whole(name, getattr(self, name))
-        _check_whole("bins", self.bins, least=2)
-        _check_whole("critic_first", self.critic_first, least=0)
-        for name, low, high in (
-            ("explore", 0, 1), ("gamma", 0, 1), ("gae_lambda", 0, 1), ("temperature", 1e-6, 1e6),
-            ("weight_decay", 0, 1),
-        ):  # fmt: skip
-            if not low <= getattr(self, name) <= high:
-                raise InputError(f"{name} must lie in {low} .. {high}, got {getattr(self, name)}")
-        if self.learning_rate is not None and not self.learning_rate > 0:
-            raise InputError(f"learning_rate must be above 0, got {self.learning_rate}")
+        check_ranges(self, _RANGES)
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
@@ -146,8 +151,3 @@ class TrainingConfig:
 def _fixed(value: Any) -> Any:
     """Lists as tuples, as JSON does not tell them apart."""
     return tuple(map(_fixed, value)) if isinstance(value, list | tuple) else value
-
-
-def _check_whole(name: str, value: Any, *, least: int = 1) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(f"{name} must be a whole number of at least {least}, got {value!r}")

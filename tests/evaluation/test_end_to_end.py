@@ -209,8 +209,8 @@ def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys, monkeypat
     monkeypatch.setitem(PROTOCOLS, "standard", SmallStandard)
     run = runs[1]
     stored = run.metrics["metrics"]
-    for form in ("ply", "splatam"):
-        file = tmp_path / f"map.{form}"
+    for form, name in (("ply", "map.ply"), ("splatam", "params.npz")):
+        file = tmp_path / name
         assert main(["export", str(run.directory), "--format", form, "--out", str(file)]) == 0
         poses = ["--poses", str(run.directory / "trajectory.npz")] if form == "ply" else []
         numbers = tmp_path / f"{form}.json"

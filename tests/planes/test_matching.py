@@ -95,5 +95,5 @@ def test_nodes_that_turn_out_to_be_one_surface_merge(rectangles, new_graph):
 
 
 def test_bad_configuration_is_refused():
-    with pytest.raises(ValueError, match="near_reach must be 0 or more"):
+    with pytest.raises(ValueError, match="near_reach must be a number from 0 to 1000"):
         MatchingConfig(near_reach=-1.0)

@@ -90,7 +90,7 @@ def test_each_criterion_makes_a_plane_structural():
 
 
 def test_bad_configuration_is_refused():
-    with pytest.raises(ValueError, match="beta must lie in"):
+    with pytest.raises(ValueError, match="beta must be a number from 0 to 1"):
         TopologyConfig(beta=1.4)
     with pytest.raises(ValueError, match="decay"):
         TopologyConfig(decay=-1.0)

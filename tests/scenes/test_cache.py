@@ -5,7 +5,15 @@ import os
 import numpy as np
 import pytest
 
-from activestructure_gym.scenes.cache import cache_directory, cached_arrays
+from activestructure_gym.errors import InputError
+from activestructure_gym.scenes.cache import (
+    CACHE_VERSION,
+    cache_directory,
+    cache_files,
+    cache_limit,
+    cached_arrays,
+    clear_cache,
+)
 
 
 class Counted:
@@ -122,3 +130,94 @@ def test_a_failing_replacement_leaves_nothing_behind(directory, monkeypatch):
 def test_the_default_place_is_the_user_s_cache(monkeypatch):
     monkeypatch.delenv("ASG_CACHE_DIR")
     assert cache_directory().parts[-2:] == (".cache", "activestructure_gym")
+
+
+def filled(keys, size=1000):
+    for number, key in enumerate(keys):
+        cached_arrays(key, lambda: {"a": np.full(size, 7, np.uint8)})
+        for file in cache_directory().glob(f"{key}-*"):
+            os.utime(file, (1e9 + number, 1e9 + number))
+
+
+def names(directory):
+    return sorted(file.name.partition("-")[0] for file in directory.iterdir())
+
+
+def test_a_flipped_bit_anywhere_is_noticed_and_mended(directory):
+    """Apart from the fields of a zip file that say nothing about the arrays, such as dates."""
+    compute = Counted()
+    cached_arrays("key", compute)
+    (file,) = directory.iterdir()
+    whole = file.read_bytes()
+    for position in range(len(whole)):
+        calls = compute.calls
+        file.write_bytes(whole[:position] + bytes([whole[position] ^ 0x10]) + whole[position + 1 :])
+        back = cached_arrays("key", compute)
+        assert list(back) == ["a", "b"] and float(back["b"]) == 1.5
+        np.testing.assert_array_equal(back["a"], np.arange(6).reshape(2, 3))
+        if compute.calls > calls:
+            assert file.read_bytes()[:2] == b"PK"
+            cached_arrays("key", compute)
+            assert compute.calls == calls + 1
+
+
+def test_flipped_numbers_are_not_used(directory):
+    compute = Counted()
+    cached_arrays("key", compute)
+    (file,) = directory.iterdir()
+    file.write_bytes(file.read_bytes().replace(np.float32(4).tobytes(), np.float32(5).tobytes(), 1))
+    np.testing.assert_array_equal(cached_arrays("key", compute)["a"], np.arange(6).reshape(2, 3))
+    assert compute.calls == 2
+
+
+def test_it_keeps_below_its_size_and_what_was_used_last(directory, monkeypatch):
+    monkeypatch.setenv("ASG_CACHE_MAX", "4 kB")
+    filled("abc")
+    cached_arrays("a", dict)  # used, and so the youngest
+    filled("d")
+    assert names(directory) == ["a", "c", "d"]
+    cached_arrays("large", lambda: {"a": np.zeros(9000, np.uint8)})
+    assert names(directory) == ["large"]  # the one that was just written stays
+    assert sum(size for _, size in cache_files()) == (directory / f"large-v{CACHE_VERSION}.npz").stat().st_size
+
+
+def test_a_file_that_is_read_stays(directory, monkeypatch):
+    import fcntl
+
+    filled("ab")
+    with open(directory / f"a-v{CACHE_VERSION}.npz", "rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_SH)
+        assert clear_cache() == (1, 1270) or clear_cache()[0] == 0
+        assert names(directory) == ["a"]
+    assert clear_cache()[0] == 1 and names(directory) == []
+
+
+def test_what_dead_processes_left_is_removed(directory):
+    filled("a")
+    (directory / "old.part").touch()
+    os.utime(directory / "old.part", (1e9, 1e9))
+    (directory / "new.part").touch()
+    (directory / "thesis.tex").touch()
+    clear_cache()
+    assert sorted(file.name for file in directory.iterdir()) == ["new.part", "thesis.tex"]
+
+
+def test_nothing_is_kept_where_the_size_is_0(directory, monkeypatch):
+    monkeypatch.setenv("ASG_CACHE_MAX", "0")
+    filled("a")
+    assert not directory.exists()
+
+
+@pytest.mark.parametrize(
+    "text, size", [("", 1 << 30), ("1GiB", 1 << 30), ("1.5 kb", 1536), ("500M", 500 << 20), ("7", 7), ("2TB", 2 << 40)]
+)
+def test_sizes(text, size, monkeypatch):
+    monkeypatch.setenv("ASG_CACHE_MAX", text)
+    assert cache_limit() == size
+
+
+@pytest.mark.parametrize("text", ["much", "-1", "1e9", "9" * 100, "1 PB", "nan"])
+def test_a_size_that_is_none_is_refused(text, monkeypatch):
+    monkeypatch.setenv("ASG_CACHE_MAX", text)
+    with pytest.raises(InputError, match="ASG_CACHE_MAX is a size such as 500MB"):
+        cache_limit()

@@ -6,9 +6,10 @@ import torch
 
 from activestructure_gym.evaluation.benchmarks.splatting import make_workload
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting import fisher_kernels, kernels, render
+from activestructure_gym.splatting import fisher_kernels, layout, render
 from activestructure_gym.splatting.fisher import DIAGONAL, full_blocks, view_information
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, project_gaussians, rasterize_reference
+from activestructure_gym.splatting.simd import LANES
 
 KINDS = ("random", "behind", "border", "clamped", "needle", "flat", "large", "pixel", "empty")
 
@@ -160,7 +161,7 @@ def test_a_tile_with_more_alphas_than_fit_is_the_same(splats_of, monkeypatch):
     parameters = np.concatenate([part.parameters() for part in parts], axis=1)
     splats = parts[0]
     blocks = 64 * parameters.shape[1]  # at most
-    assert blocks * kernels.LANES > kernels.SCRATCH - fisher_kernels._STATE
+    assert blocks * LANES > layout.SCRATCH - fisher_kernels._STATE
     view = next(view_information(parameters, parameters.shape[1], splats.camera, splats.world_from_camera))
     rendering = render(parameters, parameters.shape[1], splats.camera, splats.world_from_camera)
     assert np.array_equal(view.color, rendering.color)

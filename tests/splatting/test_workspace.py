@@ -3,7 +3,7 @@ import pytest
 
 from activestructure_gym.evaluation.benchmarks.splatting import make_workload
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp
-from activestructure_gym.splatting import kernels as k
+from activestructure_gym.splatting import counters, kernels, layout
 from activestructure_gym.splatting.workspace import Workspace, inverse_of_pose, make_grid, make_view
 
 
@@ -30,9 +30,9 @@ def _prepared(threads):
 @pytest.mark.parametrize("lost", ["while projecting", "while listing"])
 def test_preparing_ends_without_a_thread_that_lost_its_core_and_goes_on_with_it(lost):
     work, workspace = _prepared(threads=1)
-    entries, starts = workspace.entries[: k.SORTED_REACH, : workspace.total].copy(), workspace.tile_start.copy()
-    grid, tickets = make_grid(work.count, work.parameters.shape[1], work.camera), np.zeros(k.TICKETS, np.int64)
-    chunks = grid[k.CHUNKS]
+    entries, starts = workspace.entries[: layout.SORTED_REACH, : workspace.total].copy(), workspace.tile_start.copy()
+    grid, tickets = make_grid(work.count, work.parameters.shape[1], work.camera), np.zeros(counters.TICKETS, np.int64)
+    chunks = grid[layout.CHUNKS]
     arguments = (
         work.parameters, workspace.view, grid, workspace.records, workspace.visible, workspace._buffers["histogram"],
         workspace._buffers["chunk entries"], workspace.tile_start, workspace.tile_order,
@@ -40,18 +40,19 @@ def test_preparing_ends_without_a_thread_that_lost_its_core_and_goes_on_with_it(
     workspace.entries[:] = 0
     if lost == "while projecting":
         tickets[0] = 1  # the first chunk is in the hands of somebody who does not go on
-        k.prepare(tickets, *arguments, workspace.entries)
-        assert tickets[k.GIVEN_UP] == 1 and tickets[k.PROJECTED] == chunks - 1 and tickets[k.FILLED] == 0
-        tickets[0] = tickets[k.GIVEN_UP] = 0
-        tickets[k.PROJECTED] = 0
+        kernels.prepare(tickets, *arguments, workspace.entries)
+        assert tickets[counters.GIVEN_UP] == 1
+        assert tickets[counters.PROJECTED] == chunks - 1 and tickets[counters.FILLED] == 0
+        tickets[0] = tickets[counters.GIVEN_UP] = 0
+        tickets[counters.PROJECTED] = 0
     else:
-        k.prepare(tickets, *arguments, np.empty((k.ENTRY_ROWS, 0), np.uint64))  # no room
-        assert tickets[k.ENTRIES] == workspace.total and tickets[k.FILLED] == 0
-    k.prepare(tickets, *arguments, workspace.entries)
-    assert tickets[k.FILLED] == chunks
+        kernels.prepare(tickets, *arguments, np.empty((layout.ENTRY_ROWS, 0), np.uint64))  # no room
+        assert tickets[counters.ENTRIES] == workspace.total and tickets[counters.FILLED] == 0
+    kernels.prepare(tickets, *arguments, workspace.entries)
+    assert tickets[counters.FILLED] == chunks
     np.testing.assert_array_equal(workspace.tile_start, starts)
-    keys = workspace.entries[k.KEY, : workspace.total]
-    np.testing.assert_array_equal(keys, entries[k.KEY])
+    keys = workspace.entries[layout.KEY, : workspace.total]
+    np.testing.assert_array_equal(keys, entries[layout.KEY])
 
 
 def test_an_empty_map_is_prepared_and_rendered():

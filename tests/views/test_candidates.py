@@ -137,8 +137,8 @@ def test_views_are_upright() -> None:
     ("options", "message"),
     [
         ({"lattice_step_m": 0.0}, "lattice_step_m"),
-        ({"heights_m": ()}, "at least one height"),
-        ({"directions": 0}, "at least 1"),
+        ({"heights_m": ()}, "at least one number"),
+        ({"directions": 0}, "directions must be a whole number from 1 to 1000"),
         ({"max_candidates": 4, "max_revisits": 4}, "below max_candidates"),
         ({"scoring_scale": 1.5}, "scoring_scale"),
         ({"coverage_alpha": 1.0}, "coverage_alpha"),

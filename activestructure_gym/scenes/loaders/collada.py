@@ -14,7 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, UnreadableMesh, placed
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
 from activestructure_gym.scenes.loaders.polygons import ear_clipped, triangulated
 
 Element = ElementTree.Element
@@ -42,13 +43,35 @@ def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
     document = _Document(path, root, textures)
     return ColladaFile(
         parts=list(document.parts()),
-        metres_per_unit=float(unit.get("meter", "1")) if unit is not None else 1.0,
+        metres_per_unit=_metres(unit),
         up=up[:1].lower(),
     )
 
 
+def _metres(unit: Element | None) -> float:
+    metres = float(_fixed(unit.get("meter", "1"), 1, "meter")[0]) if unit is not None else 1.0
+    if not (np.isfinite(metres) and metres > 0):
+        raise UnreadableMesh(f"it says that its unit has {metres:g} metres")
+    return metres
+
+
 def _floats(text: str | None) -> np.ndarray:
     return _numbers(text, np.float64)
+
+
+def _fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
+    values = _floats(text)
+    if len(values) != count:
+        raise UnreadableMesh(f"a <{name}> has {len(values)} numbers instead of {count}")
+    return values
+
+
+def _attribute(element: Element, name: str, default: int = 0) -> int:
+    """A whole number from 0 on."""
+    text = element.get(name, str(default)).strip()
+    if not text.isdecimal() or len(text) > 9:
+        raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')
+    return int(text)
 
 
 def _integers(text: str | None) -> np.ndarray:
@@ -187,8 +210,8 @@ class _Document:
         """The first set of each semantic, and the number of columns in <p>."""
         inputs: dict[str, _Input] = {}
         width = 0
-        for element in sorted(primitives.findall("input"), key=lambda e: int(e.get("set", "0"))):
-            semantic, offset = element.get("semantic", ""), int(element.get("offset", "0"))
+        for element in sorted(primitives.findall("input"), key=lambda element: _attribute(element, "set")):
+            semantic, offset = element.get("semantic", ""), _attribute(element, "offset")
             width = max(width, offset + 1)
             if semantic == "VERTEX":
                 vertices = self.target(element.get("source"))
@@ -248,10 +271,10 @@ class _Document:
 
 def _array(source: Element) -> np.ndarray:  # [count, stride]
     accessor = source.find("technique_common/accessor")
-    stride = int(accessor.get("stride", "1")) if accessor is not None else 3
-    offset = int(accessor.get("offset", "0")) if accessor is not None else 0
-    if stride < 1 or offset < 0:
-        raise UnreadableMesh(f"the source '{source.get('id')}' has stride {stride} and offset {offset}")
+    stride = _attribute(accessor, "stride", 1) if accessor is not None else 3
+    offset = _attribute(accessor, "offset") if accessor is not None else 0
+    if stride < 1:
+        raise UnreadableMesh(f"the source '{source.get('id')}' has a stride of 0")
     values = _floats(source.findtext("float_array"))[offset:]
     return values[: len(values) // stride * stride].reshape(-1, stride)
 
@@ -272,15 +295,15 @@ def _node_matrix(node: Element) -> np.ndarray:  # [4, 4] parent_from_node: the n
     for element in node:
         step = np.eye(4)
         if element.tag == "matrix":
-            step = _floats(element.text).reshape(4, 4)
+            step = _fixed(element.text, 16, "matrix").reshape(4, 4)
         elif element.tag == "translate":
-            step[:3, 3] = _floats(element.text)
+            step[:3, 3] = _fixed(element.text, 3, "translate")
         elif element.tag == "scale":
-            step[:3, :3] = np.diag(_floats(element.text))
+            step[:3, :3] = np.diag(_fixed(element.text, 3, "scale"))
         elif element.tag == "rotate":
             from scipy.spatial.transform import Rotation
 
-            x, y, z, degrees = _floats(element.text)
+            x, y, z, degrees = _fixed(element.text, 4, "rotate")
             axis = np.array([x, y, z]) / max(np.linalg.norm([x, y, z]), 1e-12)
             step[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
         else:
@@ -305,7 +328,9 @@ def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[n
         corners = corners[: sizes.sum()]
     triangles, _ = triangulated(positions.of(corners, 3), sizes)
     for holed in primitives.findall("ph"):
-        rings = [_rows(ring, width) for ring in holed if ring.tag in ("p", "h")]
+        rings = [_rows(ring, width) for ring in holed if ring.tag in ("p", "h") and ring.text]
+        if not rings:
+            continue
         outline = np.concatenate(rings)
         ends = tuple(np.cumsum([len(ring) for ring in rings]).tolist())
         triangles = np.concatenate([triangles, len(corners) + ear_clipped(positions.of(outline, 3), ends)])

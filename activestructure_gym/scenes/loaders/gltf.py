@@ -21,6 +21,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.loaders.budget import LimitError
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import (
     PLAIN_GREY,
     MeshPart,
@@ -32,18 +33,20 @@ from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_TYPES = {"POSITION": ("VEC3",), "COLOR": ("VEC3", "VEC4"), "TEXCOORD": ("VEC2",)}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _WRAPS = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
 
 _PLAIN = [((PLAIN_GREY + 0.055) / 1.055) ** 2.4] * 3  # linear; the specification's white would hide all shading
 
-# Required extensions that hold the geometry or the images themselves, and what to say about them.
+# Extensions that hold the geometry or the images themselves, what to say about them, and how to do without.
+_WITHOUT_COMPRESSION = "export it without compression"
 _REFUSED = {
-    "EXT_meshopt_compression": "its geometry is compressed with meshopt",
-    "KHR_meshopt_compression": "its geometry is compressed with meshopt",
-    "KHR_draco_mesh_compression": "its geometry is compressed with Draco",
-    "KHR_texture_basisu": "its textures are KTX2 / Basis",
-    "EXT_mesh_gpu_instancing": "it places its objects by GPU instancing",
+    "EXT_meshopt_compression": ("its geometry is compressed with meshopt", _WITHOUT_COMPRESSION),
+    "KHR_meshopt_compression": ("its geometry is compressed with meshopt", _WITHOUT_COMPRESSION),
+    "KHR_draco_mesh_compression": ("its geometry is compressed with Draco", _WITHOUT_COMPRESSION),
+    "KHR_texture_basisu": ("its textures are KTX2 / Basis", "export them as PNG or JPEG"),
+    "EXT_mesh_gpu_instancing": ("it places its objects by GPU instancing", "export them as single nodes"),
 }
 # Required extensions that are read, or that change nothing for a pinhole camera without lights.
 _READ = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp")
@@ -79,13 +82,13 @@ def _read_container(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON header and the binary chunk (empty for `.gltf`)."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
-            raise ValueError("it does not begin with the letters 'glTF'")
-        return json.loads(data.decode("utf-8-sig")), b""
+            raise UnreadableMesh("it does not begin with the letters 'glTF'")
+        return _checked(json.loads(data.decode("utf-8-sig"))), b""
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise ValueError(f"it is glTF version {version}, and only version 2 is read")
+        raise UnreadableMesh(_OLD.format(version))
     if length > len(data):
-        raise ValueError(f"it is cut off after {len(data)} of {length} bytes")
+        raise UnreadableMesh(f"it is cut off after {len(data)} of {length} bytes")
     header, binary, position = None, b"", 12
     while position + 8 <= length:
         size, kind = struct.unpack_from("<I4s", data, position)
@@ -96,23 +99,48 @@ def _read_container(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
             binary = chunk
         position += 8 + size
     if header is None:
-        raise ValueError("it has no JSON chunk")
-    return header, binary
+        raise UnreadableMesh("it has no JSON chunk")
+    return _checked(header), binary
+
+
+_OLD = "it is glTF {}, and only glTF 2.0 is read; convert it with gltf-pipeline or Blender"
+
+
+def _checked(header: Any) -> dict[str, Any]:
+    """The header, if it is one of glTF 2.0; the lists of glTF 1.0 were dictionaries."""
+    if not isinstance(header, dict):
+        raise UnreadableMesh("its JSON is no object with 'asset' and 'meshes', as glTF has it")
+    asset = header.get("asset")
+    version = str(asset.get("version", "")) if isinstance(asset, dict) else ""
+    if isinstance(header.get("meshes"), dict) and not version:
+        version = "1.0"
+    if version and not version.startswith("2"):
+        raise UnreadableMesh(_OLD.format(version[:20]))
+    return header
 
 
 def _check_extensions(path: Path, header: dict[str, Any]) -> None:
     required = header.get("extensionsRequired", [])
-    reasons = [_REFUSED[name] for name in required if name in _REFUSED]
-    reasons += [
-        f"it needs the glTF extension {name}"
-        for name in required
-        if name not in _REFUSED and name not in _READ and not name.startswith(_HARMLESS_PREFIXES)
-    ]
-    if reasons:
-        raise InputError(
-            f"'{path}' cannot be read: {' and '.join(dict.fromkeys(reasons))} (extensionsRequired: "
-            f"{', '.join(required)}); export it without compression, or convert it with gltf-transform or Blender"
-        )
+    if not isinstance(required, list):
+        raise UnreadableMesh("its extensionsRequired is no list")
+    _refuse(path, [str(name) for name in required if name not in _READ and not _harmless(str(name))])
+
+
+def _harmless(name: str) -> bool:
+    return name.startswith(_HARMLESS_PREFIXES)
+
+
+def _refuse(path: Path, extensions: list[str]) -> None:
+    """Say what stands in the way, if anything does."""
+    if not extensions:
+        return
+    unknown = ("it needs the glTF extension {0}", "export it without {0}")
+    faults = [[words.format(name) for words in _REFUSED.get(name, unknown)] for name in extensions]
+    reasons, remedies = (list(dict.fromkeys(words)) for words in zip(*faults))
+    raise InputError(
+        f"'{path}' cannot be read: {' and '.join(reasons)} ({', '.join(extensions)}); {' and '.join(remedies)}, or "
+        "convert it with gltf-transform or Blender"
+    )
 
 
 class _Document:
@@ -128,9 +156,20 @@ class _Document:
         self._accessors: dict[int, np.ndarray] = {}
         self._images: dict[int, int] = {}
 
+    def _entry(self, kind: str, index: Any) -> dict[str, Any]:
+        """An entry of one of the header's lists."""
+        entries = self.header.get(kind, [])
+        count = len(entries) if isinstance(entries, list) else 0
+        if not isinstance(index, int) or not 0 <= index < count:
+            wrong = f"it refers to number {str(index)[:40]} of its {kind}, and there are {count}"
+            raise UnreadableMesh(f"{wrong}; export it again")
+        if not isinstance(entries[index], dict):
+            raise UnreadableMesh(f"number {index} of its {kind} is no object; export it again")
+        return entries[index]
+
     def parts(self) -> Iterator[MeshPart]:
         for mesh_index, world_from_node in self._placed_meshes():
-            for primitive in self.header["meshes"][mesh_index]["primitives"]:
+            for primitive in self._entry("meshes", mesh_index)["primitives"]:
                 part = self._part(primitive, world_from_node)
                 if part is not None:
                     yield part
@@ -139,7 +178,7 @@ class _Document:
         nodes = self.header.get("nodes", [])
         scenes = self.header.get("scenes")
         if scenes:
-            roots = scenes[self.header.get("scene", 0)].get("nodes", [])
+            roots = self._entry("scenes", self.header.get("scene", 0)).get("nodes", [])
         else:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [index for index in range(len(nodes)) if index not in children]
@@ -150,10 +189,10 @@ class _Document:
         while stack:
             index, world_from_parent = stack.pop()
             if index in visited:  # every node has one parent
-                raise ValueError("its nodes form a loop or share children")
+                raise UnreadableMesh("its nodes form a loop or share children")
             visited.add(index)
             self.budget.take("nodes", 1)
-            node = nodes[index]
+            node = self._entry("nodes", index)
             world_from_node = world_from_parent @ _node_matrix(node)
             if "mesh" in node:
                 yield node["mesh"], world_from_node
@@ -164,6 +203,7 @@ class _Document:
         if mode not in (_TRIANGLES, _STRIP, _FAN):  # points and lines
             return None
         attributes = primitive["attributes"]
+        self._check_attributes(primitive, attributes)
         positions = self.accessor(attributes["POSITION"])
         self.budget.take("meshes and copies of them", 1)
         indices = self.accessor(primitive["indices"]).reshape(-1) if "indices" in primitive else None
@@ -193,11 +233,26 @@ class _Document:
             linear=True,
         )
 
+    def _check_attributes(self, primitive: dict[str, Any], attributes: dict[str, int]) -> None:
+        accessors = {name: self._entry("accessors", index) for name, index in attributes.items()}
+        # Draco's geometry stands outside of the accessors; where it is not required, there may be a copy in them.
+        compressed = [name for name in primitive.get("extensions", {}) if name in _REFUSED]
+        if compressed and "bufferView" not in accessors["POSITION"]:
+            _refuse(self.path, compressed)
+        counts = {name: accessor["count"] for name, accessor in accessors.items()}
+        if len(set(counts.values())) > 1:
+            said = ", ".join(f"{name} {str(count)[:20]}" for name, count in list(counts.items())[:6])
+            raise UnreadableMesh(f"the arrays of one of its meshes have different lengths ({said}); export it again")
+        for name, accessor in accessors.items():
+            wanted = _TYPES.get(name.partition("_")[0] if name.startswith(("COLOR_", "TEXCOORD_")) else name)
+            if wanted and accessor["type"] not in wanted:
+                raise UnreadableMesh(f"its {name} is {str(accessor['type'])[:20]} instead of {' or '.join(wanted)}")
+
     def _material(self, index: int | None) -> dict[str, Any]:
         """Base colour factor (linear) and texture reference of a material; empty where there is no material."""
         if index is None:
             return {}
-        material = self.header["materials"][index]
+        material = self._entry("materials", index)
         gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         if gloss is not None:
             factor, texture = gloss.get("diffuseFactor", [1.0] * 4), gloss.get("diffuseTexture")
@@ -227,12 +282,12 @@ class _Document:
             # Counter-clockwise seen on the image, whose v axis points down.
             rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
             uv = (uv * transform.get("scale", [1.0, 1.0])) @ rotation.T + transform.get("offset", [0.0, 0.0])
-        texture = self.header["textures"][info["index"]]
+        texture = self._entry("textures", info["index"])
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
         if source is None:
             self.textures.note_unreadable(f"texture {info['index']}")
             return nothing
-        sampler = self.header["samplers"][texture["sampler"]] if "sampler" in texture else {}
+        sampler = self._entry("samplers", texture["sampler"]) if "sampler" in texture else {}
         across, down = (_WRAPS.get(sampler.get(key), REPEAT) for key in ("wrapS", "wrapT"))
         return self._image(source), uv, (across, down)
 
@@ -242,10 +297,10 @@ class _Document:
         return self._images[index]
 
     def _new_image(self, index: int) -> int:
-        image = self.header["images"][index]
+        image = self._entry("images", index)
         name = image.get("name") or image.get("uri", "")[:60] or f"image {index}"
         if "bufferView" in image:
-            view = self.header["bufferViews"][image["bufferView"]]
+            view = self._entry("bufferViews", image["bufferView"])
             start = _size(view.get("byteOffset", 0), "byteOffset")
             stop = start + _size(view["byteLength"], "byteLength")
             return self.textures.add_bytes(self._buffer(view["buffer"])[start:stop], name)
@@ -254,7 +309,9 @@ class _Document:
         return self.textures.add_file(self.path.parent, image["uri"])
 
     def _buffer(self, index: int) -> bytes:
-        uri = self.header["buffers"][index].get("uri")
+        uri = self._entry("buffers", index).get("uri")
+        if uri is None and (index or not self._binary):  # only the first may stand in the file itself
+            raise UnreadableMesh(f"its buffer {index} has no data")
         if uri not in self._buffers:
             self._buffers[uri] = self._binary if uri is None else self._bytes_at(uri)
         return self._buffers[uri]
@@ -265,16 +322,16 @@ class _Document:
         try:
             return self.budget.read(find_reference(self.path.parent, uri, climb=0))
         except FileNotFoundError as error:
-            raise ValueError(f"its buffer file '{uri[:200]}' is missing") from error
+            raise UnreadableMesh(f"its buffer file '{uri[:200]}' is missing") from error
         except LimitError as error:
-            raise ValueError(f"its buffer file '{uri[:200]}' {error}") from error
+            raise UnreadableMesh(f"its buffer file '{uri[:200]}' {error}") from error
 
     def accessor(self, index: int) -> np.ndarray:  # [count, components], float where normalised
         """The values of an accessor, with stride, sparse replacement and normalisation done."""
         if index not in self._accessors:
-            accessor = self.header["accessors"][index]
-            count, columns = _size(accessor["count"], "count"), _SHAPES[accessor["type"]]
-            dtype = np.dtype(_COMPONENTS[accessor["componentType"]])
+            accessor = self._entry("accessors", index)
+            count, columns = _size(accessor["count"], "count"), _known(_SHAPES, accessor, "type")
+            dtype = np.dtype(_known(_COMPONENTS, accessor, "componentType"))
             normalised = accessor.get("normalized") and dtype.kind in "iu"
             if "bufferView" not in accessor or "sparse" in accessor or normalised:
                 self.budget.take("numbers in arrays", count * columns)  # these are copied, the others are not
@@ -290,15 +347,19 @@ class _Document:
         return self._accessors[index]
 
     def _values(self, view_index: int, offset: int, count: int, columns: int, dtype: np.dtype) -> np.ndarray:
-        view = self.header["bufferViews"][view_index]
+        view = self._entry("bufferViews", view_index)
+        if compressed := [name for name in view.get("extensions", {}) if name in _REFUSED]:
+            buffer = self._entry("buffers", view["buffer"])
+            if "uri" not in buffer and view["buffer"]:  # the copy for those who cannot unpack it is left out
+                _refuse(self.path, compressed)
         row = columns * dtype.itemsize
         stride = _size(view.get("byteStride", 0), "byteStride") or row  # older exporters write 0 for none
         if stride < row:
-            raise ValueError(f"its rows of {row} bytes lie {stride} bytes apart (byteStride)")
+            raise UnreadableMesh(f"its rows of {row} bytes lie {stride} bytes apart (byteStride)")
         buffer = self._buffer(view["buffer"])
         start = _size(view.get("byteOffset", 0), "byteOffset") + _size(offset, "byteOffset")
         if count and start + (count - 1) * stride + row > len(buffer):
-            raise ValueError("its binary data are cut off")
+            raise UnreadableMesh("its binary data are cut off")
         if not count:
             return np.zeros((0, columns), dtype)
         return np.ndarray((count, columns), dtype, buffer, start, (stride, dtype.itemsize))
@@ -306,7 +367,7 @@ class _Document:
     def _with_sparse(self, values: np.ndarray, sparse: dict[str, Any], dtype: np.dtype) -> np.ndarray:
         count = _size(sparse["count"], "count")
         at, to = sparse["indices"], sparse["values"]
-        index_dtype = np.dtype(_COMPONENTS[at["componentType"]])
+        index_dtype = np.dtype(_known(_COMPONENTS, at, "componentType"))
         rows = self._values(at["bufferView"], at.get("byteOffset", 0), count, 1, index_dtype)[:, 0]
         values = values.copy()
         values[rows] = self._values(to["bufferView"], to.get("byteOffset", 0), count, values.shape[1], dtype)
@@ -316,8 +377,14 @@ class _Document:
 def _size(value: Any, name: str) -> int:
     """A number of bytes or rows."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 0:
-        raise ValueError(f"a {name} in it is {str(value)[:40]} and no whole number from 0 on")
+        raise UnreadableMesh(f"a {name} in it is {str(value)[:40]} and no whole number from 0 on")
     return operator.index(value)
+
+
+def _known(table: dict[Any, Any], holder: dict[str, Any], key: str) -> Any:
+    if not isinstance(value := holder[key], str | int) or value not in table:
+        raise UnreadableMesh(f"a {key} in it is {str(value)[:40]}, and glTF knows {', '.join(map(str, table))}")
+    return table[value]
 
 
 def _data_uri(uri: str) -> bytes:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from activestructure_gym.errors import InputError, InputWarning, unknown_name
+from activestructure_gym.scenes.loaders.damage import in_words
 from activestructure_gym.scenes.loaders.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
@@ -192,10 +193,7 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, De
     except MemoryError as error:
         raise InputError(f"'{path}' does not fit into the memory of this machine; decimate the mesh") from error
     except Exception as error:  # a broken file makes readers raise anything from KeyError to struct.error
-        reason = str(error).strip() or type(error).__name__
-        if isinstance(error, KeyError | IndexError | TypeError | AttributeError):
-            reason = f"a part of it is missing or inconsistent ({type(error).__name__}: {reason})"
-        raise InputError(f"'{path}' cannot be read as {suffix[1:].upper()}: {' '.join(reason.split())}") from error
+        raise InputError(f"'{path}' cannot be read as {suffix[1:].upper()}: {in_words(error)}") from error
 
 
 def _metres_per_unit(units: str | float) -> float:
@@ -218,6 +216,12 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
         faces = np.asarray(part.faces)
         if len(faces) and (faces.min() < 0 or faces.max() >= len(part.vertices)):
             raise InputError(f"'{path}' is corrupt: its triangles name vertices that do not exist; export it again")
+        for what, values in (("colours", part.colors), ("texture coordinates", part.uv)):
+            if values is not None and np.ndim(values) == 2 and len(values) != len(part.vertices):
+                raise InputError(
+                    f"'{path}' is corrupt: a part of it has {len(part.vertices)} vertices and {len(values)} {what}; "
+                    "export it again"
+                )
         broken += int((~np.isfinite(part.vertices).all(axis=1)).sum())
     if broken:
         total = sum(len(part.vertices) for part in parts)

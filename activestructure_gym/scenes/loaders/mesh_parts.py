@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 PLAIN_GREY = 0.7
 
 
-class UnreadableMesh(ValueError):
-    """What is wrong with a file, for the end of a sentence: "it is cut off", "its nodes form a loop"."""
-
-
 @dataclass(frozen=True)
 class MeshPart:
     """Triangles that share one material."""
@@ -127,7 +123,7 @@ def find_reference(base: Path, reference: str, *, climb: int = 1) -> Path:
     business anywhere else. Symbolic links are followed, as data stores are full of them. Raises FileNotFoundError.
     """
     name = reference.strip().strip('"')
-    spellings = [name, unquote(name), *name.split()[-1:]]
+    spellings = [reference, name, unquote(name), *name.split()[-1:]]
     spellings += [spelling.replace("\\", "/") for spelling in spellings]
     spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
     candidates = [base / spelling for spelling in spellings]

@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 
-from activestructure_gym.scenes.loaders.mesh_parts import UnreadableMesh
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.polygons import triangulated_if_concave
 
 _RELATIVE = re.compile(r"^f[^\n]*-\d", re.MULTILINE)

@@ -7,9 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+
 # Sine of the angle by which a corner has to turn back before its polygon counts as concave: float32 positions of a
 # small face far from the origin turn by less.
 _TURN = 1e-4
+_MOST_CORNERS = (
+    10_000  # of a concave polygon: ear clipping takes a third of a second then, and four times that for twice
+)
 
 
 def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -38,14 +43,22 @@ def triangulated(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.
 def triangulated_if_concave(points: np.ndarray, sizes: np.ndarray) -> dict[int, np.ndarray]:
     """Triangles [F, 3], over its own corners, of each polygon (arguments of `triangulated`) that is concave."""
     starts = np.cumsum(sizes) - sizes
-    concave = concave_polygons(points, sizes).tolist()
-    return {index: ear_clipped(points[starts[index] : starts[index] + sizes[index]]) for index in concave}
+    polygon, corner = concave_corners(points, sizes)
+    # Scans have many quads that are a little concave: these are split at the corner that turns back.
+    quads = sizes[polygon] == 4
+    ears = {index: _QUAD[place % 2] for index, place in zip(polygon[quads].tolist(), corner[quads].tolist())}
+    for index in np.unique(polygon[~quads]).tolist():
+        ears[index] = ear_clipped(points[starts[index] : starts[index] + sizes[index]])
+    return ears
 
 
-def concave_polygons(points: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Which polygons (arguments of `triangulated`) turn back at some corner; those without an area do not."""
+_QUAD = np.array([[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]])  # through corners 0 and 2, through 1 and 3
+
+
+def concave_corners(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where polygons (arguments of `triangulated`) turn back: polygon and its own corner; none without an area."""
     if not (sizes > 3).any():
-        return np.zeros(0, np.int64)
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     polygon = np.repeat(np.arange(len(sizes)), sizes)
     wide = (sizes > 3)[polygon]  # triangles cannot be concave, and most meshes have nothing else
     corner = np.flatnonzero(wide)
@@ -60,13 +73,20 @@ def concave_polygons(points: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         normals = normals[polygon]
         turn = np.einsum("cd,cd->c", np.cross(incoming, outgoing), normals)
         scale = np.prod([np.linalg.norm(v, axis=1) for v in (incoming, outgoing, normals)], axis=0)
-        return np.unique(polygon[turn < -_TURN * scale])
+        back = turn < -_TURN * scale
+        return polygon[back], place[back]
 
 
 def ear_clipped(points: np.ndarray, rings: tuple[int, ...] = ()) -> np.ndarray:  # [F, 3] indices of ``points``
     """Triangles of one flat polygon [C, 3]; ``rings`` are the ends of its outline and holes (default: no holes)."""
     import mapbox_earcut
 
+    if len(points) > _MOST_CORNERS:
+        raise UnreadableMesh(
+            f"one of its concave polygons has {len(points):,} corners, more than {_MOST_CORNERS:,}: triangulate it"
+        )
+    if not np.isfinite(points).all():  # said by the loader
+        return np.array([[0, k, k + 1] for k in range(1, len(points) - 1)]).reshape(-1, 3)
     ends = np.array(rings or (len(points),), np.uint32)
     outline = points[: ends[0]]
     normal = np.cross(outline - outline[0], np.roll(outline, -1, axis=0) - outline).sum(axis=0)

@@ -17,6 +17,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh, in_words
 from activestructure_gym.scenes.loaders.json_files import read_json
 from activestructure_gym.scenes.loaders.mesh_loader import check_mesh_file, finished_scene
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, assemble, find_reference
@@ -131,7 +132,7 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         face_start = start + vertex_count * vertex_dtype.itemsize
         face_count, face_properties = elements["face"]
         if not face_count:
-            raise ValueError("it has no faces")
+            raise UnreadableMesh("it has no faces")
         corners = _corner_count(data, face_start, face_properties)
         fields = []
         for name, kind, count_kind in face_properties:
@@ -141,22 +142,24 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
                 fields.append((name, kind))
         face_dtype = np.dtype(fields)
         if face_start + face_count * face_dtype.itemsize > len(data):
-            raise ValueError(f"it is cut off: {vertex_count} vertices and {face_count} faces do not fit into it")
+            raise UnreadableMesh(f"it is cut off: {vertex_count} vertices and {face_count} faces do not fit into it")
         budget.take("vertices", vertex_count)
         budget.take("triangles", face_count * (corners - 2))
         vertex = np.frombuffer(data, vertex_dtype, vertex_count, start)
         face = np.frombuffer(data, face_dtype, face_count, face_start)
         if (face["count"] != corners).any():
-            raise ValueError("its faces are neither all triangles nor all quads")
+            raise UnreadableMesh("its faces are neither all triangles nor all quads")
         polygons = face["corners"].astype(np.int64)
         if polygons.min() < 0 or polygons.max() >= vertex_count:
-            raise ValueError("its faces name vertices that do not exist")
+            raise UnreadableMesh("its faces name vertices that do not exist")
         vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
         colors = np.full(3, PLAIN_GREY)
         if "red" in vertex_dtype.fields:
             colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1) / 255.0
     except (ValueError, KeyError, IndexError, TypeError, OverflowError, OSError) as error:
-        raise InputError(f"'{path}' is not a Replica mesh (binary PLY of quads or triangles): {error}") from error
+        raise InputError(
+            f"'{path}' is not a Replica mesh (binary PLY of quads or triangles): {in_words(error)}"
+        ) from error
     # Quad (a, b, c, d) becomes (a, b, c) and (c, d, a), one after the other.
     faces = polygons if corners == 3 else polygons[:, [0, 1, 2, 2, 3, 0]].reshape(-1, 3)
     object_ids = None
@@ -173,12 +176,12 @@ def _parse_header(data: bytes) -> tuple[dict[str, tuple[int, Properties]], int]:
     end = data.find(b"end_header\n")
     lines = data[: max(end, 0)].decode("ascii", errors="replace").split("\n")
     if end < 0 or lines[0].strip() != "ply":
-        raise ValueError("it has no PLY header")
+        raise UnreadableMesh("it has no PLY header")
     elements: dict[str, tuple[int, Properties]] = {}
     current: Properties = []
     for words in (line.split() for line in lines[1:]):
         if words[:1] == ["format"] and words[1] != "binary_little_endian":
-            raise ValueError(f"its format is {words[1]}, not binary_little_endian")
+            raise UnreadableMesh(f"its format is {words[1]}, not binary_little_endian")
         if words[:1] == ["element"]:
             current = []
             elements[words[1]] = (_count(words[2]), current)
@@ -187,13 +190,13 @@ def _parse_header(data: bytes) -> tuple[dict[str, tuple[int, Properties]], int]:
         elif words[:1] == ["property"]:
             current.append((words[2], _PLY_TYPES[words[1]], ""))
     if list(elements)[:2] != ["vertex", "face"]:
-        raise ValueError(f"its elements are {', '.join(elements) or 'none'}, not vertex and face")
+        raise UnreadableMesh(f"its elements are {', '.join(elements) or 'none'}, not vertex and face")
     return elements, end + len(b"end_header\n")
 
 
 def _count(word: str) -> int:
     if not word.isdecimal() or len(word) > 12:
-        raise ValueError(f"its header counts {word[:20]} elements")
+        raise UnreadableMesh(f"its header counts {word[:20]} elements")
     return int(word)
 
 
@@ -203,10 +206,10 @@ def _corner_count(data: bytes, start: int, properties: Properties) -> int:
         if count_kind:
             corners = int(np.frombuffer(data, count_kind, 1, start)[0])
             if corners not in (3, 4):
-                raise ValueError(f"its first face has {corners} corners")
+                raise UnreadableMesh(f"its first face has {corners} corners")
             return corners
         start += np.dtype(kind).itemsize
-    raise ValueError("its faces have no list of vertices")
+    raise UnreadableMesh("its faces have no list of vertices")
 
 
 def _labels(info_file: Path, object_ids: np.ndarray) -> PartLabels:

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.scenes.loaders.budget import LimitError
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.images import opened_image
 from activestructure_gym.scenes.loaders.mesh_parts import (
     PLAIN_GREY,
     MeshPart,
     TextureStore,
-    UnreadableMesh,
     find_reference,
     placed,
 )
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
-from activestructure_gym.scenes.loaders.polygons import concave_polygons, triangulated
+from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
 
 
 def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
@@ -35,10 +35,19 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
         source = io.StringIO(_obj_text(data))
     elif path.suffix.lower() == ".stl":
         _check_stl(data)
-    with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
-        scene = trimesh.load_scene(
-            source, file_type=path.suffix[1:].lower(), process=False, resolver=_resolver(path, textures)
-        )
+    elif not data.startswith(b"ply"):
+        raise UnreadableMesh("it does not begin with the letters 'ply'")
+    try:
+        with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
+            scene = trimesh.load_scene(
+                source, file_type=path.suffix[1:].lower(), process=False, resolver=_resolver(path, textures)
+            )
+    except ValueError as error:
+        if "unexpected length" not in str(error):
+            raise
+        raise UnreadableMesh(
+            "it is cut off, or its faces differ in their number of corners: triangulate it or export it as ASCII PLY"
+        ) from error
     parts = []
     for node in scene.graph.nodes_geometry:
         world_from_node, name = scene.graph[node]
@@ -149,7 +158,7 @@ def _triangles(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
     own[np.cumsum(sizes - 2) - (sizes - 2)] = True
     around = in_order[own]
     corners = np.asarray(geometry.vertices, dtype=np.float64)[around]
-    if geometry.visual.kind != "face" and not len(concave_polygons(corners, sizes)):
+    if geometry.visual.kind != "face" and not len(concave_corners(corners, sizes)[0]):
         return faces, np.arange(len(faces))
     split, polygon = triangulated(corners, sizes)
     return around[split], polygons[polygon]

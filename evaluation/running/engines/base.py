@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.episode import Progress
+from activestructure_gym.ranges import check_ranges
 
 JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
 LOGS = "logs"  # sub-directory of a comparison: what the workers wrote to standard error
-LONGEST_TIMEOUT = 525_600.0  # minutes; a year
+_RANGES = {"workers": "[0, 4096]", "timeout": "[0, 525600]", "retries": "[0, 1000]"}  # timeout: up to a year
 
 
 @dataclass(frozen=True)
@@ -26,12 +25,7 @@ class Limits:
     retries: int = 1  # further attempts at a job that was killed or ran out of time
 
     def __post_init__(self) -> None:
-        if self.workers < 0:
-            raise InputError(f"--workers is the number of runs at a time, or 0 for one per core, got {self.workers}")
-        if not (math.isfinite(self.timeout) and 0 <= self.timeout <= LONGEST_TIMEOUT):
-            raise InputError(f"--timeout is in minutes per run, or 0 for any time, got {self.timeout}")
-        if self.retries < 0:
-            raise InputError(f"--retries is how often a killed run is tried again, from 0 on, got {self.retries}")
+        check_ranges(self, _RANGES, "--")
 
 
 @dataclass(frozen=True)

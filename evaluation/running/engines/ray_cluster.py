@@ -2,7 +2,7 @@
 
 A Ray task starts the same worker process as engine ``local`` and waits for it. So the caps on threads are set before
 any library loads, a job that crashes takes no Ray worker with it, and results are written in the same way. Ray runs a
-task again when it loses the worker or the machine (research/libraries.md, section 6); the process of a lost task ends
+task again when it loses the worker or the machine; the process of a lost task ends
 by itself, because its standard input does.
 """
 
@@ -12,6 +12,8 @@ import importlib.util
 import logging
 import os
 import queue
+import secrets
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -194,17 +196,36 @@ def _connect() -> tuple[bool, Any]:
     """Ray itself, connected, and whether it is ours to shut down."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # what Ray will do anyway, without its warning
+    _choose_token()
     import ray
 
     if ray.is_initialized():
         return False, ray
     try:
         ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
         address = os.environ.get("RAY_ADDRESS", "")
         where = f"the Ray cluster at RAY_ADDRESS={address}" if address else "the Ray cluster of this machine"
-        raise InputError(f"{where} cannot be reached: {str(error).strip().splitlines()[0]}") from error
+        reason = str(getattr(error, "message", error)).strip().splitlines()[0]
+        if address or isinstance(error, ray.exceptions.AuthenticationError):
+            reason += "; if it asks for a token, set RAY_AUTH_TOKEN to what `ray get-auth-token` prints on its head"
+        raise InputError(f"{where} cannot be reached: {reason}") from error
     return True, ray
+
+
+def _choose_token() -> None:
+    """Show clusters the user's token; if there is none, one for a cluster that lives no longer than this process.
+
+    Ray by itself shows no token where ``RAY_ADDRESS`` is given. And it writes one to the home directory when it starts
+    a cluster of its own: from then on ``ray start --head`` would ask for it while ``ray start --address`` does not show
+    it, so that a run on one machine would break the recipe for many. A cluster that asks for no token takes any.
+    """
+    if "RAY_AUTH_MODE" in os.environ or "ray" in sys.modules:  # Ray reads the mode when it is imported
+        return
+    os.environ["RAY_AUTH_MODE"] = "token"
+    files = (os.environ.get("RAY_AUTH_TOKEN_PATH"), os.path.expanduser("~/.ray/auth_token"))
+    if not os.environ.get("RAY_AUTH_TOKEN") and not any(file and os.path.isfile(file) for file in files):
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
 
 
 def _here(ray: Any) -> Any:

@@ -106,7 +106,7 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
     from numba import njit
     from numba.core import caching
 
-    from activestructure_gym.compiling import files
+    from activestructure_gym.compiling import files, kernel
 
     for name in ("CacheImpl", "_CacheImpl"):  # the name differs between versions of numba
         if hasattr(caching, name):
@@ -119,7 +119,7 @@ def test_kernels_compile_where_no_cache_can_be_written(monkeypatch):
         njit(cache=True)(double)
     monkeypatch.setattr(files, "not_kept", [])
     with pytest.warns(UserWarning, match="NUMBA_CACHE_DIR"):
-        assert kernels._entry(double)(21) == 42
+        assert kernel(double)(21) == 42
 
 
 def test_torch_tiles_and_the_kernel_agree_on_a_whole_workload():

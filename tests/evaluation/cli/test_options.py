@@ -33,6 +33,7 @@ def test_the_name_of_a_file_stays_whole(tmp_path, monkeypatch):
     (tmp_path / "my, room?.glb").touch()
     words = ["my, room?.glb", "my, room?.glb?up=y&units=cm", "box,room"]
     assert split_scenes(words) == (*words[:2], "box", "room")
+    assert split_scenes(["my, room?.glb?up=y,box?seed=2,room"]) == ("my, room?.glb?up=y", "box?seed=2", "room")
 
 
 def test_seeds():

@@ -49,7 +49,7 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["bc", "--gains", "pixle"], ["unknown gain 'pixle'", "did you mean 'pixel'"]),
         (["bc", "--start", "nowhere"], ["no checkpoint", "nowhere"]),
         (["ppo", "--gamma", "2"], ["gamma", "2"]),
-        (["bc", "--episodes", "0"], ["episodes", "at least 1"]),
+        (["bc", "--episodes", "0"], ["episodes", "from 1 to"]),
         (["rank", "--preset", "quick"], ["unknown preset 'quick'"]),
         (["rank", "--workers", "-1"], ["--workers", "-1"]),
         (["ppo", "--resume"], ["--resume needs --out"]),

@@ -1,3 +1,9 @@
+import os
+import subprocess
+import sys
+
+import pytest
+
 from activestructure_gym.evaluation.machine import threads
 
 
@@ -21,6 +27,13 @@ def test_the_cap_is_the_variable_or_the_cores(monkeypatch):
 def test_a_wish_of_the_user_is_respected(monkeypatch):
     monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
     threads.set_passive_waiting()
-    import os
-
     assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+
+
+@pytest.mark.parametrize("command", [("-c", "import json"), ("-m", "json.tool", "--help")])
+def test_started_processes_run_nothing_that_lies_in_the_working_directory(command, tmp_path):
+    (tmp_path / "json.py").write_text("raise SystemExit('ran the file of the working directory')")
+    environment = threads.worker_environment(1)
+    environment["PYTHONPATH"] = os.pathsep.join([*(path for path in sys.path if path), str(tmp_path)])
+    done = subprocess.run([sys.executable, *command], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -40,6 +40,18 @@ def test_charts_side_by_side_have_one_vertical_axis(make_run):
     assert ranges[0] != ranges[1]
 
 
+def test_one_slow_run_does_not_make_a_chart_of_its_tail(make_run):
+    runs = [make_run(policy=policy, seed=seed) for policy in "ab" for seed in range(3)]
+    runs[0].timing["decisions"] = [2.0, 4.0, 90.0]
+    runs[0].metrics["curve"][-1] |= {"completion_ratio": 60.0}  # whose last decision brought nothing
+    for run in runs[1:3]:
+        run.metrics["curve"][:] = [point | {"completion_ratio": 60.0} for point in run.metrics["curve"]]
+    frames, _, seconds = chart_rows(Results(runs, []))[0]
+    assert float(re.search(r'data-x="\S+ ([^"]+)"', frames).group(1)) == 100.0
+    assert 6.0 <= float(re.search(r'data-x="\S+ ([^"]+)"', seconds).group(1)) < 10.0
+    assert convergence(Results(runs, []), "seconds", "completion_ratio")[0].x[-1] == 90.0
+
+
 def test_a_policy_without_runs_on_a_scene_has_no_line_over_all(make_run):
     runs = [make_run("room", "a"), make_run("box", "a"), make_run("room", "b")]
     results = Results(runs, [])

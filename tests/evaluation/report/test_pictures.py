@@ -88,6 +88,11 @@ def test_the_first_picture_is_the_typical_view_and_the_plans(make_run):
     runs[0].pictures["psnr"] = np.array([30.0, 10.0, 20.0, 9.0])
     runs[1].pictures["psnr"] = np.array([20.0, 10.0, 0.0, 25.0])  # means 25, 10, 10, 17
     assert typical_view(runs) == 2
+    blank = [make_run(policy="a")]
+    blank[0].pictures["true"][1:3] = 200
+    blank[0].pictures["true"] = np.concatenate([blank[0].pictures["true"]] * 2)
+    blank[0].pictures["psnr"] = np.array([9.0, 11.0, 11.0, 13.0, 10.0, 11.0, 11.0, 12.0])  # 1, 2, 5 and 6 are bare
+    assert typical_view(blank) == 4
     page = compare_strip(runs, title="title")
     assert contains(page, runs[0].pictures["true"][2]) and contains(page, runs[1].pictures["rendered"][2][:4, :10])
 

@@ -51,7 +51,7 @@ def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):
         ({"policies": ["randm"]}, "did you mean 'random'"),
         ({"policies": ["random?travel=shared"]}, "policy 'random' takes no options, got 'travel=shared'"),
         ({"policies": ["no_module:Policy"]}, "no module called 'no_module'"),
-        ({"policies": ["os:path"]}, "not a class derived from"),
+        ({"policies": ["os:path"]}, "must be a class derived from"),
         ({"scenes": ["bxo"]}, "unknown scene 'bxo'; did you mean 'box'"),
         ({"scenes": ["missing.glb"]}, "missing.glb"),
         ({"frame_budget": 0}, "frame budget must be at least 1"),

@@ -152,8 +152,11 @@ def test_the_grid_of_a_record_is_checked_like_a_new_one(ran, tmp_path, monkeypat
     now = JOB.scene_hash
     assert jobs_to_resume(tmp_path) == grid  # and not the fourth one of the product
     assert prepared == [
-        Comparison(["box"], ["random", "bad"], [0, 3], "fast", 9, {"sensor.width": 64}, None, JOB.protocol)
-    ]
+        Comparison(
+            ["box"], ["random", "bad"], [0, 3], "fast", 9, {"sensor.width": 64}, None, JOB.protocol,
+            recorded={"box": JOB.scene_hash},
+        )
+    ]  # fmt: skip
     now = "b" * 64
     with pytest.raises(InputError, match="scene 'box' has changed"):
         jobs_to_resume(tmp_path)

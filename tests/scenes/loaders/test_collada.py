@@ -5,7 +5,8 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.scenes.loaders.collada import read_collada
-from activestructure_gym.scenes.loaders.mesh_parts import TextureStore, UnreadableMesh
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_parts import TextureStore
 
 # A unit square in the x, y plane as one quad (polylist) and as two triangles, shown by nested, turned nodes.
 DOCUMENT = """<?xml version="1.0"?>

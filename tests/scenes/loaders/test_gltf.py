@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import base64
 import io
+import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,12 +11,16 @@ from PIL import Image
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.loaders.gltf import read_gltf
+from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 from activestructure_gym.scenes.loaders.mesh_parts import TextureStore, assemble, srgb_from_linear
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 TRIANGLE = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]], dtype=np.float32)
 FACE = np.array([[0, 1, 2]])
 UV = np.array([[0, 0], [1, 0], [0, 1]], dtype=np.float32)
+
+# What a message to a user never holds.
+PYTHON_WORDS = ("Error", "NoneType", "object is not", "list index", "unpack", "'int'", "'list'", "dtype", "buffer is")
 
 
 def _png(color=(200, 100, 50), size=(4, 4)) -> bytes:
@@ -229,3 +235,99 @@ def test_samplers_say_how_a_texture_goes_on(tmp_path, gltf):
     # One image, used in two ways: listed twice.
     assert mesh.face_texture.tolist() == [0, 1, 1] and mesh.texture_wrap == ((CLAMP, MIRROR), (REPEAT, REPEAT))
     assert mesh.textures[0] is mesh.textures[1]
+
+
+def _error(path) -> str:
+    """What the user reads."""
+    with pytest.raises(InputError) as caught:
+        load_mesh_scene(path)
+    message = str(caught.value)
+    assert "\n" not in message and message.startswith(f"'{path}' ")
+    return message
+
+
+@pytest.mark.parametrize("asset", [{"version": "1.0"}, {}, {"version": "1.1"}])
+def test_gltf_1_is_told_by_its_version(tmp_path, asset):
+    path = tmp_path / "old.gltf"
+    path.write_text(json.dumps({"asset": asset, "meshes": {"mesh": {"primitives": []}}, "nodes": {"node": {}}}))
+    assert f"it is glTF {asset.get('version', '1.0')}, and only glTF 2.0 is read; convert it" in _error(path)
+
+
+def test_compression_that_is_used_but_not_required(tmp_path, gltf):
+    primitive = gltf.triangle_mesh(TRIANGLE, FACE, extensions={"KHR_draco_mesh_compression": {"bufferView": 0}})
+    gltf.header["extensionsUsed"] = ["KHR_draco_mesh_compression"]
+    assert len(read_gltf(gltf.write(tmp_path / "both.glb"), TextureStore()).parts) == 1  # a copy without compression
+    for index in (primitive["attributes"]["POSITION"], primitive["indices"]):
+        del gltf.header["accessors"][index]["bufferView"]
+    message = _error(gltf.write(tmp_path / "draco.glb"))
+    assert "compressed with Draco (KHR_draco_mesh_compression); export it without compression" in message
+
+
+def test_meshopt_without_its_copy(tmp_path, gltf):
+    gltf.triangle_mesh(TRIANGLE, FACE)
+    gltf.header["bufferViews"][0].update(buffer=1, extensions={"EXT_meshopt_compression": {"buffer": 0}})
+    path = gltf.write(tmp_path / "meshopt.gltf")
+    header = json.loads(path.read_text())
+    header["buffers"].append({"byteLength": 36, "extensions": {"EXT_meshopt_compression": {"fallback": True}}})
+    path.write_text(json.dumps(header))
+    assert "compressed with meshopt (EXT_meshopt_compression)" in _error(path)
+
+
+def test_an_unknown_extension_is_to_be_left_out(tmp_path, gltf):
+    gltf.triangle_mesh(TRIANGLE, FACE)
+    gltf.header["extensionsRequired"] = ["MY_holograms"]
+    message = _error(gltf.write(tmp_path / "h.glb"))
+    assert "export it without MY_holograms, or convert it" in message and "compression" not in message
+
+
+@pytest.mark.parametrize("name", ["COLOR_0", "TEXCOORD_0", "NORMAL"])
+def test_arrays_of_different_lengths(tmp_path, gltf, name):
+    primitive = gltf.triangle_mesh(TRIANGLE, FACE)
+    width = 2 if name == "TEXCOORD_0" else 3
+    primitive["attributes"][name] = gltf.accessor(np.zeros((2, width), np.float32))
+    assert f"have different lengths (POSITION 3, {name} 2)" in _error(gltf.write(tmp_path / "l.glb"))
+
+
+@pytest.mark.parametrize(
+    "place, value, said",
+    [
+        (("nodes", 0, "mesh"), 7, "number 7 of its meshes, and there are 1"),
+        (("nodes", 0, "mesh"), -1, "number -1 of its meshes"),
+        (("nodes", 0), [], "not what the format says"),
+        (("meshes", 0), 5, "number 0 of its meshes is no object"),
+        (("scenes",), [{"nodes": [9]}], "number 9 of its nodes"),
+        (("meshes", 0, "primitives", 0, "attributes", "POSITION"), 9, "number 9 of its accessors, and there are 2"),
+        (("meshes", 0, "primitives", 0, "attributes", "POSITION"), None, "lacks 'POSITION'"),
+        (("meshes", 0, "primitives", 0, "attributes"), None, "lacks 'attributes'"),
+        (("meshes", 0, "primitives"), 3, "not what the format says"),
+        (("meshes", 0, "primitives", 0, "material"), 0, "number 0 of its materials, and there are 0"),
+        (("accessors", 0, "count"), None, "lacks 'count'"),
+        (("accessors", 0, "count"), 400, "cut off"),
+        (("accessors", 0, "type"), "VEC2", "its POSITION is VEC2 instead of VEC3"),
+        (("accessors", 0, "type"), "VEC9", "its POSITION is VEC9"),
+        (("accessors", 1, "componentType"), 1, "a componentType in it is 1, and glTF knows"),
+        (("accessors", 0, "bufferView"), "a", "number a of its bufferViews"),
+        (("bufferViews", 0, "buffer"), 1, "number 1 of its buffers"),
+        (("buffers", 0, "uri"), "gone.bin", "its buffer file 'gone.bin' is missing"),
+        (("buffers", 0, "uri"), None, "its buffer 0 has no data"),
+        (("buffers", 0, "uri"), "data:,a", "damaged"),
+        (("nodes", 0, "matrix"), [1, 2], "not what the format says"),
+        (("nodes", 0, "rotation"), [1, 2], "not what the format says"),
+        (("extensionsRequired",), 3, "extensionsRequired is no list"),
+    ],
+)
+def test_damage_is_said_in_words(tmp_path, gltf, place, value, said):
+    gltf.triangle_mesh(TRIANGLE, FACE)
+    path = gltf.write(tmp_path / "d.gltf")
+    header = json.loads(path.read_text())
+    holder: Any = header
+    for key in place[:-1]:
+        holder = holder[key]
+    if value is None:
+        del holder[place[-1]]
+    else:
+        holder[place[-1]] = value
+    path.write_text(json.dumps(header))
+    message = _error(path)
+    assert said in message
+    assert not any(word in message for word in PYTHON_WORDS)

@@ -72,6 +72,13 @@ def test_nothing_outside_of_the_model_is_opened(tmp_path):
         find_reference(models, "../near.png", climb=0)
 
 
+def test_a_name_that_begins_with_a_blank(tmp_path):
+    (tmp_path / " wood.png").write_bytes(b"x")
+    (tmp_path / "oak.png").write_bytes(b"x")
+    assert find_reference(tmp_path, " wood.png").name == " wood.png"
+    assert find_reference(tmp_path, " oak.png\n").name == "oak.png"
+
+
 def test_parts_keep_their_order_and_their_own_vertices():
     triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
     uv = np.array([[0, 0], [1, 0], [0, 1]], dtype=float)

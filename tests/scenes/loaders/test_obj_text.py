@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.scenes.loaders.mesh_parts import TextureStore, UnreadableMesh
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_parts import TextureStore
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
 from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
 

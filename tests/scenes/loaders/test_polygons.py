@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.scenes.loaders.polygons import concave_polygons, ear_clipped, triangulated
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.polygons import concave_corners, ear_clipped, triangulated
 
 # A wall of 5 x 3 m with a doorway of 1 x 2 m, (x, z).
 DOORWAY = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (5, 0), (5, 3), (0, 3)]
@@ -39,7 +40,7 @@ def test_area_and_winding_whatever_the_first_corner(outline, area, shift, backwa
 def test_convex_polygons_stay_fans_and_keep_their_order():
     points = np.concatenate([upright(o) for o in (SQUARE, DOORWAY, SQUARE[:3], STEP, SQUARE[:2])])
     sizes = np.array([4, 8, 3, 5, 2])
-    assert concave_polygons(points, sizes).tolist() == [1]
+    assert concave_corners(points, sizes)[0].tolist() == [1, 1]  # both upper corners of the doorway
     triangles, polygon = triangulated(points, sizes)
     assert triangles[:2].tolist() == [[0, 1, 2], [0, 2, 3]]
     assert triangles[polygon >= 2].tolist() == [[12, 13, 14], [15, 16, 17], [15, 17, 18], [15, 18, 19]]
@@ -55,6 +56,12 @@ def test_random_stars_have_the_area_of_the_shoelace_formula(rng):
         if np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi:  # the centre lies inside
             triangles, _ = triangulated(points, np.array([corners]))
             assert areas(points, triangles).sum() == pytest.approx(expected)
+
+
+def test_a_polygon_that_would_take_minutes_is_refused():
+    points = np.random.default_rng(0).random((10_001, 3))
+    with pytest.raises(UnreadableMesh, match="has 10,001 corners"):
+        triangulated(points, np.array([len(points)]))
 
 
 def test_a_hole_stays_open():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, TextureStore, UnreadableMesh
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, TextureStore
 from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
 
 OBJ = """mtllib ../materials/room.mtl
@@ -138,3 +139,12 @@ def test_texture_coordinates_that_do_not_exist_are_said(tmp_path):
     Image.new("RGB", (4, 4), (120, 80, 40)).save(tmp_path / "wood.png")
     parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
     assert all(part.texture < 0 for part in parts) and textures.without_uv == ["wood"]
+
+
+def test_a_binary_ply_of_triangles_and_quads_is_told_what_to_do(tmp_path):
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+    header += "property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    data = np.zeros((4, 3), "<f4").tobytes() + b"\3" + np.arange(3, dtype="<i4").tobytes()
+    (tmp_path / "a.ply").write_bytes(header.encode() + data + b"\4" + np.arange(4, dtype="<i4").tobytes())
+    with pytest.raises(UnreadableMesh, match="differ in their number of corners: triangulate it"):
+        read_with_trimesh(tmp_path / "a.ply", TextureStore())

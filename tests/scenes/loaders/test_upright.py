@@ -284,3 +284,32 @@ def test_upright_is_exact():
     vertices = np.random.default_rng(0).normal(size=(100, 3))
     for up in UP_AXES:
         np.testing.assert_array_equal(upright(vertices @ FILE_FROM_WORLD[up].T, up), vertices)
+
+
+def as_y_up(path, out):
+    """The same glTF file with all its roots below one node that stands the scene on its y axis, exactly."""
+    import json
+    import struct
+
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    header = json.loads(data[20 : 20 + size])
+    scene = header["scenes"][header.get("scene", 0)]
+    matrix = np.eye(4)
+    matrix[:3, :3] = FILE_FROM_WORLD["y"]
+    header["nodes"].append({"matrix": matrix.T.reshape(-1).tolist(), "children": scene["nodes"]})
+    scene["nodes"] = [len(header["nodes"]) - 1]
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    length = 20 + len(text) + len(rest)
+    out.write_bytes(struct.pack("<4sII", b"glTF", 2, length) + struct.pack("<I4s", len(text), b"JSON") + text + rest)
+    return out
+
+
+@pytest.mark.parametrize("name", ["hotel_room", "bookstore", "garage", "home_theater"])
+def test_real_scenes_with_y_up_are_those_with_z_up(shared, tmp_path, loads, name):
+    scene, told = loads(as_y_up(shared / "scenes" / f"{name}.glb", tmp_path / "y.glb"))
+    assert told == ""
+    assert scene.content_hash == load_mesh_scene(shared / "scenes" / f"{name}.glb", up="z").content_hash
+    assert "up=y by the geometry" in loads(tmp_path / "y.glb", up="auto")[1]

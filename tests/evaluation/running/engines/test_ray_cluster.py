@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -115,6 +116,72 @@ def test_a_cluster_out_of_reach_is_one_sentence(monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "nonsense")
     with pytest.raises(InputError, match="RAY_ADDRESS=nonsense cannot be reached"):
         get_engine("ray").slots(1, Limits())
+
+
+HEAD = """
+import os, sys
+from ray.cluster_utils import Cluster
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+print(cluster.address, flush=True)
+sys.stdin.readline()
+cluster.shutdown()
+"""
+CONNECT = """
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.running.engines import ray_cluster
+try:
+    ours, ray = ray_cluster._connect()
+    print("answer", ray.get(ray.remote(lambda: 42).remote()))
+except InputError as error:
+    print("refused", error)
+"""
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """The environment of a user with an empty home, on a machine where Ray keeps to itself."""
+    pytest.importorskip("ray")
+    names = [name for name in os.environ if name.startswith("RAY_")]
+    environment = {name: value for name, value in os.environ.items() if name not in names}
+    path = os.pathsep.join([os.getcwd(), *filter(None, sys.path)])
+    return environment | {"HOME": str(tmp_path), "PYTHONPATH": path, "RAY_USAGE_STATS_ENABLED": "0"}
+
+
+def connected(environment: dict[str, str]) -> str:
+    """How a process in this environment fares."""
+    done = subprocess.run([sys.executable, "-c", CONNECT], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_a_cluster_of_its_own_leaves_no_token_behind(alone, tmp_path):
+    assert connected(alone) == "answer 42"
+    assert not (tmp_path / ".ray").exists()
+
+
+def test_a_token_that_is_asked_for_and_not_there_is_one_sentence(alone):
+    refused = connected(alone | {"RAY_AUTH_MODE": "token", "RAY_ADDRESS": "127.0.0.1:1"})
+    assert refused.startswith("refused the Ray cluster at RAY_ADDRESS=127.0.0.1:1 cannot be reached")
+    assert "\n" not in refused and "token was found; if it asks" in refused and "`ray get-auth-token`" in refused
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_a_cluster_gets_the_token_that_is_there(alone, tmp_path, asks):
+    right, wrong = ({"RAY_AUTH_TOKEN": letter * 64} for letter in "ab")
+    mode = {"RAY_AUTH_MODE": "token", **right} if asks else {"RAY_AUTH_MODE": "disabled"}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([sys.executable, "-c", HEAD], env=alone | mode, text=True, **pipes) as head:
+        try:
+            user = alone | {"RAY_ADDRESS": head.stdout.readline().strip()}
+            assert connected(user | right) == "answer 42"
+            (tmp_path / ".ray").mkdir()
+            (tmp_path / ".ray" / "auth_token").write_text(right["RAY_AUTH_TOKEN"])
+            assert connected(user) == "answer 42"
+            if asks:
+                refused = connected(user | wrong | {"RAY_gcs_rpc_server_connect_timeout_s": "2"})
+                assert refused.startswith("refused") and "RAY_AUTH_TOKEN" in refused and "\n" not in refused
+        finally:
+            head.communicate("end\n", timeout=60)
 
 
 def test_results_logs_and_errors_are_those_of_engine_local(cluster, tmp_path):

@@ -1,0 +1,79 @@
+"""What the numbers of a configuration may be, written as in mathematics: ``[0, 1)``."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from activestructure_gym.errors import InputError, shown
+
+
+def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> None:
+    """Refuse numbers of a dataclass outside of their ranges, by field; also every entry of a tuple of numbers.
+
+    Infinity and NaN lie in no range. Fields that may be None may be None. Raises `InputError`.
+    """
+    kinds = _kinds(type(config))
+    for name, text in ranges.items():
+        value = getattr(config, name)
+        whole, many, optional = kinds[name]
+        if optional and value is None:
+            continue
+        interval = _interval(text)
+        if many and (not isinstance(value, tuple) or not value):
+            raise InputError(f"{label}{name} must be a tuple of at least one number, got {shown(value)}")
+        for entry in value if many else (value,):
+            if not interval.holds(entry, whole=whole):
+                kind = "a whole number" if whole else "a number"
+                each = f"every entry of {label}{name}" if many else f"{label}{name}"
+                raise InputError(f"{each} must be {kind} {interval.words}, got {shown(entry)}")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Interval:
+    low: float
+    high: float
+    with_low: bool
+    with_high: bool
+
+    def holds(self, value: Any, *, whole: bool) -> bool:
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral if whole else numbers.Real):
+            return False
+        above = value >= self.low if self.with_low else value > self.low
+        return bool(above and (value <= self.high if self.with_high else value < self.high))
+
+    @property
+    def words(self) -> str:
+        low = f"{'from' if self.with_low else 'above'} {_number(self.low)}"
+        if self.with_low and self.with_high:
+            return f"{low} to {_number(self.high)}"
+        return (
+            f"{low} {'to' if self.with_low else 'and'} {'at most' if self.with_high else 'below'} {_number(self.high)}"
+        )
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if value == int(value) and abs(value) < 1e16 else f"{value:g}"
+
+
+@cache
+def _interval(text: str) -> _Interval:
+    low, high = (float(side) for side in text[1:-1].split(","))
+    if text[0] not in "[(" or text[-1] not in "])" or not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ValueError(f"a range is written as in [0, 1), got {text!r}")
+    return _Interval(low, high, text[0] == "[", text[-1] == "]")
+
+
+@cache
+def _kinds(kind: type) -> dict[str, tuple[bool, bool, bool]]:
+    """Per field: whether it holds whole numbers, whether several, whether it may be None."""
+    found = {}
+    for field in dataclasses.fields(kind):
+        hint = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))
+        many = hint.startswith("tuple[")
+        found[field.name] = (hint.removeprefix("tuple[").startswith("int"), many, hint.endswith("| None"))
+    return found

@@ -1,0 +1,324 @@
+"""Blending a tile front to back, and the way back. A pixel that has stopped keeps minus its transmittance."""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.splatting.elementary import exp2_hot, larger, smaller
+from activestructure_gym.splatting.layout import (
+    BLUE,
+    DEPTH,
+    GREEN,
+    HEIGHT,
+    L00,
+    L01,
+    L11,
+    LEAST_LEFT,
+    LEAST_POWER,
+    LOG_OPACITY,
+    MARGIN,
+    MAX_ALPHA,
+    ONE,
+    RECORD,
+    RED,
+    SORTED_REACH,
+    SORTED_SPLAT,
+    STRIDE,
+    TILE,
+    TILE_BLOCKS,
+    TILES_X,
+    WIDTH,
+    U,
+    V,
+)
+from activestructure_gym.splatting.memory import (
+    load,
+    load_block,
+    load_color_block,
+    lowest_bit,
+    peek,
+    poke,
+    prefetch,
+    store,
+    store_block,
+    store_color_block,
+    sums,
+)
+from activestructure_gym.splatting.simd import (
+    LANES,
+    U64,
+    F,
+    bits,
+    float_bits,
+    fma,
+    inline,
+    inner,
+    int_bits,
+    lane_x,
+    lane_y,
+    neg,
+    sel,
+    spread,
+)
+
+_BLOCK_X = np.array([4 * (block % 8) for block in range(64)], np.float32)
+_BLOCK_Y = np.array([4 * (block // 8) for block in range(64)], np.float32)
+
+
+@inline
+def open_tile(tile, grid, state, width):
+    """Transmittance 1 in the image's pixels, -1 outside, zeros behind; returns the blocks with pixels as bits."""
+    tiles_x, zero = grid[TILES_X], spread(F(0.0))
+    alive = 0
+    for offset in range(0, width * grid[TILE_BLOCKS], LANES):
+        store(state, offset, zero)
+    for block in range(grid[TILE_BLOCKS]):
+        x = TILE * (tile % tiles_x) + 4 * (block & 7)
+        y = TILE * (tile // tiles_x) + 4 * (block >> 3)
+        if x < grid[WIDTH] and y < grid[HEIGHT]:
+            alive |= 1 << block
+        inside = (lane_x() < F(grid[WIDTH] - x)) & (lane_y() < F(grid[HEIGHT] - y))
+        store(state, width * block, sel(inside, F(1.0), F(-1.0)))
+    return alive
+
+
+@inline
+def _fetch_ahead(entries, entry, stop, records):
+    """Bring the record of a later entry near: its place is random, so no hardware prefetcher sees it coming."""
+    later = peek(entries, SORTED_SPLAT * entries.shape[1] + min(entry + 6, stop - 1))
+    prefetch(records, RECORD * np.int64(later & U64(0xFFFFFFFF)))
+
+
+@inline
+def stopped(transmittance):
+    """Minus its size: how a pixel that has stopped remembers what was left."""
+    return float_bits(int_bits(transmittance) | np.int32(-0x80000000))
+
+
+@inline
+def place_of(records, base, block, along, across):
+    """t and s at the 16 pixels of a block."""
+    bx, by = peek(_BLOCK_X, block), peek(_BLOCK_Y, block)
+    t = fma(spread(peek(records, base + L00)), bx, fma(spread(peek(records, base + L01)), by, along))
+    return t, fma(spread(peek(records, base + L11)), by, across)
+
+
+@inline
+def alpha_of(records, base, block, along, across, view):
+    """Alpha (0 below 1/255) at the 16 pixels of a block."""
+    t, s = place_of(records, base, block, along, across)
+    power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
+    alpha = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
+    return sel(power >= peek(view, LEAST_POWER), alpha, F(0.0))
+
+
+# State of a block while blending, in floats: transmittance, depth (, red, green, blue), and room for the backward pass:
+# transmittance, rest, gradient by red, green, blue, depth, alpha.
+SCORING_STATE, COLORED_STATE = 32, 112
+
+
+@inline
+def splat_at(records, base, x, y):
+    """t and s of a Gaussian at the pixels of the block at (x, y); further blocks are steps from there."""
+    dx, dy = lane_x() - (peek(records, base + U) - x), lane_y() - (peek(records, base + V) - y)
+    along = fma(dx, peek(records, base + L00), dy * peek(records, base + L01))
+    return along, dy * peek(records, base + L11)
+
+
+def _make_forward(with_color):
+    """The forward loop over the entries of a tile; scoring candidates leaves colour out, and what backward needs."""
+    width = COLORED_STATE if with_color else SCORING_STATE
+
+    @inner
+    def forward(x, y, start, stop, alive, entries, records, view, state, kept, keeps):
+        """Blend into ``state``. Returns the first entry that found all pixels stopped.
+
+        With colour, the alphas that count (0 where a pixel has stopped) go to ``kept`` every ``keeps`` floats, and the
+        blocks that were still open replace the entries' reach: the backward loop takes the same way.
+        """
+        room, at_kept = entries.shape[1], 0
+        for entry in range(start, stop):
+            if alive == 0:
+                return entry
+            _fetch_ahead(entries, entry, stop, records)
+            reach = np.int64(peek(entries, SORTED_REACH * room + entry)) & alive
+            if with_color:
+                poke(entries, SORTED_REACH * room + entry, U64(reach))
+            if reach == 0:
+                continue
+            base = RECORD * np.int64(peek(entries, SORTED_SPLAT * room + entry) & U64(0xFFFFFFFF))
+            along, across = splat_at(records, base, x, y)
+            z = spread(peek(records, base + DEPTH))
+            r, g, b = (
+                spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
+                spread(peek(records, base + BLUE)),
+            )  # fmt: skip
+            while reach != 0:
+                block = lowest_bit(reach)
+                reach &= reach - 1
+                at = width * block
+                opaque = alpha_of(records, base, block, along, across, view)
+                before = load(state, at)
+                after = fma(neg(opaque), before, before)
+                goes_on = after > peek(view, LEAST_LEFT)
+                opaque = sel(goes_on, opaque, F(0.0))
+                weight = opaque * before
+                # With colour a branch hides the latency of this test from the next Gaussian on the block; without
+                # colour (small, saturated pictures) its mispredictions cost more. Both measured.
+                if not with_color or bits(goes_on) != 0xFFFF:
+                    after = sel(goes_on, after, stopped(before))
+                    if bits(goes_on) == 0:
+                        alive &= ~(1 << block)
+                store(state, at, after)
+                store(state, at + 16, fma(weight, z, load(state, at + 16)))
+                if with_color:
+                    store(state, at + 32, fma(weight, r, load(state, at + 32)))
+                    store(state, at + 48, fma(weight, g, load(state, at + 48)))
+                    store(state, at + 64, fma(weight, b, load(state, at + 64)))
+                    store(kept, at_kept, opaque)
+                    prefetch(kept, at_kept + 16 * LANES)  # to be written: a line costs more than the block if it is far
+                    at_kept += keeps
+        return stop
+
+    return forward
+
+
+blend_forward = _make_forward(True)
+blend_forward_without_color = _make_forward(False)
+
+
+@inner
+def _find_again(reach, records, base, along, across, view, state, kept):
+    """The alphas of one entry that `blend_forward` had no room to keep."""
+    at_kept = 0
+    while reach != 0:
+        block = lowest_bit(reach)
+        reach &= reach - 1
+        opaque = alpha_of(records, base, block, along, across, view)
+        before = load(state, COLORED_STATE * block)
+        goes_on = fma(neg(opaque), before, before) > peek(view, LEAST_LEFT)
+        store(kept, at_kept, sel(goes_on, opaque, F(0.0)))
+        at_kept += LANES
+        before = before + F(0.0)
+        store(state, COLORED_STATE * block, sel(goes_on, before, stopped(before)))
+
+
+@inner
+def blend_backward(x, y, start, done, stop, entries, records, view, state, kept, keeps, slots):
+    """Front to back: the rest R = C.gC + D gD + A gA loses each Gaussian's share as it passes (no division, no order
+    reversal), and v = alpha dL/dalpha = w s - alpha / (1 - alpha) R with s = c.gC + z gD + gA.
+    """
+    room, zero, at_kept = entries.shape[1], spread(F(0.0)), 0
+    for entry in range(start, done):
+        _fetch_ahead(entries, entry, done, records)
+        packed = peek(entries, SORTED_SPLAT * room + entry)
+        slot = LANES * np.int64(packed >> U64(32))
+        reach = np.int64(peek(entries, SORTED_REACH * room + entry))
+        if reach == 0:
+            store(slots, slot, zero)
+            continue
+        base = RECORD * np.int64(packed & U64(0xFFFFFFFF))
+        along, across = splat_at(records, base, x, y)
+        if keeps == 0:
+            at_kept = 0
+            _find_again(reach, records, base, along, across, view, state, kept)
+        r, g, b, z = (
+            spread(peek(records, base + RED)), spread(peek(records, base + GREEN)),
+            spread(peek(records, base + BLUE)), spread(peek(records, base + DEPTH)),
+        )  # fmt: skip
+        m0, m1, m2, m3, m4, m5 = zero, zero, zero, zero, zero, zero
+        w_r, w_g, w_b, w_z, w_all = zero, zero, zero, zero, zero
+        while reach != 0:
+            block = lowest_bit(reach)
+            reach &= reach - 1
+            at = COLORED_STATE * block
+            t, s = place_of(records, base, block, along, across)
+            opaque = load(kept, at_kept)
+            prefetch(kept, at_kept + 32 * LANES)  # what `blend` has kept of a whole picture comes from far
+            at_kept += LANES
+            before = load(state, at)
+            weight = opaque * before
+            store(state, at, before - weight)
+            g_r, g_g, g_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+            g_z = load(state, at + 80)
+            term = weight * fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, load(state, at + 96)))))
+            rest = load(state, at + 16) - term
+            store(state, at + 16, rest)
+            w_r, w_g, w_b = fma(weight, g_r, w_r), fma(weight, g_g, w_g), fma(weight, g_b, w_b)
+            w_z, w_all = fma(weight, g_z, w_z), w_all + weight
+            v = term - opaque / (peek(view, ONE) - opaque) * rest
+            v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # at its limit alpha does not move
+            vt, vs = v * t, v * s
+            m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
+            m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
+        store(slots, slot, sums((m0, m1, m2, m3, m4, m5, w_r, w_g, w_b, w_z, w_all)))
+    for entry in range(done, stop):
+        store(slots, LANES * np.int64(peek(entries, SORTED_SPLAT * room + entry) >> U64(32)), zero)
+
+
+@inline
+def corner_of(tile, grid):
+    return TILE * (tile % grid[TILES_X]), TILE * (tile // grid[TILES_X])
+
+
+@inner
+def write_tile(tile, grid, state, width, color, depth, alpha):
+    """From the blocks to the pictures (no colour where ``width`` is that of scoring)."""
+    x, y = corner_of(tile, grid)
+    for block in range(grid[TILE_BLOCKS]):
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
+        pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
+        if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
+            rest = load(state, at)
+            store_block(alpha, pixel, grid[WIDTH], F(1.0) - larger(rest, neg(rest)))
+            store_block(depth, pixel, grid[WIDTH], load(state, at + 16))
+            if width != SCORING_STATE:
+                r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+                store_color_block(color, place, grid[STRIDE], r, g, b)
+            continue
+        for row in range(min(4, grid[HEIGHT] - top)):
+            for column in range(min(4, grid[WIDTH] - left)):
+                lane = at + 4 * row + column
+                poke(alpha, pixel + row * grid[WIDTH] + column, F(1.0) - abs(peek(state, lane)))
+                poke(depth, pixel + row * grid[WIDTH] + column, peek(state, lane + 16))
+                if width != SCORING_STATE:
+                    for channel in range(3):
+                        value = peek(state, lane + 32 + 16 * channel)
+                        poke(color, place + row * grid[STRIDE] + 3 * column + channel, value)
+
+
+@inner
+def read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, by_layout):
+    """The state of the backward loop from the pictures and the gradients by them."""
+    x, y = corner_of(tile, grid)
+    open_tile(tile, grid, state, np.int64(COLORED_STATE))
+    for block in range(grid[TILE_BLOCKS]):
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), COLORED_STATE * block
+        pixel, place = top * grid[WIDTH] + left, top * grid[STRIDE] + grid[MARGIN] + 3 * left
+        if left + 4 <= grid[WIDTH] and top + 4 <= grid[HEIGHT]:
+            g_z, g_a = load_block(by_depth, pixel, grid[WIDTH]), load_block(by_alpha, pixel, grid[WIDTH])
+            rest = load_block(depth, pixel, grid[WIDTH]) * g_z + load_block(alpha, pixel, grid[WIDTH]) * g_a
+            g_r, g_g, g_b = load_color_block(by_color, top * by_layout[0] + by_layout[1] + 3 * left, by_layout[0])
+            r, g, b = load_color_block(color, place, grid[STRIDE])
+            store(state, at + 16, fma(r, g_r, fma(g, g_g, fma(b, g_b, rest))))
+            store(state, at + 32, g_r)
+            store(state, at + 48, g_g)
+            store(state, at + 64, g_b)
+            store(state, at + 80, g_z)
+            store(state, at + 96, g_a)
+            continue
+        for row in range(min(4, grid[HEIGHT] - top)):
+            for column in range(min(4, grid[WIDTH] - left)):
+                lane, here = at + 4 * row + column, pixel + row * grid[WIDTH] + column
+                rest_here = peek(depth, here) * peek(by_depth, here) + peek(alpha, here) * peek(by_alpha, here)
+                poke(state, lane + 80, peek(by_depth, here))
+                poke(state, lane + 96, peek(by_alpha, here))
+                for channel in range(3):
+                    spot = (top + row) * by_layout[0] + by_layout[1] + 3 * (left + column) + channel
+                    by_channel = peek(by_color, spot)
+                    rest_here += by_channel * peek(color, place + row * grid[STRIDE] + 3 * column + channel)
+                    poke(state, lane + 32 + 16 * channel, by_channel)
+                poke(state, lane + 16, rest_here)

@@ -1,0 +1,308 @@
+"""Losses of whole pictures: colour with SSIM, and depth.
+
+Colour images here are rows of STRIDE floats: MARGIN zeros, the pixels interleaved, zeros; the blur of one channel is
+then a blur with steps of three floats.
+
+A thread takes a strip of the picture, some vectors wide and all rows high, and goes down it in groups of 8 rows. Of
+every group it blurs along the rows, then down the columns where the group and its neighbours are there, so that one
+load of a row serves up to 8 sums. What it carries from group to group stays in the second cache:
+
+    lines   u = (x + y) / sqrt(2), v = (x - y) / sqrt(2) of one row
+    means   3 groups [column, (u, u^2, v, v^2), row, 16] blurred along the rows
+    maps    1 group [(mean, variance, covariance), row, column, 16] of the derivatives of SSIM
+    backs   3 groups [column, (mean, variance, covariance), row, 16] of these, blurred along the rows
+
+With u and v two blurred squares take the part of x^2 + y^2 and of x y, and no product has to be stored.
+"""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from activestructure_gym.splatting.layout import HEIGHT, MARGIN, STRIDE, WIDTH
+from activestructure_gym.splatting.memory import load, pointer_to, store
+from activestructure_gym.splatting.simd import (
+    F32,
+    FLOATS,
+    I32,
+    I64,
+    INTS,
+    LANES,
+    MASK,
+    F,
+    call_llvm,
+    floats,
+    fma,
+    inline,
+    inner,
+    lane_index,
+    neg,
+    sel,
+    spread,
+    spread_value,
+)
+from activestructure_gym.splatting.tile_losses import (
+    LEAST_ALPHA,
+    NORMALISED,
+    OF_ALPHA,
+    OF_COLOR,
+    OF_DEPTH,
+    OF_SSIM,
+    absolute_difference,
+)
+
+_HALF_TAPS = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+_TAPS = (_HALF_TAPS / _HALF_TAPS.sum()).astype(np.float32)
+_C1, _C2, _ROOT = F(0.01**2), F(0.03**2), F(np.sqrt(0.5))
+GROUP_ROWS = 8
+GROUP_FLOATS = GROUP_ROWS * LANES  # floats of one quantity of a group in one column
+# terms of a column of vectors, 16 lanes each: sums of |colour difference| and SSIM; then of pieces of the depth image,
+# so many pixels each: the sum of |depth error|
+TERM_COLOR, TERM_SSIM, TERMS = 0, LANES, 2 * LANES
+PIECE = 1920
+# of scratch per column of a strip and its 4 columns of edge
+STRIP_FLOATS = (3 * 4 + 3 * 3 + 3) * GROUP_FLOATS + 2 * LANES
+
+
+def _load_at(context, builder, sig, args, offset):
+    pointer = pointer_to(context, builder, sig.args[0], args[0], builder.add(args[1], ir.Constant(I64, offset)))
+    return builder.load(builder.bitcast(pointer, FLOATS.as_pointer()), align=4, typ=FLOATS)
+
+
+def _taps(builder):
+    """By distance, one value for all uses: literal vectors would be most of the code that LLVM has to read."""
+    return [spread_value(builder, ir.Constant(F32, float(tap))) for tap in _TAPS[5:]]
+
+
+def _fused(builder, a, b, c):
+    return call_llvm(builder, "llvm.fmuladd.v16f32", FLOATS, [a, b, c])
+
+
+@intrinsic
+def _blur_along(typingctx, array, index):
+    """Horizontal blur at 16 floats."""
+
+    def codegen(context, builder, sig, args):
+        taps = _taps(builder)
+        total = builder.fmul(_load_at(context, builder, sig, args, 0), taps[0])
+        for k in range(1, 6):
+            pair = [_load_at(context, builder, sig, args, offset) for offset in (-3 * k, 3 * k)]
+            total = _fused(builder, builder.fadd(*pair), taps[k], total)
+        return total
+
+    return floats(array, types.intp), codegen
+
+
+@intrinsic
+def _blur_squares_along(typingctx, array, index):
+    """Horizontal blur at 16 floats, of the values and of their squares."""
+
+    def codegen(context, builder, sig, args):
+        taps, value = _taps(builder), _load_at(context, builder, sig, args, 0)
+        total, squares = builder.fmul(value, taps[0]), builder.fmul(builder.fmul(value, value), taps[0])
+        for k in range(1, 6):
+            one, two = (_load_at(context, builder, sig, args, offset) for offset in (-3 * k, 3 * k))
+            total = _fused(builder, builder.fadd(one, two), taps[k], total)
+            squares = _fused(builder, _fused(builder, one, one, builder.fmul(two, two)), taps[k], squares)
+        return context.make_tuple(builder, sig.return_type, [total, squares])
+
+    return types.UniTuple(floats, 2)(array, types.intp), codegen
+
+
+@intrinsic
+def _blur_down(typingctx, array, above, here, below, to):
+    """Vertical blur of a group of 8 rows, from the blocks of itself and its neighbours to the one at ``to``."""
+
+    def codegen(context, builder, sig, args):
+        taps, totals = _taps(builder), [None] * GROUP_ROWS
+        for row in range(-5, GROUP_ROWS + 5):
+            block = [args[0], args[2 + (row >= GROUP_ROWS) - (row < 0)]]
+            value = _load_at(context, builder, sig, block, LANES * (row % GROUP_ROWS))
+            for to in range(max(row - 5, 0), min(row + 6, GROUP_ROWS)):
+                tap = taps[abs(row - to)]
+                totals[to] = builder.fmul(value, tap) if row == to - 5 else _fused(builder, value, tap, totals[to])
+        for row, total in enumerate(totals):
+            at = builder.add(args[4], ir.Constant(I64, LANES * row))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], at)
+            builder.store(total, builder.bitcast(pointer, FLOATS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, *[types.intp] * 4), codegen
+
+
+def _first_lanes(builder, count):
+    lanes = ir.Constant(INTS, list(range(LANES)))
+    return builder.icmp_signed("<", lanes, spread_value(builder, builder.trunc(count, I32)))
+
+
+@intrinsic
+def _load_first(typingctx, array, index, count):
+    """The first ``count`` of 16 floats and zeros; what lies behind is not touched."""
+
+    def codegen(context, builder, sig, args):
+        pointer = builder.bitcast(pointer_to(context, builder, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
+        mask = _first_lanes(builder, args[2])
+        kind = ir.FunctionType(FLOATS, [pointer.type, I32, MASK, FLOATS])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.load.v16f32.p0")
+        return builder.call(function, [pointer, ir.Constant(I32, 4), mask, ir.Constant(FLOATS, None)])
+
+    return floats(array, types.intp, types.intp), codegen
+
+
+@intrinsic
+def _store_first(typingctx, array, index, count, value):
+    def codegen(context, builder, sig, args):
+        pointer = builder.bitcast(pointer_to(context, builder, sig.args[0], args[0], args[1]), FLOATS.as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [FLOATS, pointer.type, I32, MASK])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.store.v16f32.p0")
+        builder.call(function, [args[3], pointer, ir.Constant(I32, 4), _first_lanes(builder, args[2])])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, floats), codegen
+
+
+@inline
+def _load_up_to(array, at, end):
+    """16 floats, zeros from ``end`` on."""
+    return load(array, at) if at + LANES <= end else _load_first(array, at, end - at)
+
+
+@inline
+def _store_up_to(array, at, end, value):
+    if at + LANES <= end:
+        store(array, at, value)
+    else:
+        _store_first(array, at, end - at, value)
+
+
+@inline
+def _load_target(target, row, column, length):
+    """16 floats of a row of ``target [H, length]``, zeros behind its end."""
+    return _load_up_to(target, row * length + LANES * column, (row + 1) * length)
+
+
+@inner
+def clear(array, first, end):
+    for at in range(first, end, LANES):
+        store(array, at, spread(F(0.0)))
+
+
+@inner
+def means_of_group(top, first, last, grid, image, target, scratch, lines, means):
+    """Blur along the rows from ``top`` on, from column ``first`` on."""
+    stride, length, height = grid[STRIDE], 3 * grid[WIDTH], grid[HEIGHT]
+    columns = (length + LANES - 1) // LANES
+    room = last - first + 4
+    low, high = max(first - 1, 0), min(last + 1, columns)
+    for row in range(top, min(top + GROUP_ROWS, height)):
+        base = row * stride + grid[MARGIN]
+        for column in range(max(first - 2, 0), min(last + 2, columns)):
+            x, y = load(image, base + LANES * column), _load_target(target, row, column, length)
+            at = lines + LANES * (column - first + 2)
+            store(scratch, at, (x + y) * _ROOT)
+            store(scratch, at + LANES * room, (x - y) * _ROOT)
+        for column in range(low, high):
+            at = lines + LANES * (column - first + 2)
+            mean_u, square_u = _blur_squares_along(scratch, at)
+            mean_v, square_v = _blur_squares_along(scratch, at + LANES * room)
+            to = means + 4 * GROUP_FLOATS * (column - first + 1) + LANES * (row - top)
+            store(scratch, to, mean_u)
+            store(scratch, to + GROUP_FLOATS, square_u)
+            store(scratch, to + 2 * GROUP_FLOATS, mean_v)
+            store(scratch, to + 3 * GROUP_FLOATS, square_v)
+    for row in range(max(height - top, 0), GROUP_ROWS):
+        for to in range(means + LANES * row, means + 4 * GROUP_FLOATS * (last - first + 2), GROUP_FLOATS):
+            store(scratch, to, spread(F(0.0)))
+
+
+@inner
+def maps_of_group(top, first, last, grid, scratch, above, here, below, blurred, maps, backs, terms):
+    """SSIM of the rows from ``top`` on: its sum, and its derivatives, blurred along the rows."""
+    length, zero = 3 * grid[WIDTH], spread(F(0.0))
+    line = LANES * (last - first + 2)  # of the maps: the columns of the strip and one at each side
+    plane = GROUP_ROWS * line
+    for column in range(max(first - 1, 0), last + 2):
+        # The derivatives are blurred two columns later, row by row in turn with SSIM: its arithmetic and their loads
+        # across cache lines go well together, and loads do not meet stores on their way.
+        total = zero
+        if column <= last:
+            for own in range(0, 4 * GROUP_FLOATS, GROUP_FLOATS):
+                at = 4 * GROUP_FLOATS * (column - first + 1) + own
+                _blur_down(scratch, above + at, here + at, below + at, blurred + own)
+        for row in range(GROUP_ROWS):
+            at = maps + row * line + LANES * (column - first + 1)
+            if column <= last:
+                own = blurred + LANES * row
+                mu, mv = load(scratch, own), load(scratch, own + 2 * GROUP_FLOATS)
+                mu_mu, mv_mv = mu * mu, mv * mv
+                var_u, var_v = load(scratch, own + GROUP_FLOATS) - mu_mu, load(scratch, own + 3 * GROUP_FLOATS) - mv_mv
+                n1, n2 = mu_mu - mv_mv + _C1, var_u - var_v + _C2
+                d1, d2 = mu_mu + mv_mv + _C1, var_u + var_v + _C2
+                inverse = spread(F(1.0)) / (d1 * d2)
+                value = n1 * n2 * inverse
+                mx, my = mu + mv, mu - mv  # times sqrt(2)
+                by_mean = fma(my, n2 - n1, mx * value * (d1 - d2)) * inverse * (F(2.0) * _ROOT)
+                inside = lane_index() < F(length - LANES * column if top + row < grid[HEIGHT] else 0)
+                total = total + sel(inside, value, F(0.0))
+                store(scratch, at, sel(inside, by_mean, F(0.0)))
+                store(scratch, at + plane, sel(inside, neg(value * d1 * inverse), F(0.0)))
+                store(scratch, at + 2 * plane, sel(inside, n1 * inverse * F(2.0), F(0.0)))
+            if column - 2 >= first:
+                at, to = at - 2 * LANES, backs + 3 * GROUP_FLOATS * (column - 2 - first) + LANES * row
+                store(scratch, to, _blur_along(scratch, at))
+                store(scratch, to + GROUP_FLOATS, _blur_along(scratch, at + plane))
+                store(scratch, to + 2 * GROUP_FLOATS, _blur_along(scratch, at + 2 * plane))
+        if column >= first and column < last:
+            at = TERMS * column + TERM_SSIM
+            store(terms, at, load(terms, at) + total)
+
+
+@inner
+def gradient_of_group(
+    top, first, last, grid, image, target, scratch, above, here, below, blurred, factors, by_color, terms
+):
+    """The derivative by the colours of the rows from ``top`` on, and the sum of their differences."""
+    stride, length = grid[STRIDE], 3 * grid[WIDTH]
+    of_sign, of_ssim = factors[OF_COLOR], factors[OF_SSIM]
+    for column in range(first, last):
+        for quantity in range(0, 3 * GROUP_FLOATS, GROUP_FLOATS):
+            own = 3 * GROUP_FLOATS * (column - first) + quantity
+            _blur_down(scratch, above + own, here + own, below + own, blurred + quantity)
+        inside, total = lane_index() < F(length - LANES * column), spread(F(0.0))
+        for row in range(top, min(top + GROUP_ROWS, grid[HEIGHT])):
+            at, own = row * stride + grid[MARGIN] + LANES * column, blurred + LANES * (row - top)
+            x, y = load(image, at), _load_target(target, row, column, length)
+            error, gradient = absolute_difference(x, y, spread(of_sign))
+            total = total + error
+            by_variance, by_covariance = load(scratch, own + GROUP_FLOATS), load(scratch, own + 2 * GROUP_FLOATS)
+            of_both = fma(x + x, by_variance, fma(y, by_covariance, load(scratch, own)))
+            store(by_color, at, sel(inside, fma(of_both, of_ssim, gradient), F(0.0)))
+        at = TERMS * column + TERM_COLOR
+        store(terms, at, load(terms, at) + total)  # both are 0 behind the row's end
+
+
+@inner
+def compare_depth(first, end, depth, alpha, target_depth, factors, by_depth, by_alpha):
+    """Sum of the depth errors of pixels from ``first`` to before ``end``; the derivatives by depth and alpha."""
+    total, one = spread(F(0.0)), spread(F(1.0))
+    normalised = spread(factors[NORMALISED]) > F(0.0)
+    for at in range(first, end, LANES):
+        measured, opaque = _load_up_to(target_depth, at, end), _load_up_to(alpha, at, end)
+        has_depth = measured > F(0.0)
+        counts = has_depth & (opaque > factors[LEAST_ALPHA])
+        of_sum = one / sel(counts & normalised, opaque, F(1.0))
+        expected = _load_up_to(depth, at, end) * of_sum
+        error, sign = absolute_difference(expected, measured, spread(factors[OF_DEPTH]))
+        total = total + sel(counts, error, F(0.0))
+        g_z = sel(counts, sign * of_sum, F(0.0))
+        _store_up_to(by_depth, at, end, g_z)
+        g_a = sel(has_depth, (opaque - F(1.0)) * factors[OF_ALPHA], F(0.0))
+        _store_up_to(by_alpha, at, end, g_a - g_z * expected * factors[NORMALISED])
+    return total

@@ -1,0 +1,334 @@
+"""Between arrays and SIMD values: loading and storing, single elements and bits, transposing, sums over the lanes."""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from activestructure_gym.splatting.simd import BIT, F32, FLOATS, I32, I64, INTS, LANES, allocating, floats
+
+
+def pointer_to(context, builder, array_type, array, index):
+    data = context.make_array(array_type)(context, builder, value=array).data
+    return builder.gep(data, [index], inbounds=True)
+
+
+@intrinsic
+def load(typingctx, array, index):
+    """16 floats from a C-ordered float32 array, seen as flat."""
+
+    def codegen(context, builder, sig, args):
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(pointer, FLOATS.as_pointer()), align=4, typ=FLOATS)
+
+    return floats(array, types.intp), codegen
+
+
+@intrinsic
+def store(typingctx, array, index, value):
+    def codegen(context, builder, sig, args):
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        builder.store(args[2], builder.bitcast(pointer, FLOATS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, floats), codegen
+
+
+@intrinsic
+def peek(typingctx, array, index):
+    """One element of a C-ordered array seen as flat, without the wrap-around test of negative indices."""
+
+    def codegen(context, builder, sig, args):
+        return builder.load(pointer_to(context, builder, sig.args[0], args[0], args[1]))
+
+    return array.dtype(array, types.intp), codegen
+
+
+@intrinsic
+def poke(typingctx, array, index, value):
+    def codegen(context, builder, sig, args):
+        builder.store(args[2], pointer_to(context, builder, sig.args[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), codegen
+
+
+@intrinsic
+def poke_add(typingctx, array, index, value):
+    """Add to one element."""
+
+    def codegen(context, builder, sig, args):
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        builder.store(builder.add(builder.load(pointer), args[2]), pointer)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), codegen
+
+
+@intrinsic
+def peek_bits(typingctx, array, index):
+    """The bits of one float32 as int64 (zero extended)."""
+
+    def codegen(context, builder, sig, args):
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        return builder.zext(builder.load(builder.bitcast(pointer, I32.as_pointer()), typ=I32), I64)
+
+    return types.int64(array, types.intp), codegen
+
+
+@intrinsic
+def poke_bits(typingctx, array, index, value):
+    """Store the low 32 bits of an integer in a float32 array."""
+
+    def codegen(context, builder, sig, args):
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        builder.store(builder.trunc(args[2], I32), builder.bitcast(pointer, I32.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.int64), codegen
+
+
+@intrinsic
+def prefetch(typingctx, array, index):
+    def codegen(context, builder, sig, args):
+        pointer = pointer_to(context, builder, sig.args[0], args[0], args[1])
+        pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [pointer.type, I32, I32, I32])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(function, [pointer, ir.Constant(I32, 0), ir.Constant(I32, 3), ir.Constant(I32, 1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), codegen
+
+
+@intrinsic
+def _to_line(typingctx, array):
+    """How many floats into the array the next 64-byte boundary lies."""
+
+    def codegen(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, value=args[0]).data
+        address = builder.ptrtoint(data, I64)
+        return builder.and_(builder.lshr(builder.neg(address), ir.Constant(I64, 2)), ir.Constant(I64, 15))
+
+    return types.int64(array), codegen
+
+
+@allocating
+def scratch_of(size):
+    """Floats that start on a cache line: vectors across two lines cost double."""
+    room = np.empty(size + LANES, np.float32)
+    start = _to_line(room)
+    return room[start : start + size]
+
+
+@intrinsic
+def lowest_bit(typingctx, value):
+    """Index of the lowest set bit of a value that is not 0."""
+
+    def codegen(context, builder, sig, args):
+        return builder.cttz(args[0], ir.Constant(BIT, 1))
+
+    return types.int64(types.int64), codegen
+
+
+@intrinsic
+def count_bits(typingctx, value):
+    def codegen(context, builder, sig, args):
+        return builder.ctpop(args[0])
+
+    return types.int64(types.uint64), codegen
+
+
+def _transposed(builder, rows):
+    """16 vectors, rows to columns: four rounds of exchanging sub-blocks."""
+    for step in (1, 2, 4, 8):
+        first = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
+        second = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
+        result = list(rows)
+        for i in range(LANES):
+            if not i & step:
+                a, b = rows[i], rows[i | step]
+                result[i] = builder.shuffle_vector(a, b, ir.Constant(INTS, first))
+                result[i | step] = builder.shuffle_vector(a, b, ir.Constant(INTS, second))
+        rows = result
+    return rows
+
+
+@intrinsic
+def store_transposed(typingctx, array, index, vectors):
+    """Lane k of the (up to 16) vectors goes to floats ``index + 16 k ...``; missing vectors are zero."""
+
+    def codegen(context, builder, sig, args):
+        rows = cgutils.unpack_tuple(builder, args[2], len(vectors))
+        rows += [ir.Constant(FLOATS, None)] * (LANES - len(rows))
+        for lane, row in enumerate(_transposed(builder, rows)):
+            position = builder.add(args[1], ir.Constant(I64, LANES * lane))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], position)
+            builder.store(row, builder.bitcast(pointer, FLOATS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vectors), codegen
+
+
+def _load_columns(context, builder, sig, args):
+    rows = []
+    for lane in range(LANES):
+        position = builder.add(args[1], ir.Constant(I64, LANES * lane))
+        pointer = pointer_to(context, builder, sig.args[0], args[0], position)
+        rows.append(builder.load(builder.bitcast(pointer, FLOATS.as_pointer()), align=4, typ=FLOATS))
+    return _transposed(builder, rows)
+
+
+@intrinsic
+def load_transposed(typingctx, array, index):
+    """The inverse of `store_transposed`: 16 vectors, lane k of each from floats ``index + 16 k ...``."""
+
+    def codegen(context, builder, sig, args):
+        return context.make_tuple(builder, sig.return_type, _load_columns(context, builder, sig, args))
+
+    return types.UniTuple(floats, LANES)(array, types.intp), codegen
+
+
+def _four(builder, vector, row):
+    """Lanes 4 row .. 4 row + 3."""
+    picked = ir.Constant(ir.VectorType(I32, 4), [4 * row + x for x in range(4)])
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), picked)
+
+
+@intrinsic
+def store_block(typingctx, array, index, stride, value):
+    """A block of 4 x 4 pixels into an image with ``stride`` floats per row."""
+
+    def codegen(context, builder, sig, args):
+        for row in range(4):
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(I64, row)))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], at)
+            four = _four(builder, args[3], row)
+            builder.store(four, builder.bitcast(pointer, four.type.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, floats), codegen
+
+
+@intrinsic
+def load_block(typingctx, array, index, stride):
+    def codegen(context, builder, sig, args):
+        kind, rows = ir.VectorType(F32, 4), []
+        for row in range(4):
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(I64, row)))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], at)
+            rows.append(builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind))
+        eight = ir.Constant(ir.VectorType(I32, 8), list(range(8)))
+        halves = [builder.shuffle_vector(rows[i], rows[i + 1], eight) for i in (0, 2)]
+        return builder.shuffle_vector(*halves, ir.Constant(INTS, list(range(LANES))))
+
+    return floats(array, types.intp, types.intp), codegen
+
+
+@intrinsic
+def store_color_block(typingctx, array, index, stride, r, g, b):
+    """Three channels of a block, interleaved: rows of 12 floats."""
+
+    def codegen(context, builder, sig, args):
+        _, _, _, r, g, b = args
+        twelve, kind = ir.VectorType(I32, 12), ir.VectorType(F32, 12)
+        for row in range(4):
+            fours = [_four(builder, channel, row) for channel in (r, g, b)]
+            pairs = ir.Constant(twelve, [(x // 3) + 4 * min(x % 3, 1) for x in range(12)])
+            mixed = builder.shuffle_vector(fours[0], fours[1], pairs)  # r g ? r g ? ...
+            widened = builder.shuffle_vector(
+                fours[2], ir.Constant(fours[2].type, ir.Undefined), ir.Constant(twelve, [x // 3 for x in range(12)])
+            )
+            value = builder.shuffle_vector(
+                mixed, widened, ir.Constant(twelve, [x if x % 3 < 2 else 12 + x for x in range(12)])
+            )
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(I64, row)))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], at)
+            builder.store(value, builder.bitcast(pointer, kind.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, floats, floats, floats), codegen
+
+
+@intrinsic
+def load_color_block(typingctx, array, index, stride):
+    """The three channels of a block from interleaved rows."""
+
+    def codegen(context, builder, sig, args):
+        kind, rows = ir.VectorType(F32, 12), []
+        for row in range(4):
+            at = builder.add(args[1], builder.mul(args[2], ir.Constant(I64, row)))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], at)
+            rows.append(builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind))
+        channels = []
+        for channel in range(3):
+            eight = ir.Constant(
+                ir.VectorType(I32, 8), [12 * (x // 4) + 3 * (x % 4) + channel for x in range(8)]
+            )
+            halves = [builder.shuffle_vector(rows[i], rows[i + 1], eight) for i in (0, 2)]
+            channels.append(builder.shuffle_vector(*halves, ir.Constant(INTS, list(range(LANES)))))
+        return context.make_tuple(builder, sig.return_type, channels)
+
+    return types.UniTuple(floats, 3)(array, types.intp, types.intp), codegen
+
+
+def _sum_plan():
+    """Shuffles of a tree that adds up 16 vectors, and in which lane the sum of each ends."""
+    quarters = range(0, LANES, 4)
+    halves = list(range(8))
+    pairs = [lane for lane in range(LANES) if not lane & 4]
+    plan = [
+        (halves + [LANES + x for x in halves], 8),
+        (pairs + [LANES + x for x in pairs], 4),
+        ([q + x for q in quarters for x in (0, 1, LANES, LANES + 1)], 2),  # from here on within 128 bits: cheap
+        ([q + x for q in quarters for x in (0, 2, LANES, LANES + 2)], 1),
+    ]
+    vectors = [[number] * LANES for number in range(LANES)]
+    for low, _ in plan:
+        vectors = [[(vectors[i] + vectors[i + 1])[x] for x in low] for i in range(0, len(vectors), 2)]
+    return [(low, [x + distance for x in low]) for low, distance in plan], vectors[0]
+
+
+_SUM_ROUNDS, SUM_LANES = _sum_plan()
+
+
+@intrinsic
+def sums(typingctx, vectors):
+    """The sums over the lanes of up to 16 vectors as one vector, in the lane order of `load_sums`."""
+
+    def codegen(context, builder, sig, args):
+        level = cgutils.unpack_tuple(builder, args[0], len(vectors))
+        level += [None] * (LANES - len(level))
+        zero = ir.Constant(FLOATS, None)
+        for low, high in _SUM_ROUNDS:
+            folded = []
+            for a, b in zip(level[::2], level[1::2]):
+                if a is None and b is None:
+                    folded.append(None)
+                    continue
+                a, b = zero if a is None else a, zero if b is None else b
+                lower = builder.shuffle_vector(a, b, ir.Constant(INTS, low))
+                upper = builder.shuffle_vector(a, b, ir.Constant(INTS, high))
+                folded.append(builder.fadd(lower, upper))
+            level = folded
+        return level[0]
+
+    return floats(vectors), codegen
+
+
+@intrinsic
+def load_sums(typingctx, array, index):
+    """From 16 results of `sums` in a row at ``index``: the sum of vector k of result j is lane j of entry k."""
+
+    def codegen(context, builder, sig, args):
+        columns = _load_columns(context, builder, sig, args)
+        ordered = [columns[SUM_LANES.index(k)] for k in range(LANES)]
+        return context.make_tuple(builder, sig.return_type, ordered)
+
+    return types.UniTuple(floats, LANES)(array, types.intp), codegen

@@ -1,0 +1,213 @@
+"""From a Gaussian to its ellipse in the image: 16 at a time, into records of 64 bytes."""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.splatting.elementary import clamped, dot3, exp2, larger, log2_of, smaller
+from activestructure_gym.splatting.layout import (
+    BLOCKS_X,
+    BLOCKS_Y,
+    BLUR_VARIANCE,
+    CAPACITY,
+    COUNT,
+    CX,
+    CY,
+    FX,
+    FY,
+    HEIGHT,
+    HIGH_X,
+    HIGH_Y,
+    LOG2_255,
+    LOG2_E,
+    LOW_X,
+    LOW_Y,
+    NEAR_PLANE,
+    RECORD,
+    ROOT,
+    SLACK,
+    WIDTH,
+)
+from activestructure_gym.splatting.memory import load, store_transposed
+from activestructure_gym.splatting.simd import (
+    F,
+    bits,
+    ceil,
+    float_bits,
+    floor,
+    fma,
+    inline,
+    inner,
+    int_bits,
+    lane_index,
+    neg,
+    sel,
+    spread,
+    sqrt,
+    to_int,
+)
+
+
+@inline
+def camera_point(parameters, capacity, i, view):
+    mx, my, mz = load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i)
+    x = fma(mz, view[2], fma(my, view[1], fma(mx, view[0], view[3])))
+    y = fma(mz, view[6], fma(my, view[5], fma(mx, view[4], view[7])))
+    z = fma(mz, view[10], fma(my, view[9], fma(mx, view[8], view[11])))
+    return x, y, z
+
+
+@inline
+def scale_of(parameters, capacity, i, axis):
+    return exp2(clamped(load(parameters, (7 + axis) * capacity + i) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
+
+
+@inline
+def rotation_of(parameters, capacity, i):
+    """Unit quaternion, 1 / its length before, and the 9 entries of the matrix."""
+    w, x = load(parameters, 3 * capacity + i), load(parameters, 4 * capacity + i)
+    y, z = load(parameters, 5 * capacity + i), load(parameters, 6 * capacity + i)
+    inverse = spread(F(1.0)) / sqrt(fma(w, w, fma(x, x, fma(y, y, z * z))))
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
+    x2, y2, z2 = x + x, y + y, z + z
+    one = spread(F(1.0))
+    matrix = (
+        one - fma(y, y2, z * z2), fma(x, y2, neg(w * z2)), fma(x, z2, w * y2),
+        fma(x, y2, w * z2), one - fma(x, x2, z * z2), fma(y, z2, neg(w * x2)),
+        fma(x, z2, neg(w * y2)), fma(y, z2, w * x2), one - fma(x, x2, y * y2),
+    )  # fmt: skip
+    return (w, x, y, z), inverse, matrix
+
+
+@inline
+def jacobian_of(x, y, inverse_z, view):
+    """J00, J02, J11, J12 of the projection and the clamped slopes."""
+    slope_x = clamped(x * inverse_z, spread(view[LOW_X]), spread(view[HIGH_X]))
+    slope_y = clamped(y * inverse_z, spread(view[LOW_Y]), spread(view[HIGH_Y]))
+    j00, j11 = inverse_z * view[FX], inverse_z * view[FY]
+    return j00, neg(j00 * slope_x), j11, neg(j11 * slope_y), slope_x, slope_y
+
+
+@inline
+def opacity_of(parameters, capacity, i):
+    """Opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
+    power = load(parameters, 10 * capacity + i) * neg(spread(LOG2_E))
+    e = exp2(larger(smaller(power, spread(F(80.0))), spread(F(-80.0))))  # in this order not-a-number becomes opacity 0
+    one_more = e + F(1.0)
+    opacity = spread(F(1.0)) / one_more
+    return opacity, e * opacity, neg(log2_of(one_more))
+
+
+@inner
+def project_block(parameters, i, view, grid, records):
+    """Records of Gaussians i .. i + 15; returns the bits of those that reach a pixel block of the image."""
+    capacity = grid[CAPACITY]
+    x, y, z = camera_point(parameters, capacity, i, view)
+    live = (z >= NEAR_PLANE) & (lane_index() < F(grid[COUNT] - i))
+    if bits(live) == 0:
+        return np.int64(0)
+    inverse_z = spread(F(1.0)) / sel(live, z, F(1.0))
+    u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
+    j00, j02, j11, j12, _, _ = jacobian_of(x, y, inverse_z, view)
+    # A cheap bound first: 3.34 sigma of the largest axis through the norm of the Jacobian *at the clamped slope*.
+    log0, log1, log2 = (
+        load(parameters, 7 * capacity + i), load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)
+    )  # fmt: skip
+    live = live & (log0 < F(40.0)) & (log1 < F(40.0)) & (log2 < F(40.0))  # not so for what is not a number
+    largest = exp2(clamped(larger(log0, larger(log1, log2)) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
+    norm = dot3(j00, j02, j11, j00, j02, j11) + j12 * j12
+    reach = sqrt(fma(norm * largest, largest, BLUR_VARIANCE)) * F(3.34)
+    width, height = F(grid[WIDTH]), F(grid[HEIGHT])
+    live = live & (u + reach > F(0.0)) & (u - reach < width) & (v + reach > F(0.0)) & (v - reach < height)
+    if bits(live) == 0:
+        return np.int64(0)
+
+    s0 = scale_of(parameters, capacity, i, np.int64(0))
+    s1 = scale_of(parameters, capacity, i, np.int64(1))
+    s2 = scale_of(parameters, capacity, i, np.int64(2))
+    _, _, r = rotation_of(parameters, capacity, i)
+    a0, a1, a2 = fma(j02, view[8], j00 * view[0]), fma(j02, view[9], j00 * view[1]), fma(j02, view[10], j00 * view[2])
+    b0, b1, b2 = fma(j12, view[8], j11 * view[4]), fma(j12, view[9], j11 * view[5]), fma(j12, view[10], j11 * view[6])
+    p0, p1, p2 = (
+        dot3(a0, a1, a2, r[0], r[3], r[6]) * s0,
+        dot3(a0, a1, a2, r[1], r[4], r[7]) * s1,
+        dot3(a0, a1, a2, r[2], r[5], r[8]) * s2,
+    )
+    n0, n1, n2 = (
+        dot3(b0, b1, b2, r[0], r[3], r[6]) * s0,
+        dot3(b0, b1, b2, r[1], r[4], r[7]) * s1,
+        dot3(b0, b1, b2, r[2], r[5], r[8]) * s2,
+    )
+    xx, yy = dot3(p0, p1, p2, p0, p1, p2), dot3(n0, n1, n2, n0, n1, n2)
+    xy = dot3(p0, p1, p2, n0, n1, n2)
+    # |p x n|^2 instead of xx yy - xy^2: no cancellation for needles.
+    c0, c1, c2 = fma(p1, n2, neg(p2 * n1)), fma(p2, n0, neg(p0 * n2)), fma(p0, n1, neg(p1 * n0))
+    determinant = fma(xx + yy, BLUR_VARIANCE, dot3(c0, c1, c2, c0, c1, c2)) + BLUR_VARIANCE * BLUR_VARIANCE
+    xx, yy = xx + BLUR_VARIANCE, yy + BLUR_VARIANCE
+    _, _, log_opacity = opacity_of(parameters, capacity, i)
+    inside = log_opacity + LOG2_255  # t^2 + s^2 up to here is seen
+    live = live & (inside >= F(0.0)) & (determinant > F(0.0))
+    inside = sel(live, inside, F(0.0))
+    one = spread(F(1.0))
+    root_yy, root_determinant = sqrt(yy), sqrt(determinant)
+    l11 = one / root_yy * ROOT
+    l00 = root_yy / root_determinant * ROOT
+    l01 = neg(xy) / (root_yy * root_determinant) * ROOT
+    live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # not so where a covariance overflows
+
+    # The box of the ellipse in blocks whose pixel centres it can contain.
+    root = sqrt(inside) * (one / ROOT)
+    root_xx = sqrt(xx)
+    radius_x, radius_y = root * root_xx + SLACK, root * root_yy + SLACK
+    far = spread(F(1e6))
+    quarter = F(0.25)
+    box_x0 = larger(ceil((larger(u - radius_x, neg(far)) - F(3.5)) * quarter), spread(F(0.0)))
+    box_y0 = larger(ceil((larger(v - radius_y, neg(far)) - F(3.5)) * quarter), spread(F(0.0)))
+    box_x1 = smaller(floor((smaller(u + radius_x, far) - F(0.5)) * quarter), spread(F(grid[BLOCKS_X] - 1)))
+    box_y1 = smaller(floor((smaller(v + radius_y, far) - F(0.5)) * quarter), spread(F(grid[BLOCKS_Y] - 1)))
+    live = live & (box_x0 <= box_x1) & (box_y0 <= box_y1)
+    if bits(live) == 0:
+        return np.int64(0)
+
+    # One byte of blocks per band of four pixel rows, from the ellipse's x-interval over the band.
+    skew, half = l01 / l00, one / l00
+    turning = xy / root_xx * root  # dy of the rightmost point
+    low = int_bits(spread(F(0.0)))
+    high = low
+    ones = low + np.int32(1)
+    for band in range(8):
+        if bits(live & (box_y0 + F(band) <= box_y1)) == 0:
+            break
+        top = fma(box_y0 + F(band), F(4.0), F(0.5)) - v
+        from_y, to_y = larger(top, neg(radius_y)), smaller(top + F(3.0), radius_y)
+        at = clamped(turning, from_y, to_y)
+        step = l11 * at
+        right = u - skew * at + half * sqrt(larger(inside - step * step, spread(F(0.0)))) + SLACK
+        at = clamped(neg(turning), from_y, to_y)
+        step = l11 * at
+        left = u - skew * at - half * sqrt(larger(inside - step * step, spread(F(0.0)))) - SLACK
+        first = larger(ceil((left - F(3.5)) * quarter), box_x0) - box_x0
+        last = smaller(floor((right - F(0.5)) * quarter), box_x1) - box_x0
+        some = (from_y <= to_y) & (first <= last) & (box_y0 + F(band) <= box_y1)
+        first, last = smaller(first, spread(F(8.0))), clamped(last, spread(F(0.0)), spread(F(7.0)))
+        byte = ((ones + ones) << to_int(last)) - (ones << to_int(first))
+        byte = sel(some, byte, np.int32(0))
+        if band < 4:
+            low = low | (byte << np.int32(8 * band))
+        else:
+            high = high | (byte << np.int32(8 * band - 32))
+    box_x = to_int(box_x0) + (to_int(box_x1) << np.int32(16))
+    box_y = to_int(box_y0) + (to_int(box_y1) << np.int32(16))
+    store_transposed(
+        records, RECORD * i,
+        (
+            u, v, l00, l01, l11, log_opacity,
+            load(parameters, 11 * capacity + i), load(parameters, 12 * capacity + i),
+            load(parameters, 13 * capacity + i), z,
+            float_bits(box_x), float_bits(box_y), float_bits(low), float_bits(high),
+        ),
+    )  # fmt: skip
+    return bits(live)

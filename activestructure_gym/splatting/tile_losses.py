@@ -1,0 +1,91 @@
+"""Pixelwise losses of a tile, between blending it and the way back, while it lies in the nearest cache."""
+
+# mypy: ignore-errors
+# (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
+
+from __future__ import annotations
+
+from activestructure_gym.splatting.blending import COLORED_STATE, corner_of
+from activestructure_gym.splatting.elementary import larger
+from activestructure_gym.splatting.layout import HEIGHT, TILE_BLOCKS, WIDTH
+from activestructure_gym.splatting.memory import load, load_block, load_color_block, peek, poke, store
+from activestructure_gym.splatting.simd import LANES, F, fma, inline, inner, neg, sel, spread
+
+# Factors of the losses: of |colour difference|, of SSIM, of |depth error|, twice that of (1 - alpha)^2; the alpha from
+# which the depth of a pixel is compared, 1 for depth / alpha or 0 for depth itself, and 1 to compare colour everywhere
+# or 0 for only where depth is compared.
+OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, LEAST_ALPHA, NORMALISED, EVERYWHERE, FACTORS = range(8)
+# terms of a tile, 16 lanes each: sums of |colour difference| and of |depth error|, how many pixels were compared
+TILE_COLOR, TILE_DEPTH, TILE_COMPARED, TILE_TERMS = 0, LANES, 2 * LANES, 3 * LANES
+
+
+@inline
+def absolute_difference(value, target, weight):
+    """|value - target| and its derivative times ``weight``."""
+    difference = value - target
+    return larger(difference, neg(difference)), sel(
+        difference > F(0.0), weight, sel(difference < F(0.0), neg(weight), F(0.0))
+    )
+
+
+@inner
+def compare_tile(tile, grid, state, factors, target, target_depth, terms, edge):
+    """Turn the state the forward loop leaves into the one the backward loop starts from, by the pixelwise losses.
+
+    ``target [H * W * 3]`` and ``target_depth [H * W]`` without margins. ``edge [64]``: room for a block.
+    """
+    x, y = corner_of(tile, grid)
+    width, one = grid[WIDTH], spread(F(1.0))
+    color_sum, depth_sum, compared = spread(F(0.0)), spread(F(0.0)), spread(F(0.0))
+    for block in range(grid[TILE_BLOCKS]):
+        left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), COLORED_STATE * block
+        if left >= width or top >= grid[HEIGHT]:
+            continue
+        pixel = top * width + left
+        if left + 4 <= width and top + 4 <= grid[HEIGHT]:
+            red, green, blue = load_color_block(target, 3 * pixel, 3 * width)
+            measured = load_block(target_depth, pixel, width)
+        else:
+            for k in range(0, 64, LANES):
+                store(edge, k, spread(F(0.0)))
+            for row in range(min(4, grid[HEIGHT] - top)):
+                for column in range(min(4, width - left)):
+                    here = pixel + row * width + column
+                    for channel in range(3):
+                        poke(edge, 12 * row + 3 * column + channel, peek(target, 3 * here + channel))
+                    poke(edge, 48 + 4 * row + column, peek(target_depth, here))
+            red, green, blue = load_color_block(edge, 0, 12)
+            measured = load(edge, 48)
+        rest, z = load(state, at), load(state, at + 16)
+        r, g, b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
+        left_over = larger(rest, neg(rest))
+        opaque = one - left_over
+        has_depth = measured > F(0.0)
+        counts = has_depth & (opaque > factors[LEAST_ALPHA])
+        # Outside the image colours and targets are 0, and so is everything that follows from them.
+        colored = sel(counts, one, spread(factors[EVERYWHERE]))
+        of_color = colored * factors[OF_COLOR]
+        error_r, g_r = absolute_difference(r, red, of_color)
+        error_g, g_g = absolute_difference(g, green, of_color)
+        error_b, g_b = absolute_difference(b, blue, of_color)
+        error = error_r + error_g + error_b
+        color_sum = fma(error, colored, color_sum)
+        share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
+        expected = z / share
+        error, g_z = absolute_difference(expected, measured, spread(factors[OF_DEPTH]))
+        depth_sum = depth_sum + sel(counts, error, F(0.0))
+        compared = compared + sel(counts, one, F(0.0))
+        g_z = sel(counts, g_z / share, F(0.0))
+        g_a = neg(sel(has_depth, left_over * factors[OF_ALPHA], F(0.0)))
+        g_a = g_a - g_z * expected * factors[NORMALISED]
+        total = fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, opaque * g_a))))
+        store(state, at, sel(rest > F(-1.0), one, neg(one)))  # -1 stays what it was: no pixel to look at
+        store(state, at + 16, total)
+        store(state, at + 32, g_r)
+        store(state, at + 48, g_g)
+        store(state, at + 64, g_b)
+        store(state, at + 80, g_z)
+        store(state, at + 96, g_a)
+    store(terms, TILE_TERMS * tile + TILE_COLOR, color_sum)
+    store(terms, TILE_TERMS * tile + TILE_DEPTH, depth_sum)
+    store(terms, TILE_TERMS * tile + TILE_COMPARED, compared)

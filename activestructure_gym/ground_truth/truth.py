@@ -56,7 +56,13 @@ def free_space_of(scene: Scene) -> FreeSpace:
         }
 
     arrays = cached_arrays(f"free-space-{scene.content_hash}", compute)
-    return FreeSpace(**{**arrays, "voxel_size": float(arrays["voxel_size"])})
+    return FreeSpace(
+        origin=arrays["origin"],
+        voxel_size=float(arrays["voxel_size"]),
+        clearance=arrays["clearance"],
+        height=arrays["height"],
+        start_poses=arrays["start_poses"],
+    )
 
 
 _known: WeakValueDictionary[str, GroundTruth] = WeakValueDictionary()

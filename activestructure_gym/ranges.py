@@ -17,7 +17,7 @@ def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> Non
 
     Infinity and NaN lie in no range. Fields that may be None may be None. Raises `InputError`.
     """
-    kinds = _kinds(type(config))
+    kinds = _kinds(config.__class__)
     for name, text in ranges.items():
         value = getattr(config, name)
         whole, many, optional = kinds[name]
@@ -43,8 +43,9 @@ class _Interval:
     def holds(self, value: Any, *, whole: bool) -> bool:
         if isinstance(value, bool) or not isinstance(value, numbers.Integral if whole else numbers.Real):
             return False
-        above = value >= self.low if self.with_low else value > self.low
-        return bool(above and (value <= self.high if self.with_high else value < self.high))
+        number: Any = value
+        above = number >= self.low if self.with_low else number > self.low
+        return bool(above and (number <= self.high if self.with_high else number < self.high))
 
     @property
     def words(self) -> str:

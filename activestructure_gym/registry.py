@@ -9,11 +9,14 @@ process without registering), and the entry points of installed packages in the 
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
+
+TRUST = "ASG_TRUST_CODE"  # set to 1 in the environment, files may name code; workers inherit it
 
 T = TypeVar("T")
 Maker = TypeVar("Maker", bound=Callable[[str], Any])
@@ -67,14 +70,19 @@ class Registry(Generic[T]):
             raise InputError(f"{self.kind} '{name}' must be {self._wanted}, got {shown(entry)}")
         return entry
 
+    def imports(self, name: str) -> bool:
+        """Whether `get` would import the module that ``name`` names, which runs whatever stands in it."""
+        family, colon, _ = name.partition(":")
+        return bool(colon) and name not in self._entries and family not in self._families
+
     def _find(self, name: str) -> T:
         if name in self._entries:
             return self._entries[name]
-        family, colon, rest = name.partition(":")
-        if colon and family in self._families:
-            return self._families[family](rest)
-        if colon:
+        if self.imports(name):
             return self._import(name)
+        family, colon, rest = name.partition(":")
+        if colon:
+            return self._families[family](rest)
         for point in entry_points(group=self.group):
             if point.name == name:
                 return self._entries.setdefault(name, point.load())
@@ -92,3 +100,16 @@ class Registry(Generic[T]):
             return getattr(module, attribute)
         except AttributeError as error:
             raise InputError(f"{self.kind} '{path}': module '{module_name}' has no '{attribute}'") from error
+
+
+def refuse_code(kind: str, name: str, file: object) -> None:
+    """Raise `InputError` for a ``name`` that stands in a ``file`` and would be imported, unless files are trusted.
+
+    What a user types may name any module. What a file says may have been written by anybody: it may name only what is
+    registered here, and data.
+    """
+    if os.environ.get(TRUST) != "1":
+        raise InputError(
+            f"'{file}' names the {kind} {shown(name)}, and to load it would run code of that name: if you know who "
+            f"wrote the file and trust it, add --trust-code (or set {TRUST}=1)"
+        )

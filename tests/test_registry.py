@@ -76,3 +76,17 @@ def test_an_entry_of_another_kind_is_refused_however_it_was_found(monkeypatch: p
     for name in ("mine", "made:of wood", "math:pi", "installed"):
         with pytest.raises(InputError, match=f"thing '{name}' must be a function, got"):
             things.get(name)
+
+
+def test_code_that_a_file_names_is_refused_unless_files_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    things: Registry[str] = Registry("thing", "things")
+    things.register("mine")("")
+    things.register("with:colon")("")
+    things.register_family("made")(str.upper)
+    assert [name for name in ("mine", "with:colon", "made:of", "math:pi", "other") if things.imports(name)] == [
+        "math:pi"
+    ]
+    with pytest.raises(InputError, match="'a.json' names the thing 'math:pi', and to load it would run code"):
+        registry.refuse_code("thing", "math:pi", "a.json")
+    monkeypatch.setenv(registry.TRUST, "1")
+    registry.refuse_code("thing", "math:pi", "a.json")

@@ -20,7 +20,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Where nothing can be kept, the kernel is compiled by every process, and one warning names the remedy.
     """
-    dispatcher: Any = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    dispatcher: Any = njit(**options)(function)
     if not hasattr(dispatcher, "compile"):  # NUMBA_DISABLE_JIT
         return dispatcher
     try:

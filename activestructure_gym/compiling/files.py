@@ -16,7 +16,6 @@ import uuid
 import warnings
 from contextlib import suppress
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 import llvmlite
@@ -41,7 +40,7 @@ class KernelFiles:
     The stamp is not computed before the first question: a function may call what is defined after it.
     """
 
-    def __init__(self, function: FunctionType) -> None:
+    def __init__(self, function: Any) -> None:
         self._function = function
         self._form = CompileResultCacheImpl(function)  # how numba names, writes and reads a compiled function
         self._enabled = True
@@ -150,8 +149,6 @@ def cache_place() -> Path | None:
 
     def probe() -> None: ...
 
-    if numba.config.DISABLE_JIT:
-        return None
     try:
         return Path(KernelFiles(probe).cache_path)
     except RuntimeError:

@@ -47,7 +47,7 @@ def describe(compiled: int, seconds: float) -> str:
 
 def begin() -> str:
     """The first line of a log."""
-    return f"{_heading()}: half a minute to a minute, until an episode has all it needs"
+    return f"{_heading()}: up to a minute on two cores"
 
 
 def conclusion(compiled: int, seconds: float) -> str:
@@ -173,7 +173,8 @@ class Progress(event.Listener):
             return
         seconds = self._spent + time.monotonic() - self._began
         # A live line only where nothing else writes: a spinner puts itself in the place of sys.stderr.
-        if stream is sys.__stderr__ and stream.isatty():
+        live = stream is sys.__stderr__
+        if live and stream.isatty():
             line = describe(len(self._told), seconds)[: shutil.get_terminal_size().columns - 1]
             stream.write("\r" + line.ljust(self._width))
             stream.flush()

@@ -112,19 +112,37 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
     target, said = _split_options(spec)
     if not target.strip() or target in (f"{name}:" for name in SCENES):
         raise InputError(f"a scene is a name, a mesh file or a folder, got '{spec}'; `asg scenes` lists the names")
-    kind, colon, rest = target.partition(":")
-    if colon and kind in SCENES and _reads_files(SCENES.get(kind)):
-        return kind, SCENES.get(kind), rest, said
-    if target in SCENES and not _reads_files(SCENES.get(target)):
-        return target, SCENES.get(target), None, said
-    path = Path(os.path.expanduser(target))
-    if _exists(path) or path.suffix.lower() in MESH_SUFFIXES or target.endswith(".stage_config.json"):
-        return "", *_file_factory(path), said
-    if colon:
+    kind, _, rest = target.partition(":")
+    if _is_known(target):
+        name, path = (target, None) if target in SCENES else (kind, rest)
+        return name, SCENES.get(name), path, said
+    if _is_file(target):
+        return "", *_file_factory(Path(os.path.expanduser(target))), said
+    if ":" in target:
         return target, SCENES.get(target), None, said
     if os.sep in target:
         raise InputError(f"there is no scene file or folder {shown(target)}")
     raise unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
+
+
+def imports_code(spec: str) -> bool:
+    """Whether loading the scene would import a module that its text names, as in ``my_package.scenes:make``."""
+    target, _ = _split_options(spec)
+    return SCENES.imports(target) and not _is_known(target) and not _is_file(target)
+
+
+def _is_known(target: str) -> bool:
+    """A registered scene's name, or a registered reader's with the path behind a colon."""
+    kind, colon, _ = target.partition(":")
+    return (bool(colon) and kind in SCENES and _reads_files(SCENES.get(kind))) or (
+        target in SCENES and not _reads_files(SCENES.get(target))
+    )
+
+
+def _is_file(target: str) -> bool:
+    """Whether the text is that of a file or a folder, there or not."""
+    path = Path(os.path.expanduser(target))
+    return _exists(path) or path.suffix.lower() in MESH_SUFFIXES or target.endswith(".stage_config.json")
 
 
 def _exists(path: Path) -> bool:

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,7 +19,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol, get_proto
 
 _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
-_LONGEST = 80  # characters of a policy in a file's name
+_LONGEST = 80  # characters of a scene, and of a policy, in a file's name
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Job:
     also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
 
     def __post_init__(self) -> None:
+        for kind, name in (("scene", self.scene), ("policy", self.policy)):
+            check_in_one_line(kind, name)
         if not 0 <= self.seed <= LARGEST_SEED:
             raise InputError(f"a seed is a whole number from 0 to {LARGEST_SEED}, got {shown(self.seed)}")
         if self.frame_budget is not None and self.frame_budget < 1:
@@ -57,7 +60,8 @@ class Job:
     def name(self) -> str:
         """The name of the job's run directory."""
         # A checkpoint's place may be longer than a file's name may be; the hash is over all of it.
-        return f"{slug(scene_label(self.scene))}--{slug(self.policy)[-_LONGEST:]}--seed{self.seed}--{self.hash}"
+        scene, policy = slug(scene_label(self.scene))[-_LONGEST:], slug(self.policy)[-_LONGEST:]
+        return f"{scene}--{policy}--seed{self.seed}--{self.hash}"
 
     @property
     def title(self) -> str:
@@ -98,6 +102,33 @@ class Job:
             protocol=protocol,
             also=tuple(other.name for other in also),
         )
+
+
+def check_in_one_line(kind: str, name: str) -> None:
+    """Raise `InputError` for a name that tables and pictures cannot show: with line breaks or control characters."""
+    if any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in name):
+        raise InputError(f"the {kind} {shown(name)} has a line break or a control character in its name: rename it")
+
+
+def refuse_code(jobs: Iterable[Job], file: object) -> None:
+    """Raise `InputError` where jobs that were read from ``file`` name scenes, policies or gains that are code.
+
+    They may name what is registered, and files; see `registry.refuse_code`.
+    """
+    from activestructure_gym import registry
+    from activestructure_gym.features import GAINS
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.scenes.library import imports_code
+
+    for job in jobs:
+        if imports_code(job.scene):
+            registry.refuse_code("scene", job.scene, file)
+        if POLICIES.imports(job.policy.partition("?")[0]):
+            registry.refuse_code("policy", job.policy, file)
+        gains = dict(job.overrides).get("gains", ())
+        for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
+            if isinstance(name, str) and GAINS.imports(name):
+                registry.refuse_code("gain", name, file)
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

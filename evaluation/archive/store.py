@@ -40,6 +40,7 @@ from activestructure_gym.evaluation.machine.processes import is_alive, machine_m
 
 FORMAT_VERSION = 2
 DONE = ".done"
+CONFIG = "config.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
 

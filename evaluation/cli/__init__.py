@@ -83,6 +83,7 @@ def _doubts_as_lines() -> Iterator[None]:
             print(f"asg: note: {message}", file=sys.stderr)
 
     with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
         usual, warnings.showwarning = warnings.showwarning, show
         yield
 

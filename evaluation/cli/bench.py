@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.evaluation.cli.commands import Bench
 from activestructure_gym.evaluation.cli.options import split_list
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole, working
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole, working
 
 _TITLES = {
     "sensor": "speed of the sensor on this machine",
@@ -28,7 +27,7 @@ _TITLES = {
 
 def bench(options: Bench) -> int:
     """Measure and print one table."""
-    console = Console(highlight=False)
+    console = make_console()
     scenes = split_list([options.scene] if options.scene else [])
     size: dict[str, Any]
     if options.what in ("mapping", "growth"):

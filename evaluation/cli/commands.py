@@ -52,6 +52,8 @@ class Compare:
         "Go on with the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given "
         "as well are added to it; everything else stays as it was."
     )
+    trust_code: Switch = False
+    """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
     engine: Annotated[str, _option("local|inline|ray")] = "local"
     (
         "local: one process per run, several at a time; inline: one after the other in this process; ray: on a Ray "
@@ -92,7 +94,7 @@ class Scenes:
     """List the scenes known by name, or check one: size, free space, what of it can be seen."""
 
     spec: Annotated[str | None, tyro.conf.Positional, _option("[SCENE]", "")] = None
-    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=y) or a folder."""
+    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=auto) or a folder."""
     picture: Path = None
     """Write a picture of the scene to this PNG file."""
 
@@ -174,6 +176,8 @@ class Evaluate:
     """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
     out: Path = None
     """Write the numbers of --map to this JSON file."""
+    trust_code: Switch = False
+    """Let the runs' files name code, package.module:Name, that is run."""
     lpips_weights: Path = None
     """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
 
@@ -197,6 +201,8 @@ class Train:
     """The run's directory; runs/<method>-<date>-<time> if not given. Its policy is learned:DIRECTORY."""
     resume: Switch = False
     """Go on with the run in --out, with everything as it was begun; no other option is needed."""
+    trust_code: Switch = False
+    """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
     seed: int = 0
     """Of everything: layouts, starts, noise, weights. Equal seeds give equal networks on one machine."""
     workers: int = 0
@@ -289,7 +295,7 @@ class Export:
 
     run_directory: Annotated[str, tyro.conf.Positional, _option("RUN")]
     """The directory of a finished run."""
-    format: Literal["ply", "splat", "splatam"] | None = None
+    format: Annotated[Literal["ply", "splat", "splatam"] | None, _option("ply|splat|splatam", "")] = None
     """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splat: 32 bytes per Gaussian, for web pages;
     splatam: SplaTAM's params.npz, with the path. If not given, what the name in --out ends with says it, else ply."""
     out: Path = None

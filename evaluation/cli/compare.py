@@ -23,8 +23,9 @@ from activestructure_gym.evaluation.cli.options import (
     split_policies,
     split_scenes,
     use_lpips_weights,
+    use_trust,
 )
-from activestructure_gym.evaluation.cli.output import print_whole, working
+from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.running.comparison import Comparison, Result
@@ -34,7 +35,7 @@ DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples
 
 
 # What decides how and where a comparison runs, or how it is told, and not what is compared.
-_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline")
+_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline", "trust_code")
 
 
 def compare(options: Compare) -> int:
@@ -42,7 +43,8 @@ def compare(options: Compare) -> int:
     # Before the slow imports: a directory that cannot be used is known at once.
     from activestructure_gym.evaluation.archive.store import COMPARISON, read_json
 
-    console = Console(highlight=False)
+    use_trust(options.trust_code)
+    console = make_console()
     if options.resume and not options.out:
         raise InputError("--resume needs --out: the directory of the comparison to go on with")
     bare = options.resume and options == Compare(**{name: getattr(options, name) for name in _MANNER})

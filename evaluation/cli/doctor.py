@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 
-from rich.console import Console
 from rich.markup import escape
 
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 
 def doctor() -> int:
     """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
     from activestructure_gym.evaluation.machine import hardware as machine
 
-    console = Console(highlight=False)
+    console = make_console()
     hardware = machine.hardware()
     console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
     with console.status("trying every backend"):

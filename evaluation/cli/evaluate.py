@@ -9,8 +9,8 @@ from rich.console import Console
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Evaluate
-from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
@@ -22,6 +22,7 @@ _SHOWN = (
 
 def evaluate(options: Evaluate) -> int:
     """Print stored and new numbers; 0 if all that were stored are identical to the last bit, else 1."""
+    use_trust(options.trust_code)
     use_lpips_weights(options.lpips_weights)
     if options.map is not None:
         return _evaluate_map(options)
@@ -30,7 +31,7 @@ def evaluate(options: Evaluate) -> int:
     from activestructure_gym.evaluation.archive.store import write_evaluation
     from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
 
-    console = Console(highlight=False)
+    console = make_console()
     runs = _open(options.runs)
     table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
     different, added = 0, 0
@@ -69,7 +70,7 @@ def _evaluate_map(options: Evaluate) -> int:
     if not options.scene:
         raise InputError("--map needs --scene: what the map is compared with")
     assert options.map is not None
-    console = Console(highlight=False)
+    console = make_console()
     names = split_list(options.protocol) or ("standard",)
     table = plain_table(f"{Path(options.map).name} on {options.scene}", "protocol", *_SHOWN)
     results: dict[str, Any] = {}

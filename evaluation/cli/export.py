@@ -53,8 +53,8 @@ def export(options: Export) -> int:
 def destination(options: Export) -> tuple[Path, str]:
     """The file and its format, which the file's name and --format have to agree about; raises `InputError`."""
     if options.out is None:
-        form = options.format or "ply"
-        return Path(_NAMES[form]), form
+        usual = options.format or "ply"
+        return Path(_NAMES[usual]), usual
     out = Path(options.out)
     form = _FORMATS.get(out.suffix.lower(), "")
     if not form:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.registry import TRUST
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?\d*\.?\d+")
@@ -99,3 +100,9 @@ def use_lpips_weights(place: str | None) -> None:
         os.environ[lpips.VARIABLE] = str(Path(place).expanduser().absolute())
     if os.environ.get(lpips.VARIABLE):
         lpips.weights_name()
+
+
+def use_trust(trusted: bool) -> None:
+    """Let this process, and all that it starts, run code that files name; see `registry.refuse_code`."""
+    if trusted:
+        os.environ[TRUST] = "1"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,14 +17,22 @@ _WIDEST = 400  # columns
 _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
 
+def make_console() -> Console:
+    """Of standard output: as wide as the terminal or as ``COLUMNS`` says; in a log nothing is wrapped."""
+    endless = not sys.stdout.isatty() and not os.environ.get("COLUMNS")
+    return Console(highlight=False, width=_WIDEST if endless else None)
+
+
 @contextmanager
 def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
     """A spinner beside ``text`` while the block runs, and a function that says something else there.
 
-    A log, which shows no spinner, gets a line for every new kind of message (by its first word), and for one kind a
-    line every half minute.
+    A log, which shows no spinner, gets a line at the beginning, for every new kind of message (by its first word), and
+    for one kind a line every half minute.
     """
     last = dict[str, float]()
+    if not console.is_terminal:
+        console.print(escape(text), style="dim")
     with console.status(escape(text)) as spinner:
 
         def say(text: str) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Report
-from activestructure_gym.evaluation.cli.output import print_whole
+from activestructure_gym.evaluation.cli.output import make_console, print_whole
 
 
 def report(options: Report) -> int:
@@ -29,7 +28,7 @@ def report(options: Report) -> int:
     from activestructure_gym.evaluation.report.summary import write_results
     from activestructure_gym.evaluation.report.tables import rich_table, table_rows
 
-    console = Console(highlight=False)
+    console = make_console()
     results = gather(directories, options.baseline)
     with console.status("drawing"):
         try:

@@ -8,20 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.cli.commands import Scenes
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 _MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
 
 def scenes(options: Scenes) -> int:
     """List the registered scenes, or describe one and draw it if asked to."""
-    console = Console(highlight=False)
+    console = make_console()
     if options.spec is None:
         if options.picture is not None:
             raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")

@@ -24,8 +24,9 @@ from activestructure_gym.evaluation.cli.options import (
     split_list,
     split_policies,
     split_scenes,
+    use_trust,
 )
-from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.evaluation.machine.threads import capped_environment, core_count
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
 
 _SCORE_LAYOUTS = 24
 _BASELINE = "pixel_only"
-_MANNER = ("what", "out", "resume", "workers", "data")  # how and where a run is made, and not what is learnt
+# How and where a run is made, and not what is learnt.
+_MANNER = ("what", "out", "resume", "workers", "data", "trust_code")
 _SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
 
 
@@ -41,7 +43,8 @@ def train(options: Train) -> int:
     """Train or score; 0 when done, 130 if stopped."""
     # Before torch is loaded: small networks gain nothing from a second thread, and one thread makes equal results.
     os.environ.update(capped_environment(1))
-    console = Console(highlight=False)
+    use_trust(options.trust_code)
+    console = make_console()
     if options.workers < 0:
         raise InputError(f"--workers is a number of processes, or 0 for one per core, got {options.workers}")
     workers = options.workers or core_count()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
-from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, scene_labels
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
@@ -174,6 +174,7 @@ def jobs_to_resume(directory: Path, notify: Callable[[str], None] = lambda _: No
     recorded = recorded_jobs(directory)
     if not recorded:
         raise InputError(f"there is no comparison in '{directory}' to go on with; say what to compare, or check --out")
+    refuse_code(recorded, directory / store.COMPARISON)
     prepared = {job.name: job for job in Comparison.of(recorded).prepare(notify)}
     # Raises for a scene that has changed.
     merged(recorded, list(prepared.values()), directory)

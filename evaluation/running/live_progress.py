@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 from types import TracebackType
@@ -17,13 +18,14 @@ from activestructure_gym.evaluation.running.engines import Outcome
 
 # Share of a job's time that follows its last frame: measuring and writing.
 _REST_SHARE = 0.1
+_QUIET = 30.0  # seconds that a log says nothing at most
 
 
 class LiveProgress:
     """One bar per running job and one for all of them; finished jobs are printed above and stay.
 
-    On anything but a terminal only the lines of finished jobs appear, each with how many are done and the time left.
-    A context manager, and a `Listener`.
+    On anything but a terminal there are lines: of finished jobs, each with how many are done and the time left, and of
+    what is running whenever nothing has been said for half a minute. A context manager, and a `Listener`.
     """
 
     def __init__(self, console: Console) -> None:
@@ -44,21 +46,26 @@ class LiveProgress:
         self._began = time.monotonic()
         self._ended = 0
         self._whole: TaskID | None = None
+        self._said = time.monotonic()
+        self._over = threading.Event()
 
     def __enter__(self) -> LiveProgress:
         self._display.start()
+        if not self._console.is_terminal:
+            threading.Thread(target=self._keep_saying, daemon=True, name="progress of a comparison").start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._over.set()
         self._display.stop()
 
     def begin(self, jobs: Sequence[Job], finished: int) -> None:
         """See `Listener.begin`."""
         self._began, self._jobs = time.monotonic(), len(jobs)
         if finished:
-            self._console.print(f"[dim]{finished} finished before, {len(jobs)} to run", highlight=False)
+            self._say(f"[dim]{finished} finished before, {len(jobs)} to run")
         self._whole = self._display.add_task(
             "[bold]all runs", total=max(1, len(jobs)), frames=f"0/{len(jobs)}", coverage="", stage="", left=None
         )
@@ -67,7 +74,7 @@ class LiveProgress:
         """See `Listener.progress`."""
         if job.name not in self._bars:
             task = self._display.add_task(escape(job.title), total=1.0, frames="", coverage="", stage="", left=None)
-            self._bars[job.name] = _Bar(task)
+            self._bars[job.name] = _Bar(task, job.title)
         bar = self._bars[job.name]
         left = bar.seconds_left(progress)
         share = 0.0 if not progress.frame_budget else progress.frames / progress.frame_budget * (1 - _REST_SHARE)
@@ -89,7 +96,7 @@ class LiveProgress:
         if bar is not None:
             self._display.remove_task(bar.task)
         text = f"[yellow]↻[/] {escape(job.title)}  [yellow]{escape(error)}; will be tried again"
-        self._console.print(text, highlight=False)
+        self._say(text)
         self._update_whole()
 
     def ended(self, outcome: Outcome) -> None:
@@ -106,10 +113,31 @@ class LiveProgress:
         if not self._console.is_terminal and self._ended < self._jobs:
             rest = f"[dim]  {self._ended}/{self._jobs}" + (f", {_clock(left)} left" if left is not None else "")
         if outcome.finished:
-            self._console.print(f"[green]✓[/] {escape(outcome.job.title)}[dim]{words}[/]{rest}", highlight=False)
+            self._say(f"[green]✓[/] {escape(outcome.job.title)}[dim]{words}[/]{rest}")
         else:
             words = escape(outcome.error or "")
-            self._console.print(f"[red]✗[/] {escape(outcome.job.title)}  [red]{words}[/]{rest}", highlight=False)
+            self._say(f"[red]✗[/] {escape(outcome.job.title)}  [red]{words}[/]{rest}")
+
+    def _say(self, text: str) -> None:
+        self._said = time.monotonic()
+        self._console.print(text, highlight=False)
+
+    def _keep_saying(self) -> None:
+        """For a log: how far everything is, whenever nothing has been said for a while."""
+        while not self._over.wait(_QUIET / 30):
+            if time.monotonic() - self._said > _QUIET:
+                self._say(f"[dim]{escape(self._state())}")
+
+    def _state(self) -> str:
+        tasks = {task.id: task for task in self._display.tasks}
+        running = []
+        for bar in list(self._bars.values()):
+            if (task := tasks.get(bar.task)) is not None:
+                words = (bar.title, task.fields["frames"], task.fields["coverage"], task.fields["stage"])
+                running.append("  ".join(word for word in words if word))
+        return f"{self._ended}/{self._jobs} done, {time.monotonic() - self._began:.0f} s: " + (
+            "; ".join(running) or "starting"
+        )
 
     def _update_whole(self) -> float | None:
         """Move the bar of all jobs; returns the seconds that are left, from the speed so far."""
@@ -124,8 +152,8 @@ class LiveProgress:
 class _Bar:
     """One running job."""
 
-    def __init__(self, task: TaskID) -> None:
-        self.task = task
+    def __init__(self, task: TaskID, title: str) -> None:
+        self.task, self.title = task, title
         self.began = time.monotonic()
         self.share = 0.0
         self._first: tuple[float, int] | None = None  # when exploring began, and at which frame

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.store import Run, load_arrays, plain
+from activestructure_gym.evaluation.archive.jobs import refuse_code
+from activestructure_gym.evaluation.archive.store import CONFIG, Run, load_arrays, plain
 from activestructure_gym.evaluation.protocols import CameraPath, EvaluationProtocol, get_protocol, protocol_from
 
 
@@ -33,6 +34,7 @@ def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.mapping import GaussianMap
 
+    refuse_code([run.job], run.directory / CONFIG)
     path = read_path(run.directory / "trajectory.npz")
     gaussians = GaussianMap.load_npz(run.directory / "map.npz")
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))

@@ -288,7 +288,7 @@ class _Document:
             self.textures.note_unreadable(f"texture {info['index']}")
             return nothing
         sampler = self._entry("samplers", texture["sampler"]) if "sampler" in texture else {}
-        across, down = (_WRAPS.get(sampler.get(key), REPEAT) for key in ("wrapS", "wrapT"))
+        across, down = (_WRAPS.get(sampler.get(key, 0), REPEAT) for key in ("wrapS", "wrapT"))
         return self._image(source), uv, (across, down)
 
     def _image(self, index: int) -> int:
@@ -356,13 +356,13 @@ class _Document:
         stride = _size(view.get("byteStride", 0), "byteStride") or row  # older exporters write 0 for none
         if stride < row:
             raise UnreadableMesh(f"its rows of {row} bytes lie {stride} bytes apart (byteStride)")
-        buffer = self._buffer(view["buffer"])
+        content = self._buffer(view["buffer"])
         start = _size(view.get("byteOffset", 0), "byteOffset") + _size(offset, "byteOffset")
-        if count and start + (count - 1) * stride + row > len(buffer):
+        if count and start + (count - 1) * stride + row > len(content):
             raise UnreadableMesh("its binary data are cut off")
         if not count:
             return np.zeros((0, columns), dtype)
-        return np.ndarray((count, columns), dtype, buffer, start, (stride, dtype.itemsize))
+        return np.ndarray((count, columns), dtype, content, start, (stride, dtype.itemsize))
 
     def _with_sparse(self, values: np.ndarray, sparse: dict[str, Any], dtype: np.dtype) -> np.ndarray:
         count = _size(sparse["count"], "count")

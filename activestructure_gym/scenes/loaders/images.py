@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from activestructure_gym.scenes.loaders.budget import LimitError
@@ -18,7 +17,7 @@ MOST_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while it is decoded
 _MOST_SCANS = 100  # of a progressive JPEG; encoders write about ten, and each is a pass over all pixels
 
 
-def opened_image(data: bytes, *, formats: Sequence[str] = FORMATS, most_pixels: int = MOST_PIXELS) -> Image:
+def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels: int = MOST_PIXELS) -> Image:
     """The picture, not yet decoded.
 
     Raises `LimitError` for one that is too large, and what Pillow raises for one that it cannot read.

@@ -203,8 +203,8 @@ def _metres_per_unit(units: str | float) -> float:
         scale = float(units)
     except ValueError:
         raise unknown_name("unit", str(units), METRES_PER_UNIT) from None
-    if not (np.isfinite(scale) and scale > 0):
-        raise InputError(f"units as a number must be metres per file unit above 0, got {units}")
+    if not 1e-9 <= scale <= 1e9:
+        raise InputError(f"units as a number must be metres per file unit above 0, from 1e-9 to 1e9, got {units}")
     return scale
 
 

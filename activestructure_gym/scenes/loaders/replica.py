@@ -154,7 +154,7 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
             raise UnreadableMesh("its faces name vertices that do not exist")
         vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
         colors = np.full(3, PLAIN_GREY)
-        if "red" in vertex_dtype.fields:
+        if "red" in (vertex_dtype.names or ()):
             colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1) / 255.0
     except (ValueError, KeyError, IndexError, TypeError, OverflowError, OSError) as error:
         raise InputError(

@@ -4,7 +4,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import jobs
-from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code, scene_label, scene_labels, slug
 from activestructure_gym.evaluation.protocols import StandardProtocol
 
 JOB = Job("room", "random", 3, scene_hash="abc", overrides=(("sensor.width", 96), ("mapper.iterations", 2)))
@@ -97,3 +97,38 @@ def test_run_directory_names_work_on_any_system():
     assert job.name.endswith(job.hash)
     assert slug("../..") == "unnamed"
     assert Job("room", "naruto?travel=shared", 0).name.startswith("room--naruto-travel-shared--seed0--")
+
+
+@pytest.mark.parametrize("change", [{"scene": "a\nb.glb"}, {"policy": "random?a=\x1b[2J"}, {"scene": "\u2028"}])
+def test_names_that_no_table_can_hold_are_refused_before_anything_runs(change):
+    with pytest.raises(InputError, match="has a line break or a control character in its name: rename it") as error:
+        Job(**({"scene": "room", "policy": "random", "seed": 0} | change))
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_run_directory_s_name_fits_into_a_file_system():
+    assert len(Job("a" * 250 + ".glb", "p:" + "b" * 250, 2**62).name) <= 255
+
+
+@pytest.mark.parametrize(
+    "change, what",
+    [
+        ({"scene": "subprocess:getoutput?cmd=touch hacked"}, "scene"),
+        ({"scene": "room:getoutput"}, "scene"),  # a generated scene's name is no reader's
+        ({"policy": "os:system?command=touch hacked"}, "policy"),
+        ({"overrides": (("gains", ["pixel", "os:system"]),)}, "gain"),
+        ({"overrides": (("gains", "os:system"),)}, "gain"),
+    ],
+)
+def test_what_a_record_names_is_not_imported(change, what, monkeypatch):
+    job = Job(**({"scene": "room", "policy": "random", "seed": 0} | change))
+    with pytest.raises(InputError, match=f"'compare.json' names the {what} .* add --trust-code"):
+        refuse_code([JOB, job], "compare.json")
+    monkeypatch.setenv("ASG_TRUST_CODE", "1")
+    refuse_code([job], "compare.json")
+
+
+@pytest.mark.parametrize("scene", ["room?seed=3", "a/b.glb?up=y", "mesh:c:d.obj", "replica:room_0", "nothing_known"])
+@pytest.mark.parametrize("policy", ["random", "naruto?travel=shared", "learned:runs/bc@01234567"])
+def test_registered_names_and_files_are_taken_from_a_record(scene, policy):
+    refuse_code([Job(scene, policy, 0, overrides=(("gains", ["pixel"]),))], "compare.json")

@@ -82,7 +82,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "box", "--seeds", "one"], ["whole number", "'one'"]),
         (["compare", "--scenes", "box", "--preset", "quick"], ["unknown preset 'quick'"]),
         (["compare", "--scenes", "box", "--set", "sensor.widht=3"], ["did you mean 'width'"]),
-        (["compare", "--scenes", "box", "--views", "0"], ["at least 1"]),
+        (["compare", "--scenes", "box", "--views", "0"], ["views must be a whole number from 1 to 2000"]),
         (["scenes", "missing.obj"], ["missing.obj"]),
         (["scenes", "--picture", "a.png"], ["needs a scene"]),
         (["scenes", "box", "--picture", "a.jpg"], [".png"]),

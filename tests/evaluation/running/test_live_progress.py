@@ -1,4 +1,5 @@
 import io
+import time
 
 import pytest
 from rich.console import Console
@@ -63,6 +64,22 @@ def test_elsewhere_nothing_but_what_ended_is_printed(clock):
     assert len(ended) == 2 and ended[0].endswith("1/2, 0:20 left") and "left" not in ended[1]
 
 
+def test_a_log_is_never_silent_for_long(monkeypatch):
+    monkeypatch.setattr(module, "_QUIET", 0.05)
+    out = io.StringIO()
+    with LiveProgress(Console(file=out, width=200)) as live:
+        live.begin(JOBS, 0)
+        time.sleep(0.3)
+        live.progress(JOBS[1], Progress("exploring", 150, 201, 12.5))
+        time.sleep(0.3)
+    said = out.getvalue()
+    assert "0/2 done, 0 s: starting" in said
+    assert "room · my[policy] · seed 0  150/201  C.R.  12.5 %  exploring" in said
+    assert len(said.splitlines()) < 15
+    time.sleep(0.2)
+    assert out.getvalue() == said
+
+
 def test_the_time_left_does_not_count_what_was_finished_before(clock):
     live = LiveProgress(Console(file=io.StringIO()))
     live.begin(JOBS, 98)
@@ -91,6 +108,6 @@ def test_a_log_hears_of_every_kind_of_work_and_then_every_half_minute(clock, mon
             say(f"compiling [all]: {number} so far")
             clock.now += 7.0
         say("compiled 10")
-    lines = [f"compiling [all]: {number} so far" for number in (0, 5)] + ["compiled 10"]
+    lines = ["loading", *(f"compiling [all]: {number} so far" for number in (0, 5)), "compiled 10"]
     assert terminal or out.getvalue().splitlines() == lines
     assert not terminal or "compiled 10" not in out.getvalue().splitlines()

@@ -166,3 +166,13 @@ def test_unused_limits_are_the_usual_ones(ran, tmp_path):
     assert Limits() == Limits(workers=0, timeout=0.0, retries=1)
     go([], tmp_path)
     assert ran == []
+
+
+def test_a_record_runs_no_code(ran, tmp_path, monkeypatch):
+    job = variant(scene=f"pathlib:Path?path={tmp_path}/hacked", policy="bad")
+    go([job], tmp_path)
+    with pytest.raises(InputError, match="compare.json' names the scene 'pathlib:Path.* add --trust-code"):
+        jobs_to_resume(tmp_path)
+    monkeypatch.setenv("ASG_TRUST_CODE", "1")
+    with pytest.raises(InputError, match="unknown policy 'bad'"):  # and no more about code
+        jobs_to_resume(tmp_path)

@@ -189,8 +189,9 @@ def test_unknown_units_and_axes(write_box):
     path = write_box(".stl")
     with pytest.raises(InputError, match="unknown unit 'inch'; did you mean 'in'"):
         load_mesh_scene(path, units="inch")
-    with pytest.raises(InputError, match="above 0"):
-        load_mesh_scene(path, units=-1.0)
+    for units in (-1.0, 0, "nan", "inf", "1e300", 1e-300):
+        with pytest.raises(InputError, match="above 0"):
+            load_mesh_scene(path, units=units)
     with pytest.raises(InputError, match="unknown up axis 'w'"):
         load_mesh_scene(path, up="w")
 

@@ -186,7 +186,7 @@ def _quantile(values: np.ndarray, share: float) -> float:
 
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
     """The observation of the current state. Every array is new: nothing is shared with another observation."""
-    from activestructure_gym.geometry.quaternions import quaternions  # policies take names from here without scipy
+    from activestructure_gym.geometry.rotations import quaternions  # policies take names from here without scipy
 
     config, table = reconstruction.config, reconstruction.candidates
     size, count = config.views.max_candidates, len(table)

@@ -12,6 +12,8 @@ import os
 import time
 from collections.abc import Callable
 
+from activestructure_gym.cores import core_count
+
 MOST_THREADS = 8  # by default; a picture has too few tiles to feed more
 _LOAD_IS_FRESH_S = 1.0
 _crowded_until: tuple[float, bool] = (0.0, False)  # when to look again, what was seen
@@ -22,7 +24,7 @@ def default_threads() -> int:
 
     There a second thread mostly waits for its turn and everybody waits for it. Results do not depend on the choice.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = core_count()
     wish = os.environ.get("OMP_NUM_THREADS", "")
     threads = min(cores, MOST_THREADS, int(wish) if wish.isdigit() and int(wish) > 0 else cores)
     return 1 if threads > 1 and _machine_is_crowded() else threads

@@ -13,6 +13,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import fibonacci_directions, invert_rigid
+from activestructure_gym.geometry.rotations import matrix_rows
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
 from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.mapping.parts import BLOCK, block_boxes, may_be_seen
@@ -61,12 +62,8 @@ def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
     """The axis along which each Gaussian is thinnest; its sign means nothing."""
     live = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     w, x, y, z = live[QUATERNION] / np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-30)
-    columns = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ])  # [axis, world, N]  # fmt: skip
-    return columns[live[LOG_SCALE].argmin(axis=0), :, np.arange(gaussians.count)]
+    rotations = np.array(matrix_rows(w, x, y, z))  # [world, axis, N]
+    return np.ascontiguousarray(rotations[:, live[LOG_SCALE].argmin(axis=0), np.arange(gaussians.count)].T)
 
 
 @lru_cache(1)

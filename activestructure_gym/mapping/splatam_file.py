@@ -15,6 +15,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import (
     COLOR,
     LOG_SCALE,
@@ -133,21 +134,6 @@ def splatam_path(
         "intrinsics": np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
         "image_size": np.array([int(content["org_width"]), int(content["org_height"])]),
     }
-
-
-def turned(rotation: np.ndarray, quaternions: np.ndarray) -> np.ndarray:  # [N, 4] wxyz
-    """``quaternions`` [N, 4] turned by another one [4]: the Hamilton product, rotation first."""
-    w, x, y, z = rotation
-    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return quaternions @ matrix.T
-
-
-def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
-    """The unit quaternion of a rotation matrix [3, 3]."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
 
 
 def _place(

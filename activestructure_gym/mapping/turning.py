@@ -10,8 +10,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import MEAN, QUATERNION, GaussianMap
-from activestructure_gym.mapping.splatam_file import quaternion_of, turned
 
 # File axes from the world's, by what is up in the file; proper rotations about x.
 FILE_FROM_WORLD = MappingProxyType(

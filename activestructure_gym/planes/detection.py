@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from activestructure_gym.geometry import transform_points
+from activestructure_gym.geometry.depth_noise import axial_sigma
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import detection_kernels as kernels
 from activestructure_gym.ranges import check_ranges
@@ -144,7 +145,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
 
 
 def _noise(z: np.ndarray, scale: float) -> np.ndarray:
-    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+    return scale * axial_sigma(z)
 
 
 def _block_regions(

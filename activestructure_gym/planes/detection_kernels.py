@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.geometry.depth_noise import axial_sigma
 
 MOMENTS = 10
 MAX_LINK_ANGLE = np.radians(40.0)  # whatever the noise: beyond it two blocks are an edge of a room
@@ -129,16 +130,17 @@ def block_moments(depth, fx, fy, cx, cy, size, max_depth):
     return moments
 
 
+_axial_sigma = kernel(axial_sigma)
+
+
 @kernel
 def noise(z, scale):
-    """Axial standard deviation of a Kinect-type sensor in metres (Nguyen et al. 2012), times ``scale``."""
-    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+    """Standard deviation of the depth in metres, times ``scale``."""
+    return scale * _axial_sigma(z)
 
 
 @kernel
-def grow_regions(
-    moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base, labels, regions
-):
+def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base, labels, regions):
     """Join neighbouring planar blocks into regions, flattest block first.
 
     A block joins when it is coplanar both with the neighbour it is reached from and with the plane of the whole
@@ -307,12 +309,6 @@ def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
 
 
 @kernel
-def _noise(z, scale):
-    """`detection._noise`: metres of axial noise at depth z."""
-    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
-
-
-@kernel
 def _square_distance(second, count, mean, plane):
     """Mean square distance of a set of points to a plane, from the points' moments."""
     x, y, w, d = plane[0], plane[1], plane[2], plane[3]
@@ -336,14 +332,14 @@ def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
     back = abs(q[0] * m[0] + q[1] * m[1] + q[2] * m[2] + q[3])
     larger = moments[i, 0] >= moments[j, 0]
     gap = max(out, back / merge_back) if larger else max(back, out / merge_back)
-    if turn > cosine and gap < tolerance + sigma * _noise(max(m[2], n[2]), scale):
+    if turn > cosine and gap < tolerance + sigma * noise(max(m[2], n[2]), scale):
         return gap
     # Root mean square distance of all points of the smaller one to the larger one's plane.
     if larger:
         square, z = _square_distance(moments[j], moments[j, 0], n, p), n[2]
     else:
         square, z = _square_distance(moments[i], moments[i, 0], m, q), m[2]
-    if turn > wide_cosine and square < (wide_tolerance + wide_sigma * _noise(z, scale)) ** 2:
+    if turn > wide_cosine and square < (wide_tolerance + wide_sigma * noise(z, scale)) ** 2:
         return gap
     return np.inf
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, se3_exp
+from activestructure_gym.geometry.depth_noise import axial_sigma
 
 DEPTH_NOISE = ("none", "kinect", "redwood")
 
@@ -59,7 +60,7 @@ def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
     """
     theta = np.minimum(incidence, _MAX_INCIDENCE)
     slant = theta**2 / (np.pi / 2.0 - theta) ** 2
-    return 0.0012 + 0.0019 * (depth - 0.4) ** 2 + 0.0001 / np.sqrt(depth) * slant
+    return axial_sigma(depth) + 0.0001 / np.sqrt(depth) * slant
 
 
 def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:

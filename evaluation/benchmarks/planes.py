@@ -24,6 +24,7 @@ import numpy as np
 
 from activestructure_gym.evaluation.benchmarks.sensors import benchmark_views
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.depth_noise import CLOSEST, GROWTH, LEAST, axial_sigma
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes.detection import PlaneDetectionConfig, depth_noise_scale, segment_planes
 from activestructure_gym.planes.graph import PlaneSceneGraph
@@ -109,7 +110,7 @@ def true_planes(
     cosine = -(sight * normals[at]).sum(axis=1) / np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
     usable = (depth > 0) & (depth <= config.max_depth) & (cosine > np.cos(np.radians(config.max_incidence_deg)))
     points = sight + eye
-    gap = 0.005 + 1.5 * noise_scale * (0.0012 + 0.0019 * (depth - 0.4) ** 2)
+    gap = 0.005 + 1.5 * noise_scale * axial_sigma(depth)
     pixels = np.bincount(at[usable], minlength=len(face)) * ((face >= 0) & (length > 1e-12))
     parallel = np.cos(np.radians(_FACE_ANGLE_DEG))
 
@@ -196,8 +197,8 @@ def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
     method = cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS  # type: ignore[attr-defined]
     finder = cv2.RgbdNormals_create(*shape, cv2.CV_32F, matrix, 5, 50.0, method)  # type: ignore[attr-defined]
     block = max(4, camera.width // 40)
-    # sigma(z) = 0.0012 + 0.0019 (z - 0.4)^2 as a z^2 + b z + c
-    error = (0.0019, -0.00152, 0.001504) if noisy else (0.0, 0.0, 0.0)
+    # `axial_sigma` as a z^2 + b z + c
+    error = (GROWTH, -2.0 * GROWTH * CLOSEST, LEAST + GROWTH * CLOSEST**2) if noisy else (0.0, 0.0, 0.0)
 
     def detect(frame: Frame) -> tuple[Labels, np.ndarray]:
         points = cv2.depthTo3d(np.where(frame.depth > 0, frame.depth, np.nan).astype(np.float32), matrix)

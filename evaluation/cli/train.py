@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from activestructure_gym.cores import core_count
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import Train
 from activestructure_gym.evaluation.cli.options import (
@@ -27,7 +28,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_trust,
 )
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
-from activestructure_gym.evaluation.machine.threads import capped_environment, core_count
+from activestructure_gym.evaluation.machine.threads import capped_environment
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig

@@ -8,7 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from activestructure_gym._version import __version__
-from activestructure_gym.evaluation.machine.threads import core_count
+from activestructure_gym.cores import core_count
 
 # What a number can depend on.
 PACKAGES = (

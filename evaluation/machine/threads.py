@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import os
 
+from activestructure_gym.cores import core_count
+
 # Libraries read their own variable, once, when they are loaded.
 _COUNT_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-
-
-def core_count() -> int:
-    """Cores this process may run on."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
 
 
 def thread_cap() -> int:

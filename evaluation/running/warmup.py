@@ -25,9 +25,10 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.cores import core_count
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.machine.threads import core_count, worker_environment
+from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.engines.process import search_path
 

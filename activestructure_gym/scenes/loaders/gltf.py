@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.geometry.rotations import matrix_rows
 from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import (
@@ -396,11 +397,7 @@ def _node_matrix(node: dict[str, Any]) -> np.ndarray:  # [4, 4] parent_from_node
         return np.asarray(node["matrix"], dtype=np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    matrix[:3, :3] = matrix_rows(w, x, y, z)
     matrix[:3, :3] *= node.get("scale", (1.0, 1.0, 1.0))
     matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return matrix

@@ -11,8 +11,9 @@ import queue
 from collections.abc import Sequence
 from pathlib import Path
 
+from activestructure_gym.cores import core_count
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.machine.threads import core_count, worker_environment
+from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.engines.process import (
     WORKER,

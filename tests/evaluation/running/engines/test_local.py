@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from activestructure_gym.cores import core_count
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import is_done
-from activestructure_gym.evaluation.machine.threads import core_count
 from activestructure_gym.evaluation.running.engines import process
 from activestructure_gym.evaluation.running.engines.base import JOBS, LOGS, Limits, run_directory
 from activestructure_gym.evaluation.running.engines.local import run_local

@@ -1,6 +1,11 @@
-"""Rotation matrices as quaternions. Not imported with the package: it brings the compiler with it."""
+"""Rotations as matrices and as quaternions wxyz. Not imported with the room: it brings the compiler with it.
+
+What is not needed often, or not to the last digit as it stands here, is `scipy.spatial.transform.Rotation`'s.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,6 +14,28 @@ from activestructure_gym.compiling import kernel
 
 # Products of rotation matrices are orthonormal to this; what is not so by 1e-12, scipy makes orthonormal first.
 _ORTHONORMAL = 1e-13
+
+
+def matrix_rows(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:  # 3 rows of 3
+    """The rotation matrix of a unit quaternion, row by row; numbers, or arrays of one shape."""
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def turned(rotation: np.ndarray, quaternions: np.ndarray) -> np.ndarray:  # [N, 4] wxyz
+    """``quaternions`` [N, 4] turned by another one [4]: the Hamilton product, rotation first."""
+    w, x, y, z = rotation
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return quaternions @ matrix.T
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
+    """The unit quaternion of a rotation matrix [3, 3]."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
 
 
 def quaternions(

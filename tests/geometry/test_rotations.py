@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from activestructure_gym.geometry.quaternions import quaternions
+from activestructure_gym.geometry.rotations import quaternions
 
 
 @pytest.mark.parametrize("canonical", [False, True])

@@ -15,12 +15,14 @@ LENGTH = CANDIDATE_FEATURES.index("path_length")
 
 @POLICIES.register("active_gs")
 class ActiveGS(Greedy):
-    """score = U / sum U - 0.5 L / sum L over the valid candidates (peers_active.md 3.4).
+    """score = U / sum U - 0.5 L / sum L over the valid candidates.
 
     U is the gain, L the path length in metres. Where nothing has a gain all U count the same, and the nearest view is
     taken; the original then draws scores by lot. Revisits are no candidates of it.
     """
 
+    decides_by = "unexplored voxels in sight, surface without confidence"
+    source = "Jin et al., ActiveGS, RA-L 2025"
     required_gains = ("confidence",)
     way: ClassVar[float] = 0.5  # weight of the path's share
 

@@ -52,9 +52,11 @@ class ActiveGAMER(Planner):
     """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage (CVPR 2025).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice; a stage ends when its pool is empty. Source: peers_active.md, section 1.
+    pool after the choice; a stage ends when its pool is empty.
     """
 
+    decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
+    source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_gains = ("uncovered",)
 
     def __init__(self, travel: str = "native") -> None:

@@ -26,8 +26,10 @@ class ActiveINR(Planner):
     to it is gone to.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
-    Source: ``../shared/research/peers_active.md`` 3.3; what differs is in docs/planners.md.
     """
+
+    decides_by = "the largest piece of uncertain surface"
+    source = "Yan et al., Active Neural Mapping, ICCV 2023"
 
     def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
         if uncertainty not in UNCERTAINTY:

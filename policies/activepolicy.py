@@ -30,9 +30,10 @@ class ActivePolicy(Planner):
 
     Only a digest of the paper is known, and on its face the rule hardly looks at the gain; hence the pre-filter. No
     travel term; of equals, before the filter and after it, the one with the fewest frames.
-    Source: ``../shared/research/peers_info_rl.md`` A5; what differs is in docs/planners.md.
     """
 
+    decides_by = "the most central of the 16 views with most disagreeing depth"
+    source = "inspired by ActivePolicy, CVPR 2026"
     required_gains = ("activepolicy",)
 
     def act(self, observation: Observation) -> int:

@@ -33,9 +33,11 @@ class ActiveSplat(Planner):
     """The node with the highest `node_scores`, the view there that shows most gaps, then up to LOCAL_VIEWS around it.
 
     I and V come from panoramas of the map at the node (`activesplat_information`, `activesplat_volume`). Source:
-    ActiveSplat (RA-L 2025); peers_active.md, 3.1.
+    ActiveSplat (RA-L 2025).
     """
 
+    decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"
+    source = "Li et al., ActiveSplat, RA-L 2025"
     required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat_information",
                       "activesplat_volume", "activesplat_region", "activesplat_view")  # fmt: skip
 

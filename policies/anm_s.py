@@ -35,8 +35,10 @@ class AnmS(Planner):
     that were cut off from it are looked at.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
-    Source: ``../shared/research/peers_active.md`` 3.2; what differs is in docs/planners.md.
     """
+
+    decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
+    source = "Kuang et al., ANM-S, IROS 2024"
 
     def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
         if uncertainty not in UNCERTAINTY:

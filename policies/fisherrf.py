@@ -13,6 +13,8 @@ class FisherRF(Greedy):
     The gain `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
     """
 
+    decides_by = "information of a view over that of all keyframes, and unseen space"
+    source = "Jiang et al., FisherRF, ECCV 2024"
     required_gains = ("fisherrf",)
 
 
@@ -20,4 +22,6 @@ class FisherRF(Greedy):
 class FisherRFPure(Greedy):
     """argmax sum H_c / (H_train + lambda) and nothing else: the published selector."""
 
+    decides_by = "information of a view over that of all keyframes"
+    source = "Jiang et al., FisherRF, ECCV 2024"
     required_gains = ("fisherrf_pure",)

@@ -8,6 +8,8 @@ from activestructure_gym.policies.base import POLICIES
 
 @POLICIES.register("frontier")
 class Frontier(ActiveGS):
-    """score = V / sum V - 0.5 L / sum L, V the unknown voxels in sight (peers_active.md 3.4 and 5, `exploration`)."""
+    """score = V / sum V - 0.5 L / sum L, V the unknown voxels in sight."""
 
+    decides_by = "unexplored voxels in sight"
+    source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
     required_gains = ("unexplored",)

@@ -13,6 +13,8 @@ class GaussMI(Greedy):
     The gain `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
     """
 
+    decides_by = "how unreliable Gaussians are from a view's side, and unseen space"
+    source = "Xie et al., GauSS-MI, 2025"
     required_gains = ("gauss_mi",)
 
 
@@ -20,4 +22,6 @@ class GaussMI(Greedy):
 class GaussMIPure(Greedy):
     """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
 
+    decides_by = "how unreliable Gaussians are from a view's side"
+    source = "Xie et al., GauSS-MI, 2025"
     required_gains = ("gauss_mi_pure",)

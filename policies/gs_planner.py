@@ -56,9 +56,10 @@ class GSPlanner(Planner):
     from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
     LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
     Revisits are no candidates of it.
-    Source: peers_info_rl.md, A4.
     """
 
+    decides_by = "unobserved volume behind transmittance, badly rendered surface"
+    source = "Jin et al., GS-Planner, IROS 2024"
     required_gains = ("gs_planner_volume", "gs_planner_loss")
 
     def __init__(self, travel: str = "native") -> None:

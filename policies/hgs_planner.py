@@ -1,7 +1,4 @@
-"""HGS-Planner as a policy: local views by gain, then a tour through the parts that are not done (Xu et al., ICRA 2025).
-
-Source: ``../shared/research/peers_info_rl.md``, A4.
-"""
+"""HGS-Planner (Xu et al., ICRA 2025): local views by gain, then a tour through the parts that are not done."""
 
 from __future__ import annotations
 
@@ -30,6 +27,8 @@ class HGSPlanner(Greedy):
     With ``travel=shared`` there are no stages: G times the shared factor over the whole pool.
     """
 
+    decides_by = "unseen space through transmittance, Fisher information"
+    source = "Xu et al., HGS-Planner, ICRA 2025"
     required_gains = ("hgs_planner", "hgs_coverage")
 
     def act(self, observation: Observation) -> int:

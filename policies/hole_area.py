@@ -8,6 +8,8 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("hole_area")
 class HoleArea(SharedGreedy):
-    """The first term of rung E alone: no Plane Scene Graph, no phases (docs/method.md has the comparison)."""
+    """The first term of rung E alone: no Plane Scene Graph, no phases."""
 
+    decides_by = "unseen area behind holes of the map"
+    source = "this project: the first term of activestructure alone"
     required_gains = ("hole_area",)

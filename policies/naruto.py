@@ -29,9 +29,10 @@ class Naruto(Planner):
     - look: at g*, all of the look-at list (up to 10 targets, from the most uncertain on), each time the candidate with
       the smallest rotation that looks at a target not yet looked at.
 
-    Source: ``../shared/research/peers_active.md`` 2; what differs is in docs/planners.md.
     """
 
+    decides_by = "uncertain places within 0.5 to 2 m, then a list of them to look at"
+    source = "Feng et al., NARUTO, CVPR 2024"
     required_gains = ("naruto", *LIST_COLUMNS)
 
     def __init__(self, travel: str = "native") -> None:

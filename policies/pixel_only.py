@@ -10,4 +10,6 @@ from activestructure_gym.policies.greedy import SharedGreedy
 class PixelOnly(SharedGreedy):
     """IG_px, Eq. 15 with omega = 0 and rho = 0."""
 
+    decides_by = "uncovered pixels, with the shared travel factor"
+    source = "ActiveStructure, Eq. 15 with omega = rho = 0"
     required_gains = ("pixel",)

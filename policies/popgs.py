@@ -22,6 +22,8 @@ from activestructure_gym.policies.greedy import Greedy
 class LogDet(Greedy):
     """D-optimality and unseen space."""
 
+    decides_by = "the volume of the map's uncertainty, and unseen space"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_logdet",)
 
 
@@ -29,6 +31,8 @@ class LogDet(Greedy):
 class LogDetPure(Greedy):
     """D-optimality."""
 
+    decides_by = "the volume of the map's uncertainty"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_logdet_pure",)
 
 
@@ -36,6 +40,8 @@ class LogDetPure(Greedy):
 class CovTrace(Greedy):
     """Trace of the covariance and unseen space."""
 
+    decides_by = "the sum of the map's variances, and unseen space"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_cov_trace",)
 
 
@@ -43,6 +49,8 @@ class CovTrace(Greedy):
 class CovTracePure(Greedy):
     """Trace of the covariance."""
 
+    decides_by = "the sum of the map's variances"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_cov_trace_pure",)
 
 
@@ -50,6 +58,8 @@ class CovTracePure(Greedy):
 class InfoTrace(Greedy):
     """Trace of the information and unseen space."""
 
+    decides_by = "the sum of the map's information, and unseen space"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_info_trace",)
 
 
@@ -57,6 +67,8 @@ class InfoTrace(Greedy):
 class InfoTracePure(Greedy):
     """Trace of the information."""
 
+    decides_by = "the sum of the map's information"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_info_trace_pure",)
 
 
@@ -64,6 +76,8 @@ class InfoTracePure(Greedy):
 class MinEig(Greedy):
     """E-optimality of every Gaussian and unseen space."""
 
+    decides_by = "the worst known parameter of every Gaussian, and unseen space"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_min_eig",)
 
 
@@ -71,6 +85,8 @@ class MinEig(Greedy):
 class MinEigPure(Greedy):
     """E-optimality of every Gaussian."""
 
+    decides_by = "the worst known parameter of every Gaussian"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_min_eig_pure",)
 
 
@@ -78,6 +94,8 @@ class MinEigPure(Greedy):
 class LogDetBlock(Greedy):
     """D-optimality by blocks and unseen space."""
 
+    decides_by = "the volume of the map's uncertainty, by blocks, and unseen space"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_logdet_block",)
 
 
@@ -85,6 +103,8 @@ class LogDetBlock(Greedy):
 class LogDetBlockPure(Greedy):
     """D-optimality by blocks."""
 
+    decides_by = "the volume of the map's uncertainty, by blocks"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_logdet_block_pure",)
 
 
@@ -92,6 +112,8 @@ class LogDetBlockPure(Greedy):
 class CovTraceBlock(Greedy):
     """Trace of the covariance by blocks, and unseen space."""
 
+    decides_by = "the sum of the map's variances, by blocks, and unseen space"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_cov_trace_block",)
 
 
@@ -99,4 +121,6 @@ class CovTraceBlock(Greedy):
 class CovTraceBlockPure(Greedy):
     """Trace of the covariance by blocks."""
 
+    decides_by = "the sum of the map's variances, by blocks"
+    source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_cov_trace_block_pure",)

@@ -11,6 +11,9 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy
 class Random(Policy):
     """Uniform over the valid candidates."""
 
+    decides_by = "chance"
+    source = "this project"
+
     def act(self, observation: Observation) -> int:
         """A valid row, each equally likely."""
         valid = np.flatnonzero(observation["action_mask"])

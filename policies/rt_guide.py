@@ -14,12 +14,14 @@ _NOTHING = -1e6  # below the logarithm of anything above 0, with any way
 
 @POLICIES.register("rt_guide")
 class RTGuide(Planner):
-    """Region: argmax Omega / e^d, d the way in metres to its nearest view; view in it: argmax xi (peers_info_rl.md A6).
+    """Region: argmax Omega / e^d, d the way in metres to its nearest view; view in it: argmax xi.
 
     With the shared travel term there are no regions: xi, counted from the lowest one on offer, times the factor of all.
     Revisits are no candidates of it.
     """
 
+    decides_by = "Gaussians that still move, against those that do not"
+    source = "Tao et al., RT-GuIDE, RA-L 2025"
     required_gains = ("rt_guide", "rt_guide_region", "rt_guide_cuboid")
 
     def act(self, observation: Observation) -> int:

@@ -8,11 +8,13 @@ from activestructure_gym.policies.greedy import Planner
 
 @POLICIES.register("view_angle")
 class ViewAngle(Planner):
-    """argmin of the mean coverage of the viewing directions; no travel term but for equals (peers_info_rl.md A6).
+    """argmin of the mean coverage of the viewing directions; no travel term but for equals.
 
     At first many views show nothing that is mapped and are worth exactly 1: the nearest of these is taken.
     """
 
+    decides_by = "directions from which the map was not seen"
+    source = "COVER, arXiv 2604.05259"
     required_gains = ("view_angle",)
 
     def act(self, observation: Observation) -> int:

@@ -59,7 +59,7 @@ _TABLES: dict[Callable[[GainContext], Surface], Callable[[GainContext], np.ndarr
 
 
 def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: int) -> np.ndarray:  # [K]
-    """A column of `assigned`."""
+    """Of the target that the view is assigned: its share of the uncertain surface, or its position (`assigned`)."""
     return context.once(_TABLES[uncertainty])[:, which]
 
 

@@ -32,7 +32,7 @@ class Looks:
 
 
 def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: str) -> np.ndarray:  # [K]
-    """A column of `Looks`: ``clusters``, ``needed`` or ``facing``."""
+    """Of the view's Voronoi node: its clusters, the looks it takes to see them, or how the view faces the nearest."""
     return getattr(context.once(_LOOKS[uncertainty]), which)
 
 

@@ -15,7 +15,7 @@ UNSEEN_DEPTH = 2.5  # metres, D of a pixel that the map does not cover
 
 @GAINS.register("confidence")
 def confidence(context: GainContext) -> np.ndarray:  # [K] >= 0
-    """U = 1000 #unexplored visible / #voxels + mean over pixels of (1 - C) D / 5 m (ActiveGS; peers_active.md 3.4).
+    """U = 1000 #unexplored visible / #voxels + mean over pixels of (1 - C) D / 5 m (ActiveGS).
 
     C is the confidence blended like a colour, as a mean over what the pixel shows, and D the depth. A pixel without
     coverage has C = 0 and D = 2.5 m; one that shows something beyond 5 m counts nothing.

@@ -16,7 +16,7 @@ _LOW = 1.0  # weight of L
 
 @GAINS.register("rt_guide")
 def rt_guide(context: GainContext) -> np.ndarray:  # [K] in -1..1
-    """xi = (#H - 1.0 #L) / #Gaussians, of those in the frustum (RT-GuIDE, Tao et al. 2025; peers_info_rl.md A6).
+    """xi = (#H - 1.0 #L) / #Gaussians, of those in the frustum (RT-GuIDE, Tao et al. 2025).
 
     A Gaussian's uncertainty is |change of its mean| in the last mapping event that touched it; H is above the mean of
     all by half a standard deviation, L below. Culled by the range that the volume takes in, not by what stands in

@@ -13,7 +13,7 @@ _SIDE = 2  # voxels per side of the cells that are tested: 0.2 m at the default 
 
 @GAINS.register("unexplored")
 def unexplored(context: GainContext) -> np.ndarray:  # [K] in 0..1
-    """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025; peers_active.md 3.4).
+    """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025).
 
     A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
     in front of what the map shows there; unexplored is what `VoxelVolume.unobserved` says. Where 2 x 2 x 2 voxels are

@@ -14,7 +14,7 @@ from activestructure_gym.mapping.sightings import DIRECTIONS, sightings
 
 @GAINS.register("view_angle")
 def view_angle(context: GainContext) -> np.ndarray:  # [K] in 0..1
-    """1 - mean over pixels of the coverage of the viewing direction (COVER, Chen et al. 2026; peers_info_rl.md A6).
+    """1 - mean over pixels of the coverage of the viewing direction (COVER, Chen et al. 2026).
 
     A Gaussian covers a direction by (cos theta + 1) / 2, theta the angle to the nearest of the 128 bins from which a
     keyframe has seen it; it is blended like a colour over 0, so that a pixel without a map is not covered at all.

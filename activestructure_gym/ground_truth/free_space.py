@@ -14,11 +14,13 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import fibonacci_directions
-from activestructure_gym.ground_truth.surface_samples import lattice_samples
+from activestructure_gym.ground_truth.surface_samples import lattice_samples, samples_per_area, surface_area
 from activestructure_gym.scenes.scene import Scene
 
 VOXEL_SIZE = 0.1  # metres; the size the planners' volumes use
 MAX_VOXELS = 4_000_000  # 5 seconds of one core; a larger building gets larger voxels
+MAX_SAMPLES = 8_000_000  # of the surface, 1.5 GB; one of 20,000 m2 and more gets larger voxels too
+_SPACING = 0.7  # of the surface's samples, in voxels
 BODY_CLEARANCE = 0.2  # metres; the smallest clearance a path may have (motion.MotionConfig.min_clearance)
 MIN_VOLUME = 0.5  # cubic metres of free space; less is no room
 # Share of directions that must meet a surface. A room without ceiling has about 0.78 at eye height, a room with a
@@ -92,10 +94,10 @@ class FreeSpace:
 
 def compute_free_space(scene: Scene) -> FreeSpace:
     """The free space of a scene, still without start poses. Raises `InputError` where none is found."""
-    origin, voxel_size, shape = _grid(scene.bounds)
+    origin, voxel_size, shape = _grid(scene.bounds, surface_area(scene.mesh.vertices, scene.mesh.faces))
     # Every point of the surface has a sample within half a voxel: a voxel that a surface properly crosses is never
     # empty, and at the body's clearance the nearest sample is at most 6 mm farther than the surface.
-    surface = lattice_samples(scene.mesh.vertices, scene.mesh.faces, 0.7 * voxel_size)
+    surface = lattice_samples(scene.mesh.vertices, scene.mesh.faces, _SPACING * voxel_size)
     occupied = np.zeros(shape, dtype=bool)
     occupied[tuple(np.floor((surface - origin) / voxel_size).astype(np.int64).T)] = True
     share = enclosed_share(occupied)
@@ -114,11 +116,14 @@ def compute_free_space(scene: Scene) -> FreeSpace:
     return FreeSpace(origin, voxel_size, clearance, height, np.zeros((0, 4, 4)))
 
 
-def _grid(bounds: np.ndarray) -> tuple[np.ndarray, float, tuple[int, int, int]]:
+def _grid(bounds: np.ndarray, area: float) -> tuple[np.ndarray, float, tuple[int, int, int]]:
     """Lower corner, voxel size and shape of a grid around the bounds, with a voxel to spare on every side."""
     extent = bounds[1] - bounds[0]
     voxel_size = VOXEL_SIZE
-    while np.prod(np.ceil(extent / voxel_size) + 2) > MAX_VOXELS:
+    while (
+        np.prod(np.ceil(extent / voxel_size) + 2) > MAX_VOXELS
+        or samples_per_area(_SPACING * voxel_size) * area > MAX_SAMPLES
+    ):
         voxel_size *= 1.1
     x, y, z = (np.ceil(extent / voxel_size) + 2).astype(int)
     centre = 0.5 * (bounds[0] + bounds[1])

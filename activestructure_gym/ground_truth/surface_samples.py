@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+_FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once
+
 
 def lattice_samples(
     vertices: np.ndarray,  # [V, 3] metres
@@ -32,6 +34,20 @@ def lattice_samples(
     s = (_ramp(cells) + 0.5) / cells[row]
     t, triangle = t[row], triangle[row]
     return a[triangle] + t[:, None] * (c - a)[triangle] + (s * (1.0 - t))[:, None] * (b - a)[triangle]
+
+
+def samples_per_area(spacing: float) -> float:  # metres -> samples per m^2
+    """How many `lattice_samples` has on triangles that are large against the spacing."""
+    return 2.0 / spacing**2
+
+
+def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Of all triangles, in the square of the vertices' unit."""
+    total = 0.0
+    for start in range(0, len(faces), _FACES_AT_ONCE):
+        corners = vertices[faces[start : start + _FACES_AT_ONCE]].astype(np.float64)
+        total += np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    return 0.5 * float(total)
 
 
 def _ramp(counts: np.ndarray) -> np.ndarray:

@@ -56,8 +56,8 @@ class PlaneDetectionConfig:
     # Where noise tilts a block's plane by more (standard deviation, degrees), the 3 x 3 blocks around it give its
     # plane, provided that enough of their pixels are there and lie on one.
     window_tilt_deg: float = 2.5
-    window_share: float = 0.5
-    window_sigma: float = 1.4
+    window_share: float = 0.5  # of their pixels that must be there
+    window_sigma: float = 1.4  # they lie on one plane below window_sigma * sigma + window_tolerance
     window_tolerance: float = 0.001  # metres
     min_pixel_share: float = 0.005  # of the image; smaller segments are dropped
     segment_sigma: float = 2.0  # a segment is rejected above segment_sigma * sigma + segment_tolerance rms
@@ -65,7 +65,7 @@ class PlaneDetectionConfig:
     pixel_sigma: float = 3.0  # a pixel joins below pixel_sigma * sigma + pixel_tolerance
     pixel_tolerance: float = 0.004  # metres
     explained_share: float = 0.6  # of a segment's pixels that larger planes explain: above it the segment is noise
-    explained_sigma: float = 2.0
+    explained_sigma: float = 2.0  # a pixel is explained below explained_sigma * sigma + explained_tolerance
     explained_tolerance: float = 0.002  # metres
     merge_angle_deg: float = 4.0  # coplanar segments of one image become one
     merge_sigma: float = 1.0  # of the smaller one's centroid to the larger one's plane

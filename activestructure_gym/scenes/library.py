@@ -12,7 +12,7 @@ from typing import Any
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
-from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, load_mesh_scene
+from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
 from activestructure_gym.scenes.loaders.replica import is_replica, load_replica_scene
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.specs import parse_options, typed_options
@@ -165,6 +165,7 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
 
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
     """What loads a bare path."""
+    check_printable(str(path))
     if is_replica(path):
         return load_replica_scene, str(path)
     if is_matterport3d(path):

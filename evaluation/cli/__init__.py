@@ -18,13 +18,18 @@ HELP = """usage: asg COMMAND [OPTIONS]
 ActiveStructure Gym: planners for active 3D reconstruction, compared.
 
   asg compare    run policies on scenes under one budget; ends with a table, curves and pictures
+  asg policies   list the policies known by name, or describe one
   asg scenes     list the scenes known by name, or check one
+  asg features   list the gains of a candidate view that a policy can ask for
+  asg config     print the configuration of an episode, and what a preset or --set changes
   asg doctor     say what works here, what does not, and which package is missing
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation
   asg train      train a learned policy (bc, rank, ppo), or score policies on layouts nobody was trained on
   asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
   asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers
+  asg cache      show what is kept on disk between runs, or remove it
+  asg completion print a script that lets bash, zsh or fish complete all of this
 
   asg COMMAND --help    the options of a command
   asg --version

@@ -97,6 +97,8 @@ class Scenes:
     """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=auto) or a folder."""
     picture: Path = None
     """Write a picture of the scene to this PNG file."""
+    json: Switch = False
+    """For programs."""
 
     def run(self) -> int:
         """See `scenes.scenes`."""
@@ -312,6 +314,93 @@ class Export:
         return export(self)
 
 
+@dataclass(frozen=True)
+class Policies:
+    """List the policies known by name: what each decides by, whose it is, which gains it needs; or describe one."""
+
+    name: Annotated[str | None, tyro.conf.Positional, _option("[NAME]", "")] = None
+    """One of them, with its options and its description."""
+    json: Switch = False
+    """For programs."""
+
+    def run(self) -> int:
+        """See `listing.policies`."""
+        from activestructure_gym.evaluation.cli.listing import policies
+
+        return policies(self)
+
+
+@dataclass(frozen=True)
+class Features:
+    """List the gains of a candidate view that a policy can ask for: what each is, and its unit."""
+
+    json: Switch = False
+    """For programs."""
+
+    def run(self) -> int:
+        """See `listing.features`."""
+        from activestructure_gym.evaluation.cli.listing import features
+
+        return features(self)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print the configuration of an episode: every field with its value, its default and its meaning."""
+
+    preset: Annotated[str, tyro.conf.Positional, _option("[fast|default|paper]")] = "default"
+    """The preset."""
+    set: Changes = ()
+    """Changes of it, as compare and train take them; what they change is said at the end."""
+    json: Switch = False
+    """For programs; `gym.make(..., config=...)` takes it."""
+
+    def run(self) -> int:
+        """See `listing.config`."""
+        from activestructure_gym.evaluation.cli.listing import config
+
+        return config(self)
+
+
+@dataclass(frozen=True)
+class Cache:
+    """Show what is kept on disk between runs, or remove it: what scenes share, and compiled kernels.
+
+    The cache of scenes keeps itself below ASG_CACHE_MAX (1GiB if not set): what was used longest ago goes first.
+    """
+
+    what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"
+    """show or clear."""
+    part: Annotated[Literal["all", "scenes", "kernels"], tyro.conf.Positional] = "all"
+    """What to show or to remove; all of it is computed or compiled again when it is needed."""
+    json: Switch = False
+    """For programs."""
+
+    def run(self) -> int:
+        """See `cache.cache`."""
+        from activestructure_gym.evaluation.cli.cache import cache
+
+        return cache(self)
+
+
+@dataclass(frozen=True)
+class Completion:
+    """Print a script that lets a shell complete commands, options and names.
+
+    bash: eval "$(asg completion bash)" in ~/.bashrc; zsh: the same in ~/.zshrc after compinit; fish: asg completion
+    fish > ~/.config/fish/completions/asg.fish
+    """
+
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
+    """The shell."""
+
+    def run(self) -> int:
+        """See `completion.completion`."""
+        from activestructure_gym.evaluation.cli.completion import completion
+
+        return completion(self)
+
+
 class Command(Protocol):
     """What a subcommand is: options, and what to do with them."""
 
@@ -328,4 +417,9 @@ COMMANDS: dict[str, type[Command]] = {
     "evaluate": Evaluate,
     "report": Report,
     "export": Export,
+    "policies": Policies,
+    "features": Features,
+    "config": Config,
+    "cache": Cache,
+    "completion": Completion,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import warnings
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,14 @@ def scenes(options: Scenes) -> int:
     if options.spec is None:
         if options.picture is not None:
             raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
-        print_whole(console, _registered())
+        if options.json:
+            print(json.dumps(_registered(), indent=1, default=str))
+            return 0
+        table = plain_table("Scenes known by name", "name", "options")
+        for row in _registered():
+            shown = (name if value is None else f"{name}={value}" for name, value in row["options"].items())
+            table.add_row(escape(row["name"]), escape(", ".join(shown)))
+        print_whole(console, table)
         console.print(
             "Options are written as in apartment?seed=3&rooms=4. Any glb, gltf, obj, ply, stl or dae file is a scene "
             "too, and so is the folder of a Replica or Matterport3D scene: asg scenes FILE checks it."
@@ -33,16 +41,21 @@ def scenes(options: Scenes) -> int:
     _check_picture(options.picture)
     with console.status(f"loading {escape(options.spec)}") as status:
         facts = describe(options.spec, status.update)
-    table = Table.grid(padding=(0, 2))
-    for name, text in facts["lines"]:
-        table.add_row(f"[bold]{name}[/]", escape(text))
-    print_whole(console, table)
+    if options.json:
+        notes = [text for name, text in facts["lines"] if name == "note"]
+        print(json.dumps({**dict(facts["lines"]), "note": notes}, indent=1, ensure_ascii=False))
+    else:
+        table = Table.grid(padding=(0, 2))
+        for name, text in facts["lines"]:
+            table.add_row(f"[bold]{name}[/]", escape(text))
+        print_whole(console, table)
     if options.picture is not None:
         from activestructure_gym.evaluation.report.scene_picture import scene_picture
 
         with console.status("drawing"):
             scene_picture(facts["truth"]).save(options.picture)
-        console.print(f"picture: {options.picture}")
+        if not options.json:
+            console.print(f"picture: {escape(options.picture)}", soft_wrap=True)
     return 0
 
 
@@ -77,17 +90,18 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
     return {"truth": known, "lines": lines}
 
 
-def _registered() -> Table:
+def _registered() -> list[dict[str, Any]]:
+    """Names and their options; an option without a default is None."""
     from activestructure_gym.scenes import SCENES
 
-    table = plain_table("Scenes known by name", "name", "options")
+    rows = []
     for name in SCENES:
         parameters = inspect.signature(SCENES.get(name)).parameters.values()
         options = [p for p in parameters if p.name != "path"]
         reads_files = len(options) < len(parameters)
-        shown = ", ".join(p.name if p.default is p.empty else f"{p.name}={p.default}" for p in options)
-        table.add_row(escape(f"{name}:PATH" if reads_files else name), escape(shown))
-    return table
+        takes = {p.name: None if p.default is p.empty else p.default for p in options}
+        rows.append({"name": f"{name}:PATH" if reads_files else name, "options": takes})
+    return rows
 
 
 def _check_picture(name: str | None) -> None:

@@ -72,11 +72,16 @@ class StructurePolicy(Policy):
 class ActiveStructureA(PixelOnly):
     """Rung A: pixels only."""
 
+    decides_by = "uncovered pixels"
+    source = "ActiveStructure, rung A of Table 3"
+
 
 @POLICIES.register("activestructure-b")
 class ActiveStructureB(StructurePolicy):
     """Rung B: A and the raw gain of the Plane Scene Graph, 1 - q_i of every visible plane."""
 
+    decides_by = "uncovered pixels and bad planes in sight"
+    source = "ActiveStructure, rung B of Table 3"
     required_gains = ("pixel",)
     weights = Weights(structural=0.1, objects=0.1, surprise=False)
 
@@ -85,6 +90,8 @@ class ActiveStructureB(StructurePolicy):
 class ActiveStructureC(StructurePolicy):
     """Rung C: B with the anomaly indicators, gamma_i instead of 1 - q_i and the discount of Eq. 12."""
 
+    decides_by = "uncovered pixels and anomalous planes in sight"
+    source = "ActiveStructure, rung C of Table 3"
     required_gains = ("pixel",)
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
@@ -93,6 +100,8 @@ class ActiveStructureC(StructurePolicy):
 class ActiveStructureD(StructurePolicy):
     """Rung D: C and the deficiency centres."""
 
+    decides_by = "uncovered pixels, anomalous planes and their deficiency centres"
+    source = "ActiveStructure, rung D of Table 3"
     required_gains = ("pixel", "deficiency")
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
@@ -105,6 +114,8 @@ class ActiveStructure(StructurePolicy):
     is to run empty must not hold views through an open window.
     """
 
+    decides_by = "unseen area and deficient planes, in three phases"
+    source = "ActiveStructure, Sec. 3; rung E of its Table 3"
     required_gains = ("hole_area", "deficiency")
 
     def __init__(self) -> None:

@@ -24,6 +24,9 @@ class Learned(Policy):
     A class for each checkpoint, made by `learned_from`, since an env is told by the class which gains to evaluate.
     """
 
+    decides_by = "the score of a small network over all candidates"
+    source = "this project"
+
     checkpoint: ClassVar[Path]
     spec: ClassVar[str]
 

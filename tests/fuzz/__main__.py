@@ -30,7 +30,10 @@ def main() -> int:
         tallies = [run(kind, range(given.cases), seed=given.seed) for kind in given.kind or kinds()]
     for tally in tallies:
         for outcome in tally.outcomes if given.say else tally.failures:
-            print(f"{outcome.verdict} --seed {tally.seed} --only {tally.kind}:{outcome.number}: {outcome.message}")
+            took = f"{outcome.seconds:.1f} s, {outcome.megabytes:.0f} MB"
+            print(
+                f"{outcome.verdict} --seed {tally.seed} --only {tally.kind}:{outcome.number} {took}: {outcome.message}"
+            )
     print(table(tallies))
     return 1 if any(tally.failures for tally in tallies) else 0
 

@@ -96,6 +96,7 @@ def run(
     megabytes: float = MEGABYTES,
 ) -> Tally:
     """The cases ``numbers`` of a kind. ``keep`` is a folder to leave the files of the cases in."""
+    kind_module(kind)  # a mistake in it shows here, and not once per case
     tally = Tally(kind, seed)
     with tempfile.TemporaryDirectory(prefix="asg-fuzz-") as scratch:
         child = _Child(kind, seed, keep or Path(scratch), keep is not None, seconds, megabytes)

@@ -13,6 +13,8 @@ import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+
 MOST_BYTES = 4 << 30  # of all files of a scene; they are held in memory while they are read
 
 
@@ -43,7 +45,7 @@ LIMITS = {
 }
 
 
-class LimitError(ValueError):
+class LimitError(UnreadableMesh):
     """A scene asks for more than it may; the message is the rest of a sentence that begins with the file."""
 
 

@@ -8,8 +8,6 @@ import struct
 import zlib
 from xml.etree import ElementTree
 
-from activestructure_gym.scenes.loaders.budget import LimitError
-
 
 class UnreadableMesh(ValueError):
     """What is wrong with a file, for the end of a sentence: "it is cut off", "its nodes form a loop"."""
@@ -21,7 +19,7 @@ _NO_NUMBER = ("invalid literal for int", "could not convert string", "unmatched 
 
 def in_words(error: Exception) -> str:
     """What a reader stumbled over, in the words of files and not of Python."""
-    if isinstance(error, UnreadableMesh | LimitError):
+    if isinstance(error, UnreadableMesh):
         reason = str(error)
     elif isinstance(error, json.JSONDecodeError):
         reason = f"its JSON is damaged at line {error.lineno}, column {error.colno}"

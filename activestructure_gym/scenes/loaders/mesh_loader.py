@@ -7,6 +7,7 @@ sentence, and a scale check tells the user whether the units were guessed right.
 from __future__ import annotations
 
 import os
+import unicodedata
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, InputWarning, unknown_name
+from activestructure_gym.errors import InputError, InputWarning, shown, unknown_name
 from activestructure_gym.scenes.loaders.damage import in_words
 from activestructure_gym.scenes.loaders.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
@@ -36,6 +37,7 @@ _WORLD_FROM_FILE = {
     "-x": ((2, 1, 0), (1, 1, -1)),
 }
 
+_MOST_OVERLAP = 300  # boxes of triangles on a line; scans and furnished scenes have 4 to 20
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
 _FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once: 50 MB, where a scan would take gigabytes
@@ -77,6 +79,7 @@ def load_mesh_scene(
     scale = declared_scale if units is None else _metres_per_unit(units)
     _check_parts(path, parts)
     mesh = assemble(parts, textures.images)
+    mesh, unpainted = _painted(mesh)
     vertices = mesh.vertices.astype(np.float64) * scale
     try:
         up, doubts = choose_up(path, vertices, mesh.faces, given=up, declared=declared_up)
@@ -85,6 +88,8 @@ def load_mesh_scene(
         raise
     mesh = replace(mesh, vertices=upright(vertices, up).astype(np.float32))
     doubts = [*texture_notes(textures), *doubts]
+    if unpainted:
+        doubts.append(f"{unpainted} vertices have colours or texture coordinates that are not finite: painted grey")
     return finished_scene(mesh, path, name=name or path.stem, doubts=doubts, scale=scale)
 
 
@@ -97,6 +102,7 @@ def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
 def check_mesh_file(path: str | os.PathLike[str]) -> Path:
     """The path, if it is a file with a suffix that some reader knows."""
     path = Path(path).expanduser()
+    check_printable(str(path))
     if path.is_dir():
         raise InputError(f"'{path}' is a folder; give the mesh file in it ({', '.join(MESH_SUFFIXES)})")
     if not path.is_file():
@@ -104,6 +110,12 @@ def check_mesh_file(path: str | os.PathLike[str]) -> Path:
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(f"'{path}' is not a mesh file this loader knows; it reads {', '.join(MESH_SUFFIXES)}")
     return path
+
+
+def check_printable(name: str) -> None:
+    """Names stand in tables, pictures and file names, and a line end or half a character in them fails there."""
+    if any(unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") for character in name):
+        raise InputError(f"the name {shown(name)} has characters that cannot be printed; rename the file or the scene")
 
 
 def finished_scene(
@@ -124,10 +136,12 @@ def finished_scene(
     if dropped:
         mesh = replace(mesh, faces=mesh.faces[keep], face_texture=mesh.face_texture[keep])
         labels = replace(labels, face_part=labels.face_part[keep]) if labels is not None else None
+    check_printable(name)
     if not len(mesh.faces):
         raise InputError(f"'{path}' holds no triangles with an area; give a mesh with a surface, not points or lines")
     mesh = _without_loose_vertices(mesh)
     _check_extent(path, mesh.vertices, scale)
+    _check_overlap(path, mesh)
     scene = Scene(name=name, mesh=mesh, source=str(path), labels=labels)
     doubts, notes = list(doubts), []
     if dropped:
@@ -184,9 +198,13 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, De
 
             collada = read_collada(path, textures)
             return collada.parts, collada.metres_per_unit, DeclaredUp(collada.up, "by its up_axis")
+        declared = DeclaredUp("z", f"for {suffix[1:].upper()} files, which do not say")
+        if suffix == ".stl":
+            from activestructure_gym.scenes.stl import read_stl
+
+            return read_stl(textures.budget.read(path)), 1.0, declared
         from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
 
-        declared = DeclaredUp("z", f"for {suffix[1:].upper()} files, which do not say")
         return read_with_trimesh(path, textures), 1.0, declared
     except InputError:
         raise
@@ -230,6 +248,17 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
         )
 
 
+def _painted(mesh: SceneMesh) -> tuple[SceneMesh, int]:
+    """The mesh with plain colours where those of the file are no numbers, and at how many vertices."""
+    from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY
+
+    broken = ~(np.isfinite(mesh.colors).all(axis=1) & np.isfinite(mesh.uv).all(axis=1))
+    if not broken.any():
+        return mesh, 0
+    colors = np.where(broken[:, None], np.float32(PLAIN_GREY), mesh.colors)
+    return replace(mesh, colors=colors, uv=np.where(broken[:, None], np.float32(0), mesh.uv)), int(broken.sum())
+
+
 def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
     """Scans are left with vertices that no triangle uses, and one of them far away would stretch the bounds."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
@@ -261,6 +290,26 @@ def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
     hint = _units_hint(longest / scale, 2.0, 60.0)
     size = " x ".join(f"{side:.4g}" for side in extent)
     raise InputError(f"'{path}' is {size} m (x, y, z), which is no room or building: {hint}")
+
+
+def _check_overlap(path: Path, mesh: SceneMesh) -> None:
+    """A ray visits every box that it meets, so triangles that all lie in one place take hours to look at."""
+    total = 0.0
+    for start in range(0, len(mesh.faces), _FACES_AT_ONCE):
+        corners = mesh.vertices[mesh.faces[start : start + _FACES_AT_ONCE]].astype(np.float64)
+        total += _box_area(np.ptp(corners, axis=1)).sum()
+    # The boxes of triangles that a random line through the scene meets, in the mean (Cauchy's formula).
+    times = total / _box_area(np.ptp(mesh.vertices, axis=0).astype(np.float64))
+    if times > _MOST_OVERLAP:
+        raise InputError(
+            f"'{path}' has triangles that lie over each other: a line through it meets about {times:,.0f} of their "
+            f"boxes, where a furnished flat has 20 (at most {_MOST_OVERLAP}); remove the copies"
+        )
+
+
+def _box_area(sides: np.ndarray) -> np.ndarray:  # [..., 3] -> [...], half the surface
+    x, y, z = sides[..., 0], sides[..., 1], sides[..., 2]
+    return x * y + y * z + x * z
 
 
 def _units_hint(file_length: float, low: float, high: float) -> str:

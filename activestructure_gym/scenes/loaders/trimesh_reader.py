@@ -1,12 +1,14 @@
-"""Reader for Wavefront OBJ, PLY and STL, through trimesh."""
+"""Reader for Wavefront OBJ and PLY, through trimesh's parsers: its scenes take a minute for 20,000 materials."""
 
 from __future__ import annotations
 
 import io
 import logging
+import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 import numpy as np
 
@@ -18,7 +20,6 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     MeshPart,
     TextureStore,
     find_reference,
-    placed,
 )
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
 from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
@@ -27,34 +28,30 @@ from activestructure_gym.scenes.loaders.polygons import concave_corners, triangu
 def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
     """All triangles of the file; quads and polygons are split, colours and textures kept."""
     import trimesh
+    from trimesh.exchange import obj, ply
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what matters of it is said by the loader
     data = textures.budget.read(path)
-    source: Any = io.BytesIO(data)
-    if path.suffix.lower() == ".obj":
-        source = io.StringIO(_obj_text(data))
-    elif path.suffix.lower() == ".stl":
-        _check_stl(data)
-    elif not data.startswith(b"ply"):
-        raise UnreadableMesh("it does not begin with the letters 'ply'")
-    try:
-        with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
-            scene = trimesh.load_scene(
-                source, file_type=path.suffix[1:].lower(), process=False, resolver=_resolver(path, textures)
-            )
-    except ValueError as error:
-        if "unexpected length" not in str(error):
-            raise
-        raise UnreadableMesh(
-            "it is cut off, or its faces differ in their number of corners: triangulate it or export it as ASCII PLY"
-        ) from error
-    parts = []
-    for node in scene.graph.nodes_geometry:
-        world_from_node, name = scene.graph[node]
-        geometry = scene.geometry[name]
-        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            parts.append(_part(geometry, world_from_node, textures))
-    return parts
+    with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
+        if path.suffix.lower() == ".obj":
+            text = _obj_text(data)
+            _check_materials(text)
+            loaded = obj.load_obj(io.StringIO(text), resolver=_resolver(path, textures))
+        else:
+            _check_ply(data, textures)
+            try:
+                loaded = ply.load_ply(io.BytesIO(data), resolver=_resolver(path, textures))
+            except ValueError as error:
+                if "unexpected length" not in str(error):
+                    raise
+                raise UnreadableMesh(
+                    "it is cut off, or its faces differ in their number of corners: triangulate it or export it as "
+                    "ASCII PLY"
+                ) from error
+        # Points and lines come without faces.
+        meshes = [given for given in loaded.get("geometry", {"": loaded}).values() if given.get("faces") is not None]
+        geometries = [trimesh.Trimesh(**given, process=False) for given in meshes]
+    return [_part(path, geometry, textures) for geometry in geometries if len(geometry.faces)]
 
 
 def _decoded(data: bytes) -> str:
@@ -72,14 +69,29 @@ def _obj_text(data: bytes) -> str:
     return plain_obj(text)
 
 
-def _check_stl(data: bytes) -> None:
-    """A binary STL has the length that its count of triangles says; anything else has to be text."""
-    expected = 84 + 50 * int.from_bytes(data[80:84], "little")
-    if len(data) < 84 or len(data) == expected or b"\0" not in data:
-        return
-    raise UnreadableMesh(
-        f"it is neither text nor a whole binary STL ({len(data)} bytes where its header says {expected})"
-    )
+# Materials times vertices: trimesh goes over all vertices for every material, 2 ns each.
+_MOST_PASSES = 5_000_000_000
+_LINE_ENDS = (b"\n", b"\r", b"\v", b"\f", b"\x1c", b"\x1d", b"\x1e")
+
+
+def _check_materials(text: str) -> None:
+    materials, vertices = len(set(re.findall(r"^usemtl.*", text, re.MULTILINE))), text.count("\nv ")
+    if materials * vertices > _MOST_PASSES:
+        raise UnreadableMesh(
+            f"it has {materials:,} materials over {vertices:,} vertices, which takes minutes; join its materials"
+        )
+
+
+def _check_ply(data: bytes, textures: TextureStore) -> None:
+    if not data.startswith(b"ply"):
+        raise UnreadableMesh("it does not begin with the letters 'ply'")
+    if b"ascii" in data[:1000].lower():  # every line becomes an array of its own
+        textures.budget.take("numbers in arrays", 16 * sum(data.count(end) for end in _LINE_ENDS))
+
+
+# trimesh would decode an image for every material that names it: it gets the name as a word that it only keeps.
+_MAP = re.compile(r"^[ \t]*map_kd[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
+_TEXTURE = "texture_reference"
 
 
 def _resolver(path: Path, textures: TextureStore) -> Any:
@@ -91,7 +103,7 @@ def _resolver(path: Path, textures: TextureStore) -> Any:
             try:
                 data = textures.budget.read(find_reference(path.parent, name))
                 if name.lower().endswith(".mtl"):
-                    return _decoded(data).encode()
+                    return _MAP.sub(lambda found: f"{_TEXTURE} {quote(found[1])}", _decoded(data)).encode()
                 opened_image(data)  # trimesh would open any kind of picture
                 return data
             except LimitError as error:
@@ -104,7 +116,7 @@ def _resolver(path: Path, textures: TextureStore) -> Any:
     return NearbyResolver(str(path))
 
 
-def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) -> MeshPart:
+def _part(path: Path, geometry: Any, textures: TextureStore) -> MeshPart:
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces, polygon = _triangles(geometry)
     visual = geometry.visual
@@ -118,13 +130,16 @@ def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) ->
         vertices, faces = vertices[faces.reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
     elif visual.kind == "texture":
         material = visual.material
-        image = getattr(material, "image", None)
-        material_name = str(getattr(material, "name", "texture"))
-        if image is not None and visual.uv is not None and len(visual.uv) == len(vertices):
-            # Hundreds of materials may share one file: it is decoded once.
-            texture = textures.add(("obj", image.info.get("file_path", id(image))), lambda: image, material_name)
+        name = str(getattr(material, "name", "texture"))
+        reference = (getattr(material, "kwargs", None) or {}).get(_TEXTURE)
+        image = getattr(material, "image", None)  # of a PLY file
+        fits = visual.uv is not None and len(visual.uv) == len(vertices)
+        if not fits and (reference or image is not None):
+            textures.without_uv.append(name)
+        elif reference:
+            texture = textures.add_file(path.parent, unquote(reference[0]))
         elif image is not None:
-            textures.without_uv.append(material_name)
+            texture = textures.add(id(image), lambda: image, name)
         if texture >= 0:
             uv = np.asarray(visual.uv, dtype=np.float64) * [1.0, -1.0] + [0.0, 1.0]
             # Exporters leave Kd at 0, 0.8 or 1 beside a map; what the author saw is the map.
@@ -132,7 +147,7 @@ def _part(geometry: Any, world_from_node: np.ndarray, textures: TextureStore) ->
         elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
             colors = _srgb(np.asarray(material.diffuse))
     return MeshPart(
-        vertices=placed(vertices, world_from_node),
+        vertices=vertices,
         faces=faces,
         colors=colors,
         uv=uv,

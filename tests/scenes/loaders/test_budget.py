@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+import re
+from pathlib import Path
 
 import pytest
 
@@ -44,3 +46,13 @@ def test_the_files_of_a_scene_have_a_total(tmp_path):
         stream.truncate(5 << 30)
     with pytest.raises(LimitError, match="more than 4 GB"):
         SceneBudget().read(tmp_path / "sparse")
+
+
+@pytest.mark.parametrize("what", LIMITS)
+def test_the_docs_say_the_limits(what):
+    text = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text()
+    limit = LIMITS[what]
+    (row,) = (
+        line for line in text.splitlines() if re.match(rf"\| {what}( that| to|) ?[^|]*\| {limit.allowance:,} ", line)
+    )
+    assert row.endswith(f"| {limit.per_byte:g} | {limit.ceiling:,} |")

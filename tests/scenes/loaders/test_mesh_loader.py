@@ -263,3 +263,30 @@ def test_real_scenes_agree_with_trimesh(shared, name):
     assert area == pytest.approx(expected.area, rel=1e-5)
     assert "plausible" in scene.notes[0]
     assert max((max(texture.shape) for texture in scene.mesh.textures), default=0) <= 512
+
+
+@pytest.mark.parametrize("name", ["a\nb.ply", "red\x1b[31m.ply", "half\udcff.ply"])
+def test_names_that_fail_in_pictures_are_refused_before(write_box, tmp_path, name):
+    write_box(".ply").rename(tmp_path / name)
+    with pytest.raises(InputError, match="cannot be printed"):
+        load_mesh_scene(tmp_path / name)
+
+
+def test_a_scene_s_name_is_one_line(write_box):
+    with pytest.raises(InputError, match=r"the name 'a.nb' has characters that cannot be printed"):
+        load_mesh_scene(write_box(".ply"), name="a\nb")
+
+
+def test_triangles_that_lie_over_each_other(tmp_path, gltf, make_box):
+    vertices, faces = make_box((0, 0, 0), (4, 3, 2.5))
+    gltf.triangle_mesh(vertices, np.tile(faces, (500, 1)))
+    assert "a line through it meets about 2,000 of their boxes" in _error(gltf.write(tmp_path / "x.glb"), up="z")
+
+
+def test_colours_that_are_no_numbers_become_grey(tmp_path, gltf, make_box):
+    vertices, faces = make_box((0, 0, 0), (4, 3, 2.5))
+    colors = np.full((8, 3), 0.5, np.float32)
+    colors[3] = np.nan
+    gltf.triangle_mesh(vertices, faces)["attributes"]["COLOR_0"] = gltf.accessor(colors)
+    scene = load_mesh_scene(gltf.write(tmp_path / "x.glb"), up="z")
+    assert np.isfinite(scene.mesh.colors).all() and any("1 vertices have colours" in note for note in scene.notes)

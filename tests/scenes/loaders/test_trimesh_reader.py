@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
-from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, TextureStore
+from activestructure_gym.scenes.loaders.mesh_parts import TextureStore
 from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
 
 OBJ = """mtllib ../materials/room.mtl
@@ -80,15 +80,6 @@ def test_ply_colours_of_vertices_and_of_faces(tmp_path, element):
         np.testing.assert_allclose(corner_colors[0], np.eye(3))
     else:
         np.testing.assert_allclose(corner_colors, [[[1, 0, 0]] * 3, [[0, 1, 0]] * 3])
-
-
-def test_stl_is_plain_grey(tmp_path, make_box):
-    import trimesh
-
-    trimesh.Trimesh(*make_box((0, 0, 0), (4, 3, 2)), process=False).export(tmp_path / "a.stl")
-    (part,) = read_with_trimesh(tmp_path / "a.stl", TextureStore())
-    assert len(part.faces) == 12
-    np.testing.assert_allclose(part.colors, PLAIN_GREY)
 
 
 DOORWAY = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (5, 0), (5, 3), (0, 3)]  # 13 m2; a fan over it has 19

@@ -1,0 +1,79 @@
+"""``asg cache``: what is kept on disk between runs."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+
+from rich.markup import escape
+
+from activestructure_gym.evaluation.cli.commands import Cache
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+
+
+def cache(options: Cache) -> int:
+    """Show or clear; files that are just in use stay."""
+    parts = ("scenes", "kernels") if options.part == "all" else (options.part,)
+    rows = [(_clear if options.what == "clear" else _show)(part) for part in parts]
+    if options.json:
+        print(json.dumps(rows, indent=1))
+        return 0
+    console = make_console()
+    if options.what == "clear":
+        for row in rows:
+            console.print(f"{row['part']}: {row['files']} files removed, {_megabytes(row['bytes'])}")
+        return 0
+    table = plain_table("Kept between runs", "part", "files", "size", "at most", "where")
+    for row in rows:
+        most = "no limit" if row["limit"] is None else _megabytes(row["limit"])
+        table.add_row(row["part"], str(row["files"]), _megabytes(row["bytes"]), most, escape(str(row["place"])))
+    print_whole(console, table)
+    console.print("Remove: asg cache clear, of one part: asg cache clear scenes, asg cache clear kernels.")
+    console.print("Place and size are set by ASG_CACHE_DIR, ASG_CACHE_MAX and NUMBA_CACHE_DIR.")
+    return 0
+
+
+def _show(part: str) -> dict[str, str | int | None]:
+    from activestructure_gym.scenes.cache import cache_directory, cache_files, cache_limit
+
+    if part == "scenes":
+        sizes = [size for _, size in cache_files()]
+        return _row(part, len(sizes), sum(sizes)) | {"limit": cache_limit(), "place": str(cache_directory())}
+
+    from activestructure_gym.compiling import cache_place
+    from activestructure_gym.evaluation.running.warmup import kernel_files
+
+    sizes = [file.stat().st_size for file in kernel_files()]
+    place = cache_place()
+    if place is None:
+        where = "nowhere: no directory for them can be written"
+    elif place.name == "__pycache__":
+        where = f"beside the sources in {place.parents[1]}"
+    else:
+        where = str(place.parent)
+    return _row(part, len(sizes), sum(sizes)) | {"limit": None, "place": where}
+
+
+def _clear(part: str) -> dict[str, str | int | None]:
+    from activestructure_gym.scenes.cache import clear_cache
+
+    if part == "scenes":
+        return _row(part, *clear_cache())
+
+    from activestructure_gym.evaluation.running.warmup import kernel_files
+
+    count, gone = 0, 0
+    for file in kernel_files():
+        with suppress(OSError):  # another process, or not ours to remove
+            size = file.stat().st_size
+            file.unlink()
+            count, gone = count + 1, gone + size
+    return _row(part, count, gone)
+
+
+def _row(part: str, files: int, size: int) -> dict[str, str | int | None]:
+    return {"part": part, "files": files, "bytes": size}
+
+
+def _megabytes(size: int | str | None) -> str:
+    return f"{int(size or 0) / 1e6:.1f} MB"

@@ -1,0 +1,131 @@
+"""What there is by name: complete, readable, and the same for programs."""
+
+import dataclasses
+import json
+
+import pytest
+
+from activestructure_gym.config import ReconstructionConfig, configure
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.cli.listing import field_notes, leaves
+from activestructure_gym.features import GAINS
+from activestructure_gym.features.units import UNITS
+from activestructure_gym.policies import POLICIES, Policy, make_policy
+
+
+def said(capsys, *words):
+    assert main(list(words)) == 0
+    return capsys.readouterr().out
+
+
+def test_every_policy_of_ours_says_what_it_decides_by_and_whose_it_is(capsys):
+    out = said(capsys, "policies")
+    for name in POLICIES:
+        kind = POLICIES.get(name)
+        if kind.__module__.startswith("activestructure_gym"):
+            assert kind.decides_by and kind.source, name
+            assert f" {name} " in out and kind.decides_by in out and kind.source in out
+    assert "shared/research" not in out and "docs/" not in out
+
+
+@pytest.mark.parametrize("name", list(POLICIES))
+def test_a_policy_is_described(name, capsys):
+    out = said(capsys, "policies", name)
+    assert out.startswith(name) and "Gains it needs:" in out
+    assert "shared/research" not in out and "docs/" not in out and "peers_" not in out
+
+
+def test_a_policy_s_options_stand_with_their_defaults(capsys):
+    out = said(capsys, "policies", "activeinr?uncertainty=proxy")
+    assert "uncertainty" in out and "perturbation" in out and "written as in activeinr?travel=..." in out
+    assert "activeinr_proxy" in out
+    facts = json.loads(said(capsys, "policies", "activeinr", "--json"))
+    assert facts["options"] == {"travel": "native", "uncertainty": "perturbation"}
+    assert facts["gains"][0] == "activeinr"
+
+
+def test_policies_for_programs(capsys):
+    rows = json.loads(said(capsys, "policies", "--json"))
+    assert [row["name"] for row in rows] == list(POLICIES)
+    assert {"name", "decides_by", "gains", "source", "options", "about"} == set(rows[0])
+
+
+def test_a_policy_of_a_user_without_any_of_it_is_listed(capsys, monkeypatch):
+    class Mine(Policy):
+        """Goes [red]there."""
+
+        def __init__(self, where: str) -> None: ...
+
+        def act(self, observation):
+            return 0
+
+    monkeypatch.setitem(POLICIES._entries, "mine", Mine)
+    assert "Goes [red]there." in said(capsys, "policies")
+    assert main(["policies", "mine"]) == 0
+    assert main(["policies", "mihne"]) == 2
+    assert "did you mean 'mine'" in capsys.readouterr().err
+    with pytest.raises(ValueError):
+        make_policy("mine")
+
+
+def test_every_gain_has_a_unit_and_a_line(capsys):
+    rows = json.loads(said(capsys, "features", "--json"))
+    ours = [name for name in GAINS if getattr(GAINS.get(name), "__module__", "activestructure_gym") != __name__]
+    assert [row["name"] for row in rows] == list(GAINS)
+    assert all(row["unit"] and row["about"] for row in rows if row["name"] in ours)
+    assert set(UNITS) <= set(GAINS)
+    assert not any("shared/research" in row["about"] or "partial(" in row["about"] for row in rows)
+    out = said(capsys, "features")
+    assert "naruto_look_0_x .. naruto_look_9_z" in out and "hole_area" in out
+
+
+@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+def test_the_configuration_is_printed_whole(preset, capsys):
+    out = said(capsys, "config", preset)
+    for name, _ in leaves(ReconstructionConfig()):
+        assert f" {name} " in out
+    recorded = json.loads(said(capsys, "config", preset, "--json"))
+    assert configure("default", recorded) == configure(preset)
+
+
+def test_what_set_changes_is_said(capsys):
+    out = said(capsys, "config", "fast", "--set", "sensor.width=64", "views.heights_m=[0.0, 0.5]")
+    assert "--set sensor.width: 96 -> 64\n--set views.heights_m: [0.0] -> [0.0, 0.5]\n" in out
+    assert main(["config", "--set", "sensor.widht=64"]) == 2
+    assert main(["config", "fats"]) == 2
+    assert capsys.readouterr().err.count("did you mean") == 2
+
+
+def test_every_field_has_a_meaning():
+    def walk(config):
+        for field in dataclasses.fields(config):
+            value = getattr(config, field.name)
+            if dataclasses.is_dataclass(value):
+                yield from walk(value)
+            else:
+                yield f"{type(config).__name__}.{field.name}", field_notes(type(config))[field.name]
+
+    silent = [name for name, note in walk(ReconstructionConfig()) if not note]
+    assert not silent
+
+
+def test_notes_are_read_wherever_they_stand():
+    @dataclasses.dataclass
+    class Thing:
+        # Above,
+        # in two lines.
+        above: int = 1
+        behind: int = 2  # behind
+        below: int = 3
+        """Below,
+        and on."""
+        none: int = 4
+
+    notes = field_notes(Thing)
+    assert (notes["above"], notes["behind"]) == ("Above, in two lines.", "behind")
+    assert (notes["below"], notes["none"]) == ("Below, and on.", "")
+
+
+def test_scenes_for_programs(capsys):
+    rows = json.loads(said(capsys, "scenes", "--json"))
+    assert {"name": "apartment", "options": rows[0]["options"]} == rows[0] and rows[0]["options"]["rooms"] == 3

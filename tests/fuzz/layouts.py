@@ -1,0 +1,123 @@
+"""Damaged folders: Replica scenes, posed RGB-D sequences, Matterport3D scenes."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tests.fuzz._mutations import damaged_bytes, damaged_json, damaged_text
+from tests.fuzz._rooms import CORNERS, QUADS, load, rooms
+from tests.fuzz.bombs import forged, plain_png
+
+CI_CASES = 100
+_CAMERA = {"w": 40, "h": 24, "fx": 20.0, "fy": 20.0, "cx": 19.5, "cy": 11.5, "scale": 6553.5}
+
+
+def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
+    files = dict(layout())
+    for _ in range(int(rng.integers(1, 3))):
+        name = str(rng.choice(list(files)))
+        files[name] = _damaged(rng, name, files[name])
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    if rng.random() < 0.15:
+        _misplaced(rng, folder / str(rng.choice(list(files))))
+    entrance = str(
+        rng.choice(["room", "room/habitat", "room/habitat/replica.stage_config.json", "seq/room", "house/h1"])
+    )
+    sequence = "replica" if entrance == "room" and rng.random() < 0.5 else ""
+    return lambda: _read(folder, entrance, sequence)
+
+
+def _read(folder: Path, entrance: str, sequence: str) -> None:
+    from activestructure_gym.evaluation.protocols.held_out_views import recorded_views
+    from activestructure_gym.scenes import load_scene
+
+    if sequence:
+        scene = load_scene(str(folder / entrance), sequence=str(folder / "seq" / "room"))
+    else:
+        load(folder / entrance)
+        scene = load_scene(str(folder / entrance))
+    if scene.evaluation_views is not None:
+        views = recorded_views(scene, count=3)
+        assert np.isfinite(views.depth).all() and np.isfinite(views.world_from_camera).all()
+
+
+@lru_cache(maxsize=1)
+def layout() -> dict[str, bytes]:
+    """All files by their path."""
+    vertex = np.zeros(8, [("p", "<f4", 3), ("c", "u1", 3)])
+    vertex["p"], vertex["c"] = CORNERS, (CORNERS * 50 % 256).astype(np.uint8)
+    face = np.zeros(6, [("count", "u1"), ("corners", "<i4", 4), ("object", "<i4")])
+    face["count"], face["corners"], face["object"] = 4, QUADS, [7, 7, 7, 7, 3, 9]
+    header = ["ply", "format binary_little_endian 1.0", "element vertex 8"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header += ["element face 6", "property list uchar int vertex_indices", "property int object_id", "end_header\n"]
+    mesh = "\n".join(header).encode() + vertex.tobytes() + face.tobytes()
+    objects = [{"id": k, "class_id": k, "class_name": name} for k, name in ((7, "wall"), (3, "floor"), (9, "lamp"))]
+    pose = "1 0 0 2 0 0 1 1.5 0 -1 0 1.2 0 0 0 1"
+    files = {
+        "room/mesh.ply": mesh,
+        "room/habitat/mesh_semantic.ply": mesh,
+        "room/habitat/info_semantic.json": json.dumps({"classes": [], "objects": objects}).encode(),
+        "room/habitat/replica.stage_config.json": json.dumps(
+            {"render_asset": "../mesh.ply", "semantic_asset": "mesh_semantic.ply"}
+        ).encode(),
+        "seq/room_mesh.ply": mesh,
+        "seq/cam_params.json": json.dumps({"camera": _CAMERA}).encode(),
+        "seq/room/traj.txt": (pose + "\n").encode() * 3,
+        "house/h1/h1.glb": rooms()["glb"]["room.glb"],
+        "house/h1/h1.house": b"ASCII 1.1\n",
+    }
+    for index in range(3):
+        files[f"seq/room/results/frame{index:06d}.jpg"] = _image("JPEG", np.full((24, 40, 3), 80 + index, np.uint8))
+        files[f"seq/room/results/depth{index:06d}.png"] = _image("PNG", np.full((24, 40), 9000 + index, np.uint16))
+    return files
+
+
+def _image(kind: str, pixels: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, kind)
+    return stream.getvalue()
+
+
+def _damaged(rng: np.random.Generator, name: str, data: bytes) -> bytes:
+    if name.endswith(".json") and rng.random() < 0.8:
+        try:
+            return damaged_json(rng, data)
+        except ValueError:  # damaged before
+            return damaged_bytes(rng, data)
+    if name.endswith((".txt", ".house")):
+        return damaged_text(rng, data)
+    if name.endswith(".ply") and rng.random() < 0.7:
+        end = data.find(b"end_header")
+        return damaged_text(rng, data[:end]) + data[end:]
+    if name.endswith((".jpg", ".png")) and rng.random() < 0.4:
+        kind = "JPEG" if name.endswith(".jpg") else "PNG"
+        if len(data) > 40 and data[:2] in (b"\xff\xd8", b"\x89P"):
+            side = int(rng.choice([41, 4000, 30_000, 65_535]))
+            return forged(data, kind, side) if rng.random() < 0.8 else plain_png(8192, 9000)
+    return damaged_bytes(rng, data)
+
+
+def _misplaced(rng: np.random.Generator, file: Path) -> None:
+    """Something else stands where a file should be, or nothing."""
+    file.unlink()
+    kind = rng.integers(5)
+    if kind == 0:
+        os.mkfifo(file)
+    elif kind == 1:
+        file.mkdir()
+    elif kind == 2:
+        file.symlink_to("/dev/zero")
+    elif kind == 3:
+        file.with_name(f"frame{'²'}.png").write_bytes(b"")

@@ -188,6 +188,6 @@ def test_a_surface_that_is_too_much_for_memory_gets_larger_voxels(monkeypatch, m
     from activestructure_gym.ground_truth import free_space
 
     room = make_scene(*make_box((0, 0, 0), (4, 3, 2.5)))  # 59 m2, 24,000 samples
-    assert free_space._compute(room)["voxel_size"] == pytest.approx(0.1)
+    assert free_space.compute_free_space(room).voxel_size == pytest.approx(0.1)
     monkeypatch.setattr(free_space, "MAX_SAMPLES", 10_000)
-    assert 0.15 < free_space._compute(room)["voxel_size"] < 0.18  # by hand: 0.1 * (2.4)^(1/2), in steps of 1.1
+    assert 0.15 < free_space.compute_free_space(room).voxel_size < 0.18  # by hand: 0.1 * (2.4)^(1/2), in steps of 1.1

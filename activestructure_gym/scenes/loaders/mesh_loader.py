@@ -200,7 +200,7 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, De
             return collada.parts, collada.metres_per_unit, DeclaredUp(collada.up, "by its up_axis")
         declared = DeclaredUp("z", f"for {suffix[1:].upper()} files, which do not say")
         if suffix == ".stl":
-            from activestructure_gym.scenes.stl import read_stl
+            from activestructure_gym.scenes.loaders.stl import read_stl
 
             return read_stl(textures.budget.read(path)), 1.0, declared
         from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh

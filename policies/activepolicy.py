@@ -30,7 +30,7 @@ class ActivePolicy(Planner):
 
     Only a digest of the paper is known, and on its face the rule hardly looks at the gain; hence the pre-filter. No
     travel term; of equals, before the filter and after it, the one with the fewest frames.
-    Source: ``../shared/research/peers_info_rl.md`` A5; what differs is in docs/planners.md.
+    Source: ``../shared/research/peers_info_rl.md`` A5; what differs is in docs/guide/planners.md.
     """
 
     required_gains = ("activepolicy",)

@@ -35,7 +35,7 @@ class AnmS(Planner):
     that were cut off from it are looked at.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
-    Source: ``../shared/research/peers_active.md`` 3.2; what differs is in docs/planners.md.
+    Source: ``../shared/research/peers_active.md`` 3.2; what differs is in docs/guide/planners.md.
     """
 
     def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:

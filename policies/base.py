@@ -143,7 +143,7 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
     """g(T_c, T_cur) of Eq. 15 as 1 / (1 + frames / 5), shared by all policies: gain per frame paid.
 
     The paper leaves g open. Frames count turns as well as steps, so turning on the spot is not free; 5 is the keyframe
-    interval. Measured against exp(-metres / 4) in docs/method.md.
+    interval. Measured against exp(-metres / 4) in docs/notebook/method.md.
     """
     return 1.0 / (1.0 + observation["candidates"][:, FRAMES] / scale_frames)
 

@@ -8,6 +8,6 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("hole_area")
 class HoleArea(SharedGreedy):
-    """The first term of rung E alone: no Plane Scene Graph, no phases (docs/method.md has the comparison)."""
+    """The first term of rung E alone: no Plane Scene Graph, no phases (docs/notebook/method.md has the comparison)."""
 
     required_gains = ("hole_area",)

@@ -29,7 +29,7 @@ class Naruto(Planner):
     - look: at g*, all of the look-at list (up to 10 targets, from the most uncertain on), each time the candidate with
       the smallest rotation that looks at a target not yet looked at.
 
-    Source: ``../shared/research/peers_active.md`` 2; what differs is in docs/planners.md.
+    Source: ``../shared/research/peers_active.md`` 2; what differs is in docs/guide/planners.md.
     """
 
     required_gains = ("naruto", *LIST_COLUMNS)

@@ -56,7 +56,7 @@ class ReconstructionConfig:
 # Overrides of the defaults above, by field.
 PRESETS: dict[str, dict[str, Any]] = {
     # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
-    # depth and stay as they are (docs/performance.md, "Learning-sized environment").
+    # depth and stay as they are (docs/notebook/performance.md, "Learning-sized environment").
     "fast": {
         "frame_budget": 100,
         "keyframe_every": 20,

@@ -22,10 +22,10 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/extending.md, importable."""
-    for block in blocks("docs/extending.md"):
+    """The files of docs/guide/own_policy.md, importable."""
+    for block in blocks("docs/guide/own_policy.md"):
         name = re.match(r"# (\w+\.py)\n", block)
-        assert name, f"a block of docs/extending.md does not begin with its file name:\n{block}"
+        assert name, f"a block of docs/guide/own_policy.md does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)
         assert len([line for line in block.splitlines() if line.strip()]) <= 20
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -90,9 +90,9 @@ def test_the_page_of_the_observation_is_up_to_date() -> None:
     from activestructure_gym.envs.observation import CANDIDATE_FEATURES, observation_table
     from activestructure_gym.planes import PLANE_FEATURES
 
-    page = (ROOT / "docs" / "observation.md").read_text()
+    page = (ROOT / "docs" / "guide" / "observation.md").read_text()
     assert observation_table(configure("default"), max_planes=64) in page, (
-        "docs/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
+        "docs/guide/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
     )
     for name in (*CANDIDATE_FEATURES, *PLANE_FEATURES):
         assert f"`{name}`" in page
@@ -100,8 +100,8 @@ def test_the_page_of_the_observation_is_up_to_date() -> None:
 
 def test_the_rasteriser_s_example_runs() -> None:
     scope: dict[str, Any] = {}
-    (block,) = blocks("docs/rasteriser.md")
-    exec(compile(block, "docs/rasteriser.md", "exec"), scope)
+    (block,) = blocks("docs/notebook/rasteriser.md")
+    exec(compile(block, "docs/notebook/rasteriser.md", "exec"), scope)
     assert scope["picture"].color.shape == (120, 160, 3)
     assert float(scope["means"].grad.abs().sum()) > 0
 
@@ -109,7 +109,7 @@ def test_the_rasteriser_s_example_runs() -> None:
 def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
     from activestructure_gym.policies import LADDER, POLICIES
 
-    page = (ROOT / "docs" / "planners.md").read_text().partition("## Cost")
+    page = (ROOT / "docs" / "guide" / "planners.md").read_text().partition("## Cost")
     told = page[0] + page[2].partition("The sections stand")[2]
     ours = [name for name in POLICIES if POLICIES.get(name).__module__.startswith("activestructure_gym.")]
     names = {name.removesuffix("_pure") for name in ours if name not in (*LADDER[:-1], "random")}

@@ -15,7 +15,7 @@ from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 _STRIDE = 2
 
 # Metres. A surface farther away gets its Gaussians too far apart to count as reconstructed: 10 cm at the default
-# preset, where a seed stands for two pixels of 1 / 80 (docs/method.md has the measurement).
+# preset, where a seed stands for two pixels of 1 / 80 (docs/notebook/method.md has the measurement).
 REACH = 4.0
 
 

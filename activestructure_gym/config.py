@@ -33,12 +33,12 @@ class ReconstructionConfig:
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
     revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (method.md, section 6)
     gains: tuple[str, ...] = ("pixel",)  # evaluated for every candidate, in this order
-    sensor: SensorConfig = field(default_factory=SensorConfig)
-    mapper: MapperConfig = field(default_factory=MapperConfig)
-    volume: VolumeConfig = field(default_factory=VolumeConfig)
-    planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)
-    motion: MotionConfig = field(default_factory=MotionConfig)
-    views: ViewConfig = field(default_factory=ViewConfig)
+    sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
+    mapper: MapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
+    volume: VolumeConfig = field(default_factory=VolumeConfig)  # the voxel grid of free and occupied space
+    planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)  # the Plane Scene Graph
+    motion: MotionConfig = field(default_factory=MotionConfig)  # the agent's body and its steps
+    views: ViewConfig = field(default_factory=ViewConfig)  # which candidates are offered
 
     def __post_init__(self) -> None:
         _check_kind("frame_budget", self.frame_budget, int)
@@ -79,7 +79,29 @@ def configure(preset: str = "default", overrides: Mapping[str, Any] | None = Non
     """The preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
 
     ``{"mapper.name": "splatam"}`` starts from that recipe of `MAPPERS`; the preset's and the given fields then replace
-    the recipe's. Raises `InputError` naming the nearest valid preset or field, and for values a config refuses.
+    the recipe's.
+
+    Parameters
+    ----------
+    preset
+        ``"fast"`` (learning and tests), ``"default"`` or ``"paper"`` (the paper's sizes).
+    overrides
+        Fields to replace, nested or with dots.
+
+    Returns
+    -------
+    ReconstructionConfig
+        Checked, frozen, hashable.
+
+    Raises
+    ------
+    InputError
+        An unknown preset or field, with the nearest known one, or a value that a field cannot have.
+
+    Examples
+    --------
+    >>> configure("fast", {"sensor.width": 96, "mapper": {"iterations": 4}}).sensor.width
+    96
     """
     if preset not in PRESETS:
         raise unknown_name("preset", preset, PRESETS)

@@ -41,7 +41,22 @@ class Visit:
 
 
 class Reconstruction:
-    """State of one episode. `start` begins it, `visit` moves it on; everything else is there to be read."""
+    """State of one episode. `start` begins it, `visit` moves it on; everything else is there to be read.
+
+    Parameters
+    ----------
+    config
+        Everything that decides an episode besides the scene, the seed and the policy.
+
+    Examples
+    --------
+    >>> from activestructure_gym import configure, ground_truth_of, load_scene
+    >>> episode = Reconstruction(configure("fast", {"frame_budget": 30}))
+    >>> frame = episode.start(ground_truth_of(load_scene("box")), seed=0)
+    >>> visit = episode.visit(0)  # walk to the first candidate
+    >>> visit.reached, episode.frames > 1
+    (True, True)
+    """
 
     scene: Scene
     sensor: RGBDSensor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal, TypedDict, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +22,22 @@ from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 
 SceneSpec = str | PathLike[str] | Scene | GroundTruth
+Scenes = SceneSpec | Sequence[SceneSpec]
+RenderMode = Literal["rgb_array"]
+
+
+class EnvOptions(TypedDict, total=False):
+    """The keywords that every task shares; see the manual of `ReconstructionEnv`."""
+
+    preset: str
+    frame_budget: int | None
+    gains: Sequence[str] | None
+    config: ReconstructionConfig | Mapping[str, Any] | None
+    reward: RewardConfig | Mapping[str, Any] | None
+    coverage_target: float | None
+    max_planes: int
+    start_pose: Sequence[float] | np.ndarray | None
+    render_mode: RenderMode | None
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
@@ -85,7 +101,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     """
 
     metadata: dict[str, Any] = {
-        "render_modes": ["rgb_array"],
+        "render_modes": list(get_args(RenderMode)),
         "render_fps": 2,
     }
 
@@ -94,7 +110,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     def __init__(
         self,
-        scene: SceneSpec | Sequence[SceneSpec],
+        scene: Scenes,
         *,
         preset: str = "default",
         frame_budget: int | None = None,
@@ -104,7 +120,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         coverage_target: float | None = 0.99,
         max_planes: int = 64,
         start_pose: Sequence[float] | np.ndarray | None = None,
-        render_mode: str | None = None,
+        render_mode: RenderMode | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]

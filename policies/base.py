@@ -111,7 +111,25 @@ POLICIES: Registry[type[Policy]] = Registry(
 def make_policy(spec: str) -> Policy:
     """The policy that ``spec`` names: ``pixel_only``, ``active_gs?travel=shared``, ``my_policy:Mine?depth=3``.
 
-    Raises `InputError`: unknown name or option, a value of the wrong kind, or one that the policy refuses.
+    Parameters
+    ----------
+    spec
+        A registered name, ``learned:CHECKPOINT`` or ``package.module:Class``, with options behind a question mark.
+
+    Returns
+    -------
+    Policy
+        Not bound to any env yet.
+
+    Raises
+    ------
+    InputError
+        Unknown name or option, a value of the wrong kind, or one that the policy refuses.
+
+    Examples
+    --------
+    >>> make_policy("active_gs?travel=shared").travel
+    'shared'
     """
     kind, options = _class_and_options(spec)
     try:
@@ -124,7 +142,27 @@ def canonical_policy(spec: str) -> str:
     """The one text for a policy: options sorted by name, without those that say what is usual.
 
     A class that is made from its name says in ``spec`` what it is called from anywhere: a checkpoint by its absolute
-    path and its content. Raises `InputError` like `make_policy` for unknown names and options.
+    path and its content.
+
+    Parameters
+    ----------
+    spec
+        As for `make_policy`.
+
+    Returns
+    -------
+    str
+        Equal for equal policies.
+
+    Raises
+    ------
+    InputError
+        Unknown name or option.
+
+    Examples
+    --------
+    >>> canonical_policy("active_gs?travel=native"), canonical_policy("active_gs?travel=shared")
+    ('active_gs', 'active_gs?travel=shared')
     """
     kind, options = _class_and_options(spec)
     usual = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
@@ -146,6 +184,18 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
 
     The paper leaves g open. Frames count turns as well as steps, so turning on the spot is not free; 5 is the keyframe
     interval. Measured against exp(-metres / 4).
+
+    Parameters
+    ----------
+    observation
+        Of which the column ``frames`` of the candidates [K, 8] is read.
+    scale_frames
+        Frames after which a gain counts half.
+
+    Returns
+    -------
+    [K] in (0, 1]
+        The factor on every candidate's gain.
     """
     return 1.0 / (1.0 + observation["candidates"][:, FRAMES] / scale_frames)
 

@@ -14,8 +14,11 @@ TRAVEL = ("native", "shared")
 class Planner(Policy):
     """A planner with its own travel term, which can be run with everybody's instead.
 
-    ``travel``: "native" scores a view as the planner's paper does, by `native`; "shared" by its gain times
-    `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
+    Parameters
+    ----------
+    travel
+        ``"native"`` scores a view as the planner's paper does, by `native`; ``"shared"`` by its gain times
+        `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
     """
 
     least: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit

@@ -24,9 +24,9 @@ T = TypeVar("T")
 class GainContext:
     """The reconstruction and the candidates of one step. There is no scene in here: no gain can reach ground truth."""
 
-    mapper: Mapper
-    volume: VoxelVolume
-    planes: PlaneSceneGraph
+    mapper: Mapper  # the Gaussian map and its keyframes
+    volume: VoxelVolume  # known free, occupied and unknown space
+    planes: PlaneSceneGraph  # as of the last keyframe
     camera: PinholeCamera  # the sensor's camera at the reduced size of `ViewConfig.scoring_scale`
     bounds: np.ndarray  # [2, 3] metres, the workspace
     coverage_alpha: float  # a pixel is covered where alpha exceeds this

@@ -9,7 +9,23 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5)."""
+    """Intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5).
+
+    Parameters
+    ----------
+    width, height
+        Pixels.
+    fx, fy
+        Focal lengths in pixels.
+    cx, cy
+        Principal point in pixels.
+
+    Examples
+    --------
+    >>> camera = PinholeCamera.from_size(320, 180)
+    >>> round(camera.fx, 6), camera.project(np.array([0.0, 0.0, 2.0])).tolist()
+    (160.0, [160.0, 90.0])
+    """
 
     width: int
     height: int

@@ -16,7 +16,7 @@ class Frame:
     rgb: np.ndarray  # [H, W, 3] uint8
     depth: np.ndarray  # [H, W] float32 metres along the optical axis, 0 = no return
     world_from_camera: np.ndarray  # [4, 4] float64
-    camera: PinholeCamera
+    camera: PinholeCamera  # of rgb and depth
 
     def world_points(self) -> np.ndarray:  # [M, 3] float64
         """The points of all pixels with a return, row by row."""

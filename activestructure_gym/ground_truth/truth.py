@@ -25,7 +25,7 @@ class GroundTruth:
     Raises `InputError` from its properties where the scene has no free space.
     """
 
-    scene: Scene
+    scene: Scene  # whose truth it is
     surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, seen or not
 
     @cached_property
@@ -69,7 +69,27 @@ _known: WeakValueDictionary[str, GroundTruth] = WeakValueDictionary()
 
 
 def ground_truth_of(scene: Scene) -> GroundTruth:
-    """The truth of a scene; the same object for the same content, as long as somebody holds it."""
+    """The truth of a scene; the same object for the same content, as long as somebody holds it.
+
+    Parameters
+    ----------
+    scene
+        The scene; nothing is computed before it is asked for.
+
+    Returns
+    -------
+    GroundTruth
+        Free space, start poses and observable surface, metres in the world's frame.
+
+    Examples
+    --------
+    >>> from activestructure_gym.scenes import load_scene
+    >>> truth = ground_truth_of(load_scene("box"))
+    >>> truth is ground_truth_of(load_scene("box"))
+    True
+    >>> truth.free_space.start_poses.shape[1:]
+    (4, 4)
+    """
     truth = _known.get(scene.content_hash)
     if truth is None:
         truth = _known[scene.content_hash] = GroundTruth(scene)

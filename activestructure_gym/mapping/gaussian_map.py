@@ -29,6 +29,18 @@ class GaussianMap:
     The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
     are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
     ``ids`` [capacity] int64 names every Gaussian for as long as it lives: columns change hands, names do not.
+
+    Parameters
+    ----------
+    capacity
+        How many Gaussians there is room for at first; the arrays grow.
+
+    Examples
+    --------
+    >>> gaussians = GaussianMap()
+    >>> gaussians.append(np.zeros((14, 3), np.float32))  # rows: mean, quaternion, log-scale, opacity logit, colour
+    >>> gaussians.means.shape, gaussians.opacities.tolist()
+    ((3, 3), [0.5, 0.5, 0.5])
     """
 
     def __init__(self, capacity: int = 4096) -> None:

@@ -57,6 +57,13 @@ class Mapper:
     is seeded at the smallest stride from ``seed_stride`` to ``max_seed_stride`` pixels that keeps to this: new parts
     of the map get coarser as it fills, and nothing is lost. If even the coarsest does not, the frame may take all the
     room that is left, and what is still missing is made by dropping the Gaussians with the smallest opacity.
+
+    Parameters
+    ----------
+    config
+        Which recipe, and its constants.
+    rng
+        Draws keyframes and seeds.
     """
 
     def __init__(self, config: MapperConfig, rng: np.random.Generator) -> None:

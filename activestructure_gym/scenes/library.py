@@ -66,15 +66,29 @@ def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bo
 def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
     """The scene that ``spec`` names.
 
-    Args:
-        spec: a `Scene` (returned as it is), a path, or a text of one of the forms
-            ``apartment?seed=3&rooms=4`` (a registered name), ``my_package.scenes:make`` (a factory anywhere),
-            ``house.glb?units=cm&up=y`` (a mesh file, or the folder of a Replica or Matterport3D scene),
-            ``replica:room_0`` (the same with the kind said).
-        **options: keyword arguments of the factory; they win over options in the text.
+    Parameters
+    ----------
+    spec
+        A `Scene` (returned as it is), a path, or a text of one of the forms ``apartment?seed=3&rooms=4`` (a registered
+        name), ``my_package.scenes:make`` (a factory anywhere), ``house.glb?units=cm&up=y`` (a mesh file, or the folder
+        of a Replica or Matterport3D scene), ``replica:room_0`` (the same with the kind said).
+    **options
+        Keyword arguments of the factory; they win over options in the text.
 
-    Raises:
-        InputError: unknown name or option, a value of the wrong kind, or a file that cannot be used.
+    Returns
+    -------
+    Scene
+        A mesh in metres, z up.
+
+    Raises
+    ------
+    InputError
+        Unknown name or option, a value of the wrong kind, or a file that cannot be used.
+
+    Examples
+    --------
+    >>> load_scene("box?seed=1").bounds.round(1).tolist()
+    [[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]
     """
     if isinstance(spec, Scene):
         if options:

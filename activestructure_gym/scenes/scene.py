@@ -54,10 +54,10 @@ class PartLabels:
 class Scene:
     """A mesh an agent can be put into. Immutable; derived data are computed once and cached by content."""
 
-    name: str
-    mesh: SceneMesh
+    name: str  # what people call it
+    mesh: SceneMesh  # metres, z up
     source: str  # where it comes from: a file, or a generator with its arguments
-    labels: PartLabels | None = None
+    labels: PartLabels | None = None  # of generated scenes, for tests
     evaluation_views: PosedSequence | None = None  # recorded views that came with the scene, for evaluation
     notes: tuple[str, ...] = field(default=())  # what the loader wants the user to read (scale check, dropped parts)
 

@@ -70,17 +70,64 @@ def rasterize(
     """Render Gaussians, with gradients to every tensor given (of ``camera_from_world`` rows 0 to 2, as if its twelve
     numbers were free; see `camera_twist_gradient`).
 
-    ``backend`` is ``cpu``, ``gsplat``, ``reference`` or ``auto`` (gsplat for CUDA tensors, the compiled kernel for
-    float32 on the CPU, the reference for anything else). ``sh`` follows 3D Gaussian splatting: colour =
-    max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre. The median depth is the depth of the
-    Gaussian with which the transmittance, front to back, first falls to 0.5 or below; it is 0 where alpha stays under
-    0.5 and has no gradient. Several cameras give the same as one call each. ``threads`` is for ``cpu`` alone (default:
-    the cores of this process, or ``OMP_NUM_THREADS``) and does not change a bit of the result.
+    Parameters
+    ----------
+    means
+        [N, 3] metres, world.
+    quaternions
+        [N, 4] wxyz, of any length above 0.
+    log_scales
+        [N, 3] logarithms of the standard deviations in metres.
+    opacity_logits
+        [N].
+    colors
+        [N, 3], used as they are; either these or ``sh``.
+    camera_from_world
+        [4, 4], or [C, 4, 4] for several cameras at once: the same as one call each.
+    camera
+        Pixels and focal lengths.
+    sh
+        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting: colour =
+        max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre.
+    channels
+        [N, D] anything else to blend.
+    median_depth
+        Also give the depth of the Gaussian with which the transmittance, front to back, first falls to 0.5 or below; 0
+        where alpha stays under 0.5; it has no gradient.
+    backend
+        ``"cpu"`` (compiled kernels), ``"gsplat"``, ``"reference"`` (plain torch), or ``"auto"``: gsplat for CUDA
+        tensors, the kernels for float32 on the CPU, the reference for anything else.
+    max_alpha
+        A Gaussian's opacity in a pixel is cut off here.
+    threads
+        Of ``"cpu"`` alone; the cores of this process, or ``OMP_NUM_THREADS``, if not given; results do not depend
+        on it.
 
-    Numerics are gsplat's (``../shared/research/backbones.md`` 2.4).
+    Returns
+    -------
+    Rasterization
+        Colour, accumulated depth in metres, alpha, and what else was asked for, with a leading axis [C] for several
+        cameras.
 
-    Raises:
-        InputError: tensors that do not fit together, an unknown backend, or one that cannot do what is asked here.
+    Raises
+    ------
+    InputError
+        Tensors that do not fit together, an unknown backend, or one that cannot do what is asked here.
+
+    Notes
+    -----
+    Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, eqs. 3, 5 and
+    6; cut-offs are gsplat's (Ye et al., JMLR 2025).
+
+    Examples
+    --------
+    >>> one = torch.tensor([[0.0, 0.0, 2.0]])
+    >>> picture = rasterize(
+    ...     one, torch.tensor([[1.0, 0.0, 0.0, 0.0]]), torch.full((1, 3), -2.0), torch.tensor([2.0]), torch.ones(1, 3),
+    ...     camera_from_world=torch.eye(4), camera=PinholeCamera.from_size(32, 24),
+    ... )
+    >>> picture.color.shape, bool(picture.alpha[12, 16] > 0.5)
+    (torch.Size([24, 32, 3]), True)
     """
     if backend != "auto" and backend not in BACKENDS:
         raise unknown_name("splatting backend", backend, BACKENDS)

@@ -30,11 +30,11 @@ class Job:
     policy: str  # name, or "module:Class", with its options: "naruto?travel=shared"
     seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
     scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
-    preset: str = "default"
+    preset: str = "default"  # of the configuration
     frame_budget: int | None = None  # frames; None = the preset's
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields, e.g. (("sensor.depth_noise", "kinect"),)
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed
-    protocol: StandardProtocol = field(default_factory=StandardProtocol)
+    protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what the map is measured by
     also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
 
     def __post_init__(self) -> None:

@@ -49,12 +49,12 @@ EVALUATIONS = "evaluations"
 class Run:
     """A finished job, read from its directory."""
 
-    directory: Path
+    directory: Path  # where it was read from
     scene: str  # what people call it; differs between the scenes of a comparison
-    job: Job
-    config: dict[str, Any]
-    metrics: dict[str, Any]
-    timing: dict[str, Any]
+    job: Job  # what was run
+    config: dict[str, Any]  # of config.json
+    metrics: dict[str, Any]  # of metrics.json: ``metrics``, ``curve``, ...
+    timing: dict[str, Any]  # of timing.json, seconds
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:
@@ -105,7 +105,25 @@ def is_done(directory: Path, job: Job) -> bool:
 
 
 def read_run(directory: Path, scene: str | None = None) -> Run:
-    """Open a finished job's directory, with another short name for its scene; raises `InputError` if there is none."""
+    """Open a finished job's directory.
+
+    Parameters
+    ----------
+    directory
+        One of ``jobs/`` of a comparison.
+    scene
+        Another short name for the scene; by its spec if not given.
+
+    Returns
+    -------
+    Run
+        Configuration, numbers and clocks; arrays are read when they are asked for.
+
+    Raises
+    ------
+    InputError
+        It is not finished, of another format, or damaged.
+    """
     if not (directory / DONE).is_file():
         raise InputError(f"'{directory}' is not a finished run: it has no {DONE} file")
     try:

@@ -71,9 +71,9 @@ class StandardProtocol:
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
     # On the whole mesh, where those that some free pose can see are the truth, about half; and on the TSDF surface.
     surface_samples: int = 200_000
-    views: int = 64
+    views: int = 64  # held-out ones
     view_width: int = 320  # pixels, whatever the sensor's size: numbers of other sizes cannot be compared
-    view_height: int = 180
+    view_height: int = 180  # pixels
     view_fov_deg: float = 90.0  # horizontal
     view_supersample: int = 4  # rays per pixel and axis in the true views
     view_source: str = "free_space"  # or "recorded": the views that came with the scene

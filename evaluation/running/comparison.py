@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 class Comparison:
     """What is compared, and under which conditions; the same for every policy."""
 
-    scenes: Sequence[str]
-    policies: Sequence[str]
-    seeds: Sequence[int] = (0,)
-    preset: str = "default"
+    scenes: Sequence[str]  # texts as `load_scene` takes them
+    policies: Sequence[str]  # names with options
+    seeds: Sequence[int] = (0,)  # equal seeds share start and noise
+    preset: str = "default"  # of the configuration
     frame_budget: int | None = None  # frames; None = the preset's
     overrides: Mapping[str, Any] = field(default_factory=dict)  # of the preset's fields
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg
-    protocol: StandardProtocol = field(default_factory=StandardProtocol)
+    protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what maps are measured by
     also_protocols: Sequence[str] = ()  # every finished map is measured by these too
     recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
 
@@ -137,7 +137,7 @@ class Result:
     """What came out of a comparison."""
 
     runs: list[Run]  # every finished job of the grid, those of earlier sittings included
-    failed: list[Outcome]
+    failed: list[Outcome]  # with the error of each
     skipped: int  # of the jobs asked for: finished before, and not run again
     missing: int = 0  # jobs of earlier sittings that are not finished and were not asked for
 
@@ -197,6 +197,35 @@ def run_comparison(
     Unfinished jobs are never counted, finished ones never repeated. Jobs of earlier sittings stay part of the
     comparison. Raises `InputError` where the jobs cannot stand beside those, see `resuming.merged`. Call
     `check_output` first, and hold the directory.
+
+    Parameters
+    ----------
+    jobs
+        From `Comparison.prepare`, or those of a comparison that is gone on with.
+    directory
+        Where results go; see `archive.store`.
+    listener
+        Who is told how the jobs get on.
+    engine
+        ``"local"``, ``"inline"`` or ``"ray"``.
+    limits
+        Jobs at a time, minutes per job, further attempts.
+    resume
+        Whether there may be a comparison in the directory.
+    command
+        How the comparison was asked for; kept in the archive.
+    held
+        The descriptor that `directory_lock.hold` gave for the directory.
+
+    Returns
+    -------
+    Result
+        All finished runs, and what became of the others.
+
+    Raises
+    ------
+    InputError
+        The jobs cannot stand beside those that the directory records, or the engine is unknown.
     """
     chosen, limits = get_engine(engine), limits or Limits()
     recorded = recorded_jobs(directory)
@@ -278,7 +307,23 @@ def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
 
 
 def open_comparison(directory: Path) -> list[Run]:
-    """All finished runs of a comparison's directory; raises `InputError` if its record cannot be read."""
+    """All finished runs of a comparison's directory.
+
+    Parameters
+    ----------
+    directory
+        What ``asg compare --out`` or `compare` wrote into, or a copy of it.
+
+    Returns
+    -------
+    list of Run
+        In the order of the comparison's record: seeds, then scenes, then policies.
+
+    Raises
+    ------
+    InputError
+        The record, or a run, cannot be read.
+    """
     record = read_record(directory)
     if record is None:
         raise InputError(f"'{directory}' cannot be read as a comparison: it has no {store.COMPARISON}")

@@ -31,7 +31,7 @@ class ReconstructionConfig:
 
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
-    revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (method.md, section 6)
+    revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (own choice)
     gains: tuple[str, ...] = ("pixel",)  # evaluated for every candidate, in this order
     sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
     mapper: MapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows

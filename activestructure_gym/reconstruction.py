@@ -2,7 +2,7 @@
 
 Scene -> sensor -> map, volume, planes -> candidate views -> gains; then a view is chosen from outside, and the agent
 walks there (`Reconstruction.visit`). Every frame costs 1 of the budget; every fifth frame and the last of a path is a
-keyframe, which is rendered, integrated and mapped (method.md, section 1).
+keyframe, which is rendered, integrated and mapped.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""ActiveGS (Jin et al. 2025): unexplored space and unsure surface, less the share of the way."""
+"""ActiveGS ([active_gs]): unexplored space and unsure surface, less the share of the way."""
 
 from __future__ import annotations
 

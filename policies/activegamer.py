@@ -49,10 +49,10 @@ def coarse_views(offset: np.ndarray, look: np.ndarray) -> tuple[np.ndarray, np.n
 
 @POLICIES.register("activegamer")
 class ActiveGAMER(Planner):
-    """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage (CVPR 2025).
+    """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice; a stage ends when its pool is empty.
+    pool after the choice; a stage ends when its pool is empty. Source: [activegamer, code].
     """
 
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"

@@ -18,7 +18,7 @@ PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next o
 
 @POLICIES.register("activeinr")
 class ActiveINR(Planner):
-    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n (ICCV 2023).
+    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n ([anm]).
 
     Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; targets that
     are free, more than 1 m away and inside the workspace come first (gain ``activeinr``). No travel term. The target is
@@ -26,6 +26,7 @@ class ActiveINR(Planner):
     to it is gone to.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: [activeinr, code].
     """
 
     decides_by = "the largest piece of uncertain surface"

@@ -21,7 +21,7 @@ SAME = 1e-9  # relative difference of two centralities that are equal but for ro
 
 @POLICIES.register("activepolicy")
 class ActivePolicy(Planner):
-    """argmax_i 1 / (|v_i| + epsilon), v the Fiedler vector of a graph of views: inspired by ActivePolicy (CVPR 2026).
+    """argmax_i 1 / (|v_i| + epsilon), v the Fiedler vector of a graph of views: inspired by [activepolicy].
 
     Nodes: the map (0) and the 16 views with the largest gain g. Edges: A_0i = g_i / mean g and
     A_ij = lambda_r overlap_ij exp(-gamma d_ij / mean d). v is the eigenvector of the second smallest eigenvalue of
@@ -30,6 +30,7 @@ class ActivePolicy(Planner):
 
     Only a digest of the paper is known, and on its face the rule hardly looks at the gain; hence the pre-filter. No
     travel term; of equals, before the filter and after it, the one with the fewest frames.
+    Source: a digest of [activepolicy].
     """
 
     decides_by = "the most central of the 16 views with most disagreeing depth"

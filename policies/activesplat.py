@@ -33,7 +33,7 @@ class ActiveSplat(Planner):
     """The node with the highest `node_scores`, the view there that shows most gaps, then up to LOCAL_VIEWS around it.
 
     I and V come from panoramas of the map at the node (`activesplat_information`, `activesplat_volume`). Source:
-    ActiveSplat (RA-L 2025).
+    [activesplat, code].
     """
 
     decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"

@@ -25,7 +25,7 @@ UNCERTAINTY = ("perturbation", "proxy")
 
 @POLICIES.register("anm_s")
 class AnmS(Planner):
-    """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way (IROS 2024).
+    """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way ([anm_s]).
 
     Nodes are those of the floor plan's Voronoi graph. Unarrived: farther than 0.975 m from the way so far. In horizon:
     in line of sight and inside the box last seen on the way. Has cluster: a connected piece of the most uncertain 20 %
@@ -35,6 +35,7 @@ class AnmS(Planner):
     that were cut off from it are looked at.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: [anm_s, code].
     """
 
     decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"

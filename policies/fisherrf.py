@@ -1,4 +1,4 @@
-"""FisherRF as a policy (Jiang et al., ECCV 2024)."""
+"""FisherRF as a policy ([fisherrf])."""
 
 from __future__ import annotations
 

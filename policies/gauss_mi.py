@@ -1,4 +1,4 @@
-"""GauSS-MI as a policy (Xie et al., RSS 2025)."""
+"""GauSS-MI as a policy ([gauss_mi])."""
 
 from __future__ import annotations
 

@@ -50,12 +50,13 @@ def best_per_viewpoint(
 
 @POLICIES.register("gs_planner")
 class GSPlanner(Planner):
-    """G = G_completeness + w G_quality: `gs_planner_volume` and `gs_planner_loss` (GS-Planner, IROS 2024).
+    """G = G_completeness + w G_quality: `gs_planner_volume` and `gs_planner_loss` ([gs_planner]).
 
     Native: the best of the VIEWPOINTS nearest places, each with its best view, as one growth of the original's tree
     from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
     LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
     Revisits are no candidates of it.
+    Source: [gs_planner], by its text.
     """
 
     decides_by = "unobserved volume behind transmittance, badly rendered surface"

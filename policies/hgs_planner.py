@@ -1,4 +1,4 @@
-"""HGS-Planner (Xu et al., ICRA 2025): local views by gain, then a tour through the parts that are not done."""
+"""HGS-Planner ([hgs_planner], by its text): local views by gain, then a tour through the parts that are not done."""
 
 from __future__ import annotations
 

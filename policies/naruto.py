@@ -20,7 +20,7 @@ FACING = float(np.cos(np.radians(25.0)))  # a target this near to the axis is in
 
 @POLICIES.register("naruto")
 class Naruto(Planner):
-    """g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g (Feng et al., CVPR 2024); no travel cost.
+    """g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g ([naruto]); no travel cost.
 
     sigma = 1 / (1 + sum of o_k hits_k) over the Gaussians k at t; the 300 targets are a part of the 4000 most uncertain
     places in front of surfaces; seen are those 0.5 to 2 m away along 30 free samples (gain ``naruto``). Two stages:
@@ -29,6 +29,7 @@ class Naruto(Planner):
     - look: at g*, all of the look-at list (up to 10 targets, from the most uncertain on), each time the candidate with
       the smallest rotation that looks at a target not yet looked at.
 
+    Source: [naruto, code].
     """
 
     decides_by = "uncertain places within 0.5 to 2 m, then a list of them to look at"

@@ -1,4 +1,4 @@
-"""POp-GS as policies, one for each criterion of optimal design (Wilson et al., CVPR 2025); no travel term.
+"""POp-GS as policies, one for each criterion of optimal design ([popgs]); no travel term.
 
 The formulas stand with the gains of the same names: with H the information of the keyframes and h its diagonal, those
 of a candidate B and d, and everything in units of the median of H,

@@ -1,4 +1,4 @@
-"""RT-GuIDE (Tao et al. 2025): first the region that is worth its way, then the view in it where most still moves."""
+"""RT-GuIDE ([rt_guide]): first the region that is worth its way, then the view in it where most still moves."""
 
 from __future__ import annotations
 

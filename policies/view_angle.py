@@ -1,4 +1,4 @@
-"""COVER (arXiv 2604.05259): the view from the newest side."""
+"""COVER ([cover]): the view from the newest side."""
 
 from __future__ import annotations
 

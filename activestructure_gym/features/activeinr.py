@@ -22,7 +22,7 @@ def assigned(context: GainContext, uncertainty: Callable[[GainContext], Surface]
     Only clusters whose target is free, not too near to the agent and inside the workspace count, each as far as any
     is left (`preferred`). A cluster stands with the candidate nearest to the target that looks along -mean n: a metre
     counts as much as a right angle. Of those without a larger cluster, that is, and no revisit. Candidates without a
-    cluster have 0 and their own position. ANM (Yan et al., ICCV 2023).
+    cluster have 0 and their own position. ANM ([anm]).
     """
     poses, here = context.world_from_camera, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     table = np.concatenate([np.zeros((len(poses), 1)), poses[:, :3, 3]], axis=1)

@@ -26,7 +26,7 @@ def activepolicy(context: GainContext) -> np.ndarray:  # [K] in 0..1
     that of their Laplacians, both over the squared depth. The readings: d_a = sum w d / sum w, d_c = the depth of the
     Gaussian with which the transmittance falls to one half, and d_r = d_a^k d_c^(1 - k) with the confidence
     k = alpha / (1 + gamma |log(d_a / d_c)|).
-    Source: ``../shared/research/peers_info_rl.md`` A5 (a digest). There d_c is the depth of the largest weight, alpha's
+    Source: a digest of [activepolicy]. There d_c is the depth of the largest weight, alpha's
     place in k is taken by a count of Gaussians, and tanh(x / 2) = 2 sigmoid(x) - 1 is a sigmoid.
     """
     alpha = context.alpha

@@ -42,7 +42,7 @@ for _name, _kind in (("anm_s", by_perturbing_means), ("anm_s_proxy", by_proxy)):
 
 
 def looks(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -> Looks:
-    """Clusters belong to the nearest node of `floor_graph`, as seen from above (ANM-S, IROS 2024)."""
+    """Clusters belong to the nearest node of `floor_graph`, as seen from above ([anm_s])."""
     found = clusters(context.once(uncertainty), KEPT)
     graph = context.once(floor_graph)
     node, poses = context.once(voronoi_node).astype(np.int64), context.world_from_camera

@@ -19,6 +19,7 @@ def confidence(context: GainContext) -> np.ndarray:  # [K] >= 0
 
     C is the confidence blended like a colour, as a mean over what the pixel shows, and D the depth. A pixel without
     coverage has C = 0 and D = 2.5 m; one that shows something beyond 5 m counts nothing.
+    Source: [active_gs, code].
     """
     alpha, covered = context.alpha, context.alpha > context.coverage_alpha
     values = gaussian_confidence(sightings(context.mapper)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""FisherRF: how much a view tells, compared with what is known (Jiang et al., ECCV 2024)."""
+"""FisherRF: how much a view tells, compared with what is known ([fisherrf])."""
 
 from __future__ import annotations
 

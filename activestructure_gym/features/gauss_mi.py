@@ -1,4 +1,4 @@
-"""GauSS-MI: mutual information between a view and the reliability of what it shows (Xie et al., RSS 2025)."""
+"""GauSS-MI: mutual information between a view and the reliability of what it shows ([gauss_mi])."""
 
 from __future__ import annotations
 

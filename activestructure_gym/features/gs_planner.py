@@ -18,7 +18,7 @@ def gs_planner_volume(context: GainContext) -> np.ndarray:  # [K] in 0..1
     """Sum over pixels of sum_i V_i T(before i), over the unobserved intervals i of each ray; the completeness gain.
 
     V_i = (d_out - d_in) (S_in + sqrt(S_in S_out) + S_out) / 3 with S = d^2 / f^2 is the volume of a pixel's frustum in
-    the interval, T the transmittance of the map before it (GS-Planner, IROS 2024). Given as a share of the whole
+    the interval, T the transmittance of the map before it ([gs_planner]). Given as a share of the whole
     frustum up to the depth that the volume takes in.
 
     T is 1 up to the depth that the map shows in the pixel and 1 - alpha behind it, where the original multiplies from

@@ -1,6 +1,6 @@
 """HGS-Planner: unseen space behind what the map lets through, and Fisher information where space is known.
 
-Xu et al., ICRA 2025; formulas after ``../shared/research/peers_info_rl.md``, A4.
+Source: [hgs_planner], by its text.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ def in_horizon(context: GainContext) -> np.ndarray:  # [K] 0 or 1
     """1 where the straight way to the view's Voronoi node (or itself) is free and ends inside the last box.
 
     The box holds, in the plane, the camera and all returns of `last_on_the_way`. Where no node with a free way lies in
-    it, every free way counts. ActiveSplat's and ANM-S's rule (`../shared/research/peers_active.md`, 3.1).
+    it, every free way counts. ActiveSplat's and ANM-S's rule: [activesplat, code], [anm_s, code].
     """
     frame, ends = last_on_the_way(context.mapper.keyframes), places(context)
     here, camera = context.mapper.keyframes[-1].world_from_camera[:3, 3], frame.world_from_camera

@@ -5,7 +5,7 @@ H_train of all keyframes, H_c of a candidate, both at the candidates' camera. Me
 units, and one prior for all would mean something else in every map: so every entry is counted in units of what is known
 in the median about its kind, and the prior lambda is the same small share of that unit for all.
 
-Source: ``../shared/research/peers_info_rl.md``, A0 to A2 (lambda: decision 3 there).
+Sources: [fisherrf], [popgs]; how large lambda may be: docs/notebook/groundwork.md.
 """
 
 from __future__ import annotations

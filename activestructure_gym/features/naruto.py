@@ -1,4 +1,4 @@
-"""NARUTO's goal score and look-at list (Feng et al., CVPR 2024), on a volume of Gaussians."""
+"""NARUTO's goal score and look-at list ([naruto]), on a volume of Gaussians."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def naruto(context: GainContext) -> np.ndarray:  # [K] >= 0
     """S(g) = sum over t in T of sigma(t) [.5 < |g - t| < 2 m] [all 30 samples of g..t are free].
 
     g is the candidate's position; its direction plays no part. That g itself is safe is the candidate pool's business.
-    Source: ``../shared/research/peers_active.md`` 2.
+    Source: [naruto, code].
     """
     targets = context.once(find_targets)
     return targets.seen @ targets.sigma

@@ -1,7 +1,7 @@
-"""POp-GS: what a view does to the uncertainty of the map, by the criteria of optimal design (Wilson et al., CVPR 2025).
+"""POp-GS: what a view does to the uncertainty of the map, by the criteria of optimal design ([popgs]).
 
 With the diagonals h of H_train + lambda and d of H_c, over means and log-scales; the paper's own names differ from the
-textbook's, so these are named by formula. Source: ``../shared/research/peers_info_rl.md``, A2.
+textbook's, so these are named by formula. Source: [popgs], by its text.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ def rt_guide(context: GainContext) -> np.ndarray:  # [K] in -1..1
     A Gaussian's uncertainty is |change of its mean| in the last mapping event that touched it; H is above the mean of
     all by half a standard deviation, L below. Culled by the range that the volume takes in, not by what stands in
     front.
+    Source: [rt_guide].
     """
     moved = context.mapper.movement().astype(np.float64)
     if not len(moved):

@@ -1,8 +1,8 @@
 """How sure the map is of its surface, and the connected pieces of it that are least so: ANM's view targets.
 
-ANM (Yan et al., ICCV 2023) and ANM-S (IROS 2024) perturb the weights W of a signed distance network and take
+ANM and ANM-S perturb the weights W of a signed distance network and take
 u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)| as the uncertainty of a surface point. Here W are the Gaussians
-and f is the depth they are rendered at. Source: ``../shared/research/peers_active.md`` 3.2 and 3.3.
+and f is the depth they are rendered at. Sources: [anm], [activeinr, code], [anm_s, code].
 """
 
 from __future__ import annotations

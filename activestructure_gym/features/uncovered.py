@@ -13,5 +13,6 @@ def uncovered(context: GainContext) -> np.ndarray:  # [K] in 0..1
 
     A pixel counts as covered as soon as any opacity reaches it, where `pixel` asks for ``coverage_alpha``. ActiveGAMER
     also excuses pixels in which the simulator's true mesh has nothing; that is ground truth, so nobody gets it here.
+    Source: [activegamer, code].
     """
     return (context.depth <= 0.0).mean(axis=(1, 2))

@@ -18,6 +18,7 @@ def unexplored(context: GainContext) -> np.ndarray:  # [K] in 0..1
     A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
     in front of what the map shows there; unexplored is what `VoxelVolume.unobserved` says. Where 2 x 2 x 2 voxels are
     all unexplored they are tested as one, by their common centre.
+    Source: [active_gs, code].
     """
     return context.once(_shares)
 

@@ -18,6 +18,7 @@ def view_angle(context: GainContext) -> np.ndarray:  # [K] in 0..1
 
     A Gaussian covers a direction by (cos theta + 1) / 2, theta the angle to the nearest of the 128 bins from which a
     keyframe has seen it; it is blended like a colour over 0, so that a pixel without a map is not covered at all.
+    Source: [cover, code].
     """
     gaussians, camera, bins = context.mapper.map, context.camera, sightings(context.mapper).bins
     boxes = block_boxes(gaussians.parameters, gaussians.count, 0)

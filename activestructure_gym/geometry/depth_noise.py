@@ -16,7 +16,7 @@ CLOSEST = 0.4  # metres
 def axial_sigma(depth: Depth) -> Depth:
     """Standard deviation of a Kinect v1's depth in metres, seen head-on: 0.0012 + 0.0019 (z - 0.4)^2.
 
-    The part of the error that does not depend on the angle (Nguyen et al., 3DIMPVT 2012). Kernels call what
+    The part of the error that does not depend on the angle ([nguyen2012]). Kernels call what
     `kernel` makes of it.
     """
     return LEAST + GROWTH * (depth - CLOSEST) ** 2

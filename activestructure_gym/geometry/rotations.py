@@ -55,7 +55,7 @@ def quaternions(
 
 @kernel
 def _quaternions(m: np.ndarray, canonical: bool) -> tuple[np.ndarray, float]:  # [N, 4], error of the worst matrix
-    """By the largest of the four squares (Shepperd), and how far the matrices are from rotations."""
+    """By the largest of the four squares ([shepperd1978]), and how far the matrices are from rotations."""
     result, error = np.empty((len(m), 4)), 0.0
     for n in range(len(m)):
         determinant = 0.0

@@ -10,7 +10,7 @@ stalest, ``renders`` in all (more only if more are new). What that means for the
 - when the shares outgrow ``budget_mb``, the stalest are settled: they stay in the sum as they are (and follow removals)
   but cannot be measured anew.
 
-Source: ``../shared/research/peers_info_rl.md``, A0 (H_train).
+Source: [fisherrf], the H of all training views.
 """
 
 from __future__ import annotations

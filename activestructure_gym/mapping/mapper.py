@@ -1,7 +1,7 @@
 """The mapper: seed where the map is empty, take a few sparse Adam steps, prune.
 
 Posed RGB-D frames in, Gaussians out. Which recipe it follows (ours, SplaTAM's) is a matter of `MapperConfig`; the
-numbers behind them: backbones dossier 1.1, 5.2, 5.3. Rendering and the fused optimisation step are
+numbers behind them: docs/notebook/groundwork.md. Rendering and the fused optimisation step are
 `activestructure_gym.splatting.cpu`.
 """
 

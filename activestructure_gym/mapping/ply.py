@@ -3,7 +3,7 @@
 Written: binary little endian, one ``vertex`` element of 17 float properties (SH degree 0), normals zero. Axes are the
 map's own: world, z up, metres. The format has no field for it, and viewers that expect y down show such a map lying on
 its back; `turning.turned_map` sets it upright.
-Layout as other exporters write it: backbones dossier 6.1.
+Layout as the programs of [kerbl2023] and [gsplat] write it.
 """
 
 from __future__ import annotations

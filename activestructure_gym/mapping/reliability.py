@@ -1,6 +1,6 @@
 """How far every Gaussian can be relied on when seen from each side: GauSS-MI's state, kept per keyframe.
 
-GauSS-MI (Xie et al., RSS 2025) gives a Gaussian one log-odds of being right for each of the four horizontal directions
+GauSS-MI gives a Gaussian one log-odds of being right for each of the four horizontal directions
 it may be looked at in. A keyframe speaks for the direction it looked in: where the map shows what was seen, the
 log-odds rise, where it shows something else, they fall.
 
@@ -11,7 +11,7 @@ log-odds rise, where it shows something else, they fall.
 
 The constants are those of images of 640 x 480: the factor 10 and the number of pixels are scaled by the image's size.
 
-Source: ``../shared/research/peers_info_rl.md``, A3.
+Source: [gauss_mi, code].
 """
 
 from __future__ import annotations

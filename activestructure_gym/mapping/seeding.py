@@ -1,7 +1,7 @@
 """New Gaussians from one RGB-D frame: where the map lacks them, and how they lie.
 
 A seed is a flat disk in the surface's tangent plane, one per cell of a pixel grid. Against one isotropic ball per pixel
-this needs a quarter of the Gaussians for the same image error (recipe: own ablation, backbones dossier 5.2 and 5.3).
+this needs a quarter of the Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe").
 Two things are added to that recipe, which was measured with all views at one distance: disks on slanted surfaces are
 stretched, so that their rows leave no gaps, and Gaussians that turn out too coarse when the camera comes closer make
 way for finer ones (numbers: `MapperConfig`). SplaTAM's balls are here for the recipe that follows it.

@@ -1,6 +1,6 @@
 """Gaussian maps as SplaTAM's ``params.npz``, the checkpoint that its descendants read and write as well.
 
-Keys and conventions: peers_active.md 4.6 and backbones.md 1.1. The map and all poses lie in the frame
+Keys and conventions: [splatam, code]. The map and all poses lie in the frame
 of the first camera, and no key of the original says where in the world that was; files written here add
 ``world_from_first_camera`` [4, 4].
 """

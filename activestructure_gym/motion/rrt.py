@@ -10,8 +10,8 @@ from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import segment_above
 
-_STEP = 0.4  # metres: longest edge of the tree [libraries.md 2: 9 of 9 solved in 4 ms]
-_GOAL_BIAS = 0.1  # share of samples that are the goal itself [same]
+_STEP = 0.4  # metres: longest edge of the tree (docs/notebook/groundwork.md, "Volume and paths")
+_GOAL_BIAS = 0.1  # share of samples that are the goal itself (the same)
 _SHORTCUTS = 100  # random pairs tried when smoothing
 
 

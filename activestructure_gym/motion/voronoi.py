@@ -1,6 +1,6 @@
 """The Voronoi graph of a floor plan: the places that are as far from everything as possible, and how they connect.
 
-ActiveSplat and ANM-S choose among these nodes (`../shared/research/peers_active.md`, 3.1 and 3.2).
+ActiveSplat and ANM-S choose among these nodes ([activesplat, code], [anm_s, code]).
 """
 
 from __future__ import annotations

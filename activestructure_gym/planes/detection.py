@@ -1,6 +1,6 @@
 """Planes in one depth image: block fits, region growing, pixel refinement, coplanar merge.
 
-The family is PEAC (Feng et al., ICRA 2014) and CAPE (Proenca & Gao, IROS 2018): fit a plane to every small block of
+The family is PEAC ([peac]) and CAPE ([cape]): fit a plane to every small block of
 the image, join blocks that lie on one plane, then let every pixel choose. Only depth is used.
 """
 

@@ -54,7 +54,7 @@ def incidence_angles(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:  #
 
 
 def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
-    """Standard deviation in metres of the axial error of a Kinect v1 (Nguyen et al., 3DIMPVT 2012).
+    """Standard deviation in metres of the axial error of a Kinect v1 ([nguyen2012]).
 
     0.0012 + 0.0019 (z - 0.4)^2 + 0.0001 / sqrt(z) * theta^2 / (pi / 2 - theta)^2
     """
@@ -112,7 +112,7 @@ def noisy_depth(
     """Depth as a camera of the given model would report it. ``multiplier`` scales every error; 0 changes nothing.
 
     ``kinect``: axial noise of `kinect_sigma`, lateral noise of 0.8 px and more, disparity in steps of 1/8 px.
-    ``redwood``: the simulation of Choi et al. (CVPR 2015) without its table of lens distortion: disparity
+    ``redwood``: the simulation of [choi2015] without its table of lens distortion: disparity
     35.13 / z + N(0, 0.0278) px in steps of 1/8 px, lateral noise of 0.25 px, one value per 2 x 2 px, 10 m of range.
     """
     if model not in DEPTH_NOISE:

@@ -117,7 +117,7 @@ def rasterize(
     Notes
     -----
     Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, eqs. 3, 5 and
-    6; cut-offs are gsplat's (Ye et al., JMLR 2025).
+    6; cut-offs are those of [gsplat, code] 1.5.3.
 
     Examples
     --------
@@ -146,7 +146,7 @@ def camera_twist_gradient(
     gradient: torch.Tensor,  # [..., 4, 4] derivative by its entries, as `rasterize` gives it
 ) -> torch.Tensor:  # [..., 6]
     """Derivative by a twist (rho metres, phi radians) at 0, where camera_from_world becomes Exp(rho, phi)
-    camera_from_world (`activestructure_gym.geometry.se3_exp`). Source: ``../shared/research/backbones.md`` 4.6.
+    camera_from_world (`activestructure_gym.geometry.se3_exp`). Source: [sola2018].
     """
     pose, gradient = camera_from_world.detach()[..., :3, :], gradient[..., :3, :]
     turn = torch.linalg.cross(pose, gradient, dim=-2).sum(dim=-1)  # column by column

@@ -62,8 +62,8 @@ class StepLosses:
 class TrackingWeights:
     """The loss a camera pose is found by: color * |C - I| + depth * |D / A - D_measured|.
 
-    Both are summed over the pixels that have a measured depth and an accumulated alpha above ``min_alpha`` (SplaTAM,
-    Keetha et al. 2024, eq. 8; depth divided by alpha as in the mapping loss, where SplaTAM takes it as accumulated).
+    Both are summed over the pixels that have a measured depth and an accumulated alpha above ``min_alpha``
+    ([splatam, eq. 8]; depth divided by alpha as in the mapping loss, where SplaTAM takes it as accumulated).
     ``mean`` takes both as means over these pixels, colour over its three channels too.
     """
 

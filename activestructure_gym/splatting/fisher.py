@@ -2,7 +2,7 @@
 
 The block of a Gaussian is the sum over pixels and colour channels of J^T J, J the derivative of a rendered colour by
 the Gaussian's mean (metres, world) and log-scales: what information planners compare between a candidate and the
-keyframes (FisherRF, Jiang et al. 2024; POp-GS, Wilson et al. 2025, for which these parameters alone do as well as all).
+keyframes ([fisherrf]; [popgs], for which these parameters alone do as well as all).
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def view_information(
 ) -> Iterator[ViewInformation]:
     """One `ViewInformation` per camera, each made when it is asked for: all at once would fill the memory.
 
-    Results are the same to the bit for any number of threads. Source: ``../shared/research/peers_info_rl.md`` A0, the
-    exact choice there (channels are squared before they are summed).
+    Results are the same to the bit for any number of threads. Source: [fisherrf] in its exact form
+    (channels are squared before they are summed; its program sums first).
 
     Raises:
         ValueError: arrays of another shape or type than said here.

@@ -8,7 +8,7 @@ derivative of the colours by log(alpha), are 15 different numbers: the moments s
 one vector together with the sum of the weights.
 
 Once per Gaussian the moments become the 6 x 6 block by mean and log-scale, its 21 entries on and above the diagonal.
-Source: ``../shared/research/peers_info_rl.md``, A0.
+Source: [fisherrf], with the chain to mean and scale of [zwicker2002] taken out of the sum over pixels.
 """
 
 # mypy: ignore-errors

@@ -1,7 +1,7 @@
 """Colour by viewing direction: real spherical harmonics of degree 0 to 3.
 
 The convention of 3D Gaussian splatting and gsplat: colour = max(0, 0.5 + sum_k Y_k(d) f_k) with d the unit vector from
-the camera centre to the mean, and the signs of the basis as in ``../shared/research/backbones.md`` 4.6. Only the stage
+the camera centre to the mean, and the signs of the basis of [kerbl2023, code]. Only the stage
 that runs once per Gaussian pays for it: the kernels turn coefficients into colours before a rendering, and the
 derivatives by colour into those by coefficients, mean and camera centre after it.
 """

@@ -1,6 +1,6 @@
-"""Structural similarity and its gradient (11 taps, sigma 1.5, zero padding; Wang et al. 2004).
+"""Structural similarity and its gradient (11 taps, sigma 1.5, zero padding; [ssim]).
 
-Derivative as in ``../shared/research/backbones.md`` 4.6. Only the sum of the two variances enters SSIM, so four blurs
+Only the sum of the two variances enters SSIM, so four blurs
 make the value and three the gradient. The loops live in `image_losses` and are the ones of the mapping step.
 """
 

@@ -14,9 +14,9 @@ from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 
-NEAREST_M = 0.2  # closer than this a depth sensor returns nothing (method.md 5)
-FARTHEST_M = 5.0  # distance gate (method.md 5)
-STEEPEST_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter (method.md 5)
+NEAREST_M = 0.2  # closer than this a depth sensor returns nothing
+FARTHEST_M = 5.0  # distance gate of the paper (Sec. 3.4), which names no number: own choice
+STEEPEST_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, likewise
 LEAST_SHARE = 0.1  # of a plane's points that must pass for the plane to count as visible
 _WORTH_A_THREAD = 2000  # pairs of view and plane: less is done before a second thread has woken up
 SAMPLES = 16  # points tested per plane, spread evenly over its stored points
@@ -30,7 +30,7 @@ def visible_planes(
 ) -> np.ndarray:  # [K, P] bool
     """Frustum culling, distance gating and view-angle filtering, as in the paper; a plane is seen from its own side.
 
-    With a ``volume``, points behind an occupied voxel do not count either (beyond the paper, method.md 5).
+    With a ``volume``, points behind an occupied voxel do not count either (beyond the paper).
     """
     if not len(planes) or not len(world_from_camera):
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)

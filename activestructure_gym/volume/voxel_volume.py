@@ -32,13 +32,13 @@ class VolumeConfig:
     """Resolution and caution of the voxel grid."""
 
     voxel_size: float = 0.1
-    """Metres. [sensor_scenes.md 5: 0.1 m costs 5 to 10 times less than 0.05 m and passes a 0.8 m door]"""
+    """Metres. (0.1 m costs 5 to 10 times less than 0.05 m and passes a 0.8 m door: docs/notebook/groundwork.md)"""
     max_range: float = 5.0
     """Metres of depth used; beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
     margin: float = 0.02
     """Metres that a ray must end behind a voxel to prove it free."""
     margin_growth: float = 0.006
-    """Metres per square metre of range, added to the margin: 3 sigma of Kinect noise (0.0019 z^2, Nguyen 2012)."""
+    """Metres per square metre of range, added to the margin: 3 sigma of Kinect noise (0.0019 z^2, [nguyen2012])."""
     thinnest: float = 0.03
     """Metres: the thinnest structure (lamp pole, chair leg) that must not be missed between two rays."""
     max_miss_chance: float = 0.05

@@ -3,11 +3,11 @@
 True planes come from the mesh. Every pixel knows its face; faces are joined, the one with most pixels first, when
 their normals differ by at most 3 degrees and their pixels lie within 5 mm + 1.5 sigma(z) of the common plane: nothing
 that the sensor cannot tell apart counts as two. Pixels beyond the detector's range or seen too close to edge-on count
-for nobody. A plane of 1 % of the image or more must be found (dossier libraries.md, section 3), found meaning that a
+for nobody. A plane of 1 % of the image or more must be found (docs/notebook/groundwork.md), found meaning that a
 segment covers it with an intersection over union of one half or more; a segment of that size is right when it is a
 true plane in the same sense.
 
-*Clear* planes are those of the dossier's kind, faces of walls and boxes: wide enough for a circle of 1/20 of the
+*Clear* planes are faces of walls and boxes: wide enough for a circle of 1/20 of the
 image's width, and without another true plane so near that the graph would join the two (8 degrees, 5 cm). What is
 left out are frames, skirtings, slats, and panels a few centimetres before their wall.
 """
@@ -187,7 +187,7 @@ def score_segments(
 def opencv_detector(camera: PinholeCamera, *, noisy: bool) -> Detector | None:
     """OpenCV's plane finder on the same depth, or None where the wheel has none (it came with OpenCV 5).
 
-    With the block and the segment size that the dossier found best for it: blocks of 4 px at 160 px.
+    With the block and the segment size that serve it best: blocks of 4 px at 160 px (docs/notebook/groundwork.md).
     """
     if not hasattr(cv2, "findPlanes") or not hasattr(cv2, "RgbdNormals_create"):
         return None

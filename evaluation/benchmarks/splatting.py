@@ -1,6 +1,6 @@
 """How fast the CPU rasteriser is here: real seeded inputs, warm, medians with spread.
 
-Workloads (sizes of ``../shared/research/rasteriser.md``): Gaussians seeded as disks from the RGB-D pixels of six views
+Workloads (sizes of docs/notebook/groundwork.md): Gaussians seeded as disks from the RGB-D pixels of six views
 of a furnished box room, and one of those views as the target.
 W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iteration. W4: alpha and depth of 64 cameras at
 80x60 over 50k Gaussians (candidate scoring).

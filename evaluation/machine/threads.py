@@ -20,7 +20,7 @@ def set_passive_waiting() -> None:
     """Let idle OpenMP threads sleep instead of spin; call before torch is imported.
 
     Two torch processes of two threads on two cores ran 35 times slower with spinning threads
-    (research/libraries.md, trap 1).
+    (docs/notebook/groundwork.md).
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 

@@ -1,6 +1,6 @@
 """A surface out of depth images: truncated signed distances on blocks of voxels, and triangles where they change sign.
 
-Curless and Levoy (1996) with projective distances and equal weights. Only blocks that some depth image's surface runs
+[curless1996] with projective distances and equal weights. Only blocks that some depth image's surface runs
 through are kept; each of them is carved by every image that looks through it.
 """
 

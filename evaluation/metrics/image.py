@@ -10,7 +10,7 @@ from activestructure_gym.evaluation.metrics.windows import window_means
 # Two equal images have no finite PSNR; an 8-bit truth cannot be met better than this anyway.
 _SMALLEST_MSE = 1e-10
 
-# Wang et al. (2003), section 3.2: the exponent of each of the five scales.
+# [ms_ssim], section 3.2: the exponent of each of the five scales.
 _SCALE_WEIGHTS = np.array([0.0448, 0.2856, 0.3001, 0.2363, 0.1333])
 TAPS = 11  # pixels across the window of SSIM, at every scale
 # The window must fit into the image that has been halved four times.
@@ -42,7 +42,7 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
 def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
     """Mean over the channels of each channel's PSNR, images [H, W, C]; at most 100 dB each.
 
-    Never below `psnr`, and far above it where the channels differ in their error (peers_active.md, section 4.5).
+    Never below `psnr`, and far above it where the channels differ in their error ([activegamer, code] takes this one).
     """
     x, y = np.ascontiguousarray(rendered, np.float64), np.ascontiguousarray(true, np.float64)
     sums = np.zeros(x.shape[2])
@@ -88,7 +88,7 @@ def ssim(rendered: np.ndarray, true: np.ndarray) -> float:
 def ms_ssim(rendered: np.ndarray, true: np.ndarray) -> float | None:
     """Multi-scale structural similarity of two images [H, W, C] in 0..1.
 
-    Wang et al. (2003) as ``pytorch_msssim.ms_ssim(data_range=1)`` computes it, which the tables of SplaTAM and of
+    [ms_ssim] as ``pytorch_msssim.ms_ssim(data_range=1)`` computes it, which the tables of SplaTAM and of
     ActiveGAMER call SSIM: five scales, each half as wide as the last, negative terms cut off at 0.
 
     Parameters

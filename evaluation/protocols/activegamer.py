@@ -1,4 +1,4 @@
-"""The protocol ``activegamer``: what ActiveGAMER's evaluation prints, rebuilt from its code (peers_active.md, 4).
+"""The protocol ``activegamer``: what ActiveGAMER's evaluation prints, rebuilt from [activegamer, code].
 
 For numbers beside those of papers that used it. It cannot see floaters: read `standard` for what a map is worth.
 """
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
 
-# Centre in metres and radius of the circle of novel views: `generate_{Replica,MP3D}_NVS_data.py`, dossier table 4.4.
+# Centre in metres and radius of the circle of novel views: `src/data/generate_{Replica,MP3D}_NVS_data.py` of
+# [activegamer, code].
 CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
     "office0": ((0.0, 0.0, 0.0), 1.0),
     "office1": ((0.0, 0.0, 0.5), 0.5),

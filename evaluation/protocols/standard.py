@@ -1,4 +1,4 @@
-"""The protocol ``standard``: what this project measures unless asked for something else (method.md, section 8)."""
+"""The protocol ``standard``: what this project measures unless asked for something else."""
 
 from __future__ import annotations
 

@@ -54,8 +54,8 @@ def protocol_texts(results: Results) -> list[str]:
     if "activegamer" in results.runs[0].protocols:
         texts.append(
             "Protocol `activegamer` follows the evaluation code of ActiveGAMER: means matched to the 1 cm voxels of "
-            "the whole surface, seen or not, so that floaters do not count; images masked where the truth has no depth, "
-            "from one small circle of views; PSNR by channel."
+            "the whole surface, seen or not, so that floaters do not count; images masked where the truth has no "
+            "depth, from one small circle of views; PSNR by channel."
         )
     return texts
 

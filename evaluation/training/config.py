@@ -89,7 +89,7 @@ class TrainingConfig:
     bins: int = 15  # of the ordinal targets (VIN-NBV)
     epochs: int = 60
     batch: int = 64  # states
-    # PPO; constants of dossier peers_info_rl C1 where nothing else is said.
+    # PPO; constants of docs/notebook/groundwork.md, "Networks over candidates", where nothing else is said.
     iterations: int = 40
     envs: int = 8  # as many layouts per iteration; none waits long while another builds its own
     steps: int = 128  # per env and iteration

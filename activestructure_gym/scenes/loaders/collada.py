@@ -1,7 +1,7 @@
 """Reader for COLLADA (`.dae`), with the standard library's XML parser: trimesh needs pycollada for it.
 
 Only what a still scene needs: triangles and polygons, node transforms, instances, diffuse colours and textures, the
-declared unit and up axis. Specification: Khronos COLLADA 1.4.1 / 1.5.
+declared unit and up axis. Specification: [collada].
 """
 
 from __future__ import annotations

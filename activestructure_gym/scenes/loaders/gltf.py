@@ -2,7 +2,7 @@
 
 trimesh reads glTF too, but takes normalised integer coordinates at face value, skips sparse accessors, texture
 transforms and second UV sets, and keeps silent about images it cannot find; common exporters write all of these.
-Specification: Khronos glTF 2.0; KHR_texture_transform, KHR_mesh_quantization, EXT_texture_webp,
+Specification: [gltf]; KHR_texture_transform, KHR_mesh_quantization, EXT_texture_webp,
 KHR_materials_pbrSpecularGlossiness.
 """
 

@@ -1,7 +1,7 @@
 """Matterport3D scenes in the folder layout of the Habitat download: ``mp3d/<id>/<id>.glb``, metres, z up.
 
 Beside the mesh lie ``<id>.house``, ``<id>.navmesh`` and ``<id>_semantic.ply``; they are not needed to see or walk, but
-they are what a scene of this dataset is known by. Source of the layout: Matterport3D's data_organization.md.
+they are what a scene of this dataset is known by. Source of the layout: [matterport3d], its data_organization.md.
 """
 
 from __future__ import annotations

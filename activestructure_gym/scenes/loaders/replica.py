@@ -3,7 +3,7 @@
 ``<scene>/mesh.ply`` (quads or triangles with vertex colours), ``<scene>/habitat/mesh_semantic.ply`` (the same with an
 object id per face), ``<scene>/habitat/info_semantic.json`` (what the ids are) and
 ``<scene>/habitat/replica_stage.stage_config.json`` (which of them to use). Metres, z up. PTex textures
-(``textures/``), glass surfaces and navmeshes are not read. Source of the layout: the Replica dataset's README and its
+(``textures/``), glass surfaces and navmeshes are not read. Source of the layout: [replica], its README and
 PLY parser.
 """
 

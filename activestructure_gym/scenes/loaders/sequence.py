@@ -1,4 +1,4 @@
-"""Posed RGB-D sequences in the layout of NICE-SLAM's Replica download.
+"""Posed RGB-D sequences in the layout of NICE-SLAM's Replica download ([nice_slam, code]).
 
 ``cam_params.json`` (one level up or beside), ``<room>/traj.txt`` (16 numbers per line, row by row: camera to world,
 OpenCV axes) and ``<room>/results/frame%06d.jpg`` with ``depth%06d.png`` (uint16; metres = value / scale, 0 = none).

@@ -1,6 +1,6 @@
 """One operating-system process per job, several at a time.
 
-A pool would lose every pending job when one worker dies (research/libraries.md, section 6); here a death costs the
+A pool would lose every pending job when one worker dies (docs/notebook/groundwork.md); here a death costs the
 one job, which is tried again.
 """
 

@@ -71,7 +71,7 @@ def test_a_circle_inside_a_wall_is_refused():
         replace(SMALL, center=tuple(float(x) for x in low), radius=0.05).truth(ground_truth_of(scene))
 
 
-# The dossier's table (peers_active.md, 4.1): a room of 170 m^2 with 1 cm of noise, 200,000 true points.
+# The table of docs/notebook/groundwork.md, "Floaters": a room of 170 m^2 with 1 cm of noise, 200,000 true points.
 SIZE = np.array([10.0, 5.0, 2.3])
 
 
@@ -85,7 +85,7 @@ def room(count: int, rng: np.random.Generator, size: np.ndarray) -> SurfaceSampl
 
 
 def both(points: np.ndarray, truth: SurfaceSamples) -> tuple[dict[str, float], dict[str, float]]:
-    """Acc, Com., C.R. and precision by both protocols; Acc of `standard` to samples, as the dossier's is."""
+    """Acc, Com., C.R. and precision by both protocols; Acc of `standard` to samples, as the table's is."""
     scores = geometry_scores(points, truth)
     camera = PinholeCamera.from_size(16, 16)
     views = HeldOutViews(camera, np.eye(4)[None], np.zeros((1, 16, 16, 3), np.uint8), np.zeros((1, 16, 16), np.float32))
@@ -109,7 +109,7 @@ def table(size: np.ndarray, share_of_points: float):
     rng = np.random.default_rng(1)
     count = int(200_000 * share_of_points)
     truth = room(count, rng, size)
-    count *= 2  # with half as many reconstructed points, Com. comes out a third larger than the dossier's
+    count *= 2  # with half as many reconstructed points, Com. comes out a third larger than the table's
     seen = room(count, rng, size).points
     complete = seen + rng.normal(scale=0.01, size=seen.shape)
     partial = complete[complete[:, 0] < 0.9 * size[0]]
@@ -139,11 +139,11 @@ def check_floaters(rows) -> None:
 
 
 def test_floaters_move_standard_and_not_activegamer():
-    check_floaters(table(SIZE / np.sqrt(10.0), 0.05))  # half the dossier's density, on a tenth of its area
+    check_floaters(table(SIZE / np.sqrt(10.0), 0.05))  # half the table's density, on a tenth of its area
 
 
 @pytest.mark.slow
-def test_the_dossier_s_table():
+def test_the_whole_table():
     rows = table(SIZE, 1.0)
     check_floaters(rows)
     published = {

@@ -94,17 +94,17 @@ def _doubts_as_lines() -> Iterator[None]:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from activestructure_gym.errors import unknown_name
-    from activestructure_gym.evaluation.cli.commands import COMMANDS
-    from activestructure_gym.evaluation.cli.parsing import parse
+    from activestructure_gym.evaluation.cli.commands import find_command
 
     name, *rest = arguments
     if name == "help":
-        name, rest = rest[0], ["--help"]
-    if name not in COMMANDS:
-        raise unknown_name("command", name, COMMANDS)
+        name, rest = rest[0], [*rest[1:], "--help"]
+    kind = find_command(name)
+
+    from activestructure_gym.evaluation.cli.parsing import parse
+
     try:
-        command = parse(COMMANDS[name], name, rest)
+        command = parse(kind, name, rest)
     except SystemExit:  # after help
         return 0
     return command.run()

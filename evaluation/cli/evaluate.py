@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.commands import Evaluate
+from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
@@ -20,43 +21,67 @@ _SHOWN = (
 )  # fmt: skip
 
 
-def evaluate(options: Evaluate) -> int:
-    """Print stored and new numbers; 0 if all that were stored are identical to the last bit, else 1."""
-    use_trust(options.trust_code)
-    use_lpips_weights(options.lpips_weights)
-    if options.map is not None:
-        return _evaluate_map(options)
-    if options.scene or options.poses or options.out:
-        raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
-    from activestructure_gym.evaluation.archive.store import write_evaluation
-    from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure finished runs again, from their stored maps alone, and say whether the numbers are the same.
 
-    console = make_console()
-    runs = _open(options.runs)
-    table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
-    different, added = 0, 0
-    reasons: dict[str, str] = {}
-    for run in runs:
-        for protocol, stored in protocols_of(run, split_list(options.protocol)):
-            with console.status(f"measuring {run.job.title} by {protocol.name}"):
-                numbers = measure_again(run, protocol)
-            wrong = differing(stored, numbers) if stored is not None else []
-            different += bool(wrong)
-            if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
-                write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
-                added += 1
-            reasons |= numbers["notes"]
-            mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
-            table.add_row(run.job.title, protocol.name, *(_text(numbers.get(name)) for name in _SHOWN), mark)
-    print_whole(console, table)
-    _print_reasons(console, reasons)
-    if added:
-        console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
-    if different:
-        console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
-        return 1
-    console.print("[green]✓[/] every stored number is identical, bit for bit")
-    return 0
+    With --map and --scene: measure a map of any origin.
+    """
+
+    runs: Runs = ()
+    """Run directories, or a comparison's directory for all of its runs."""
+    protocol: NoNames = ()
+    """standard, activegamer, or both; those that the run was measured by if not given. New numbers are kept."""
+    map: PathName = None
+    """A map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
+    scene: Annotated[str | None, option("SCENE", "")] = None
+    """The scene of --map."""
+    poses: PathName = None
+    """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
+    out: PathName = None
+    """Write the numbers of --map to this JSON file."""
+    trust_code: Switch = False
+    """Let the runs' files name code, package.module:Name, that is run."""
+    lpips_weights: PathName = None
+    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+
+    def run(self) -> int:
+        """Print stored and new numbers; 0 if all that were stored are identical to the last bit, else 1."""
+        use_trust(self.trust_code)
+        use_lpips_weights(self.lpips_weights)
+        if self.map is not None:
+            return _evaluate_map(self)
+        if self.scene or self.poses or self.out:
+            raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
+        from activestructure_gym.evaluation.archive.store import write_evaluation
+        from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
+
+        console = make_console()
+        runs = _open(self.runs)
+        table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
+        different, added = 0, 0
+        reasons: dict[str, str] = {}
+        for run in runs:
+            for protocol, stored in protocols_of(run, split_list(self.protocol)):
+                with console.status(f"measuring {run.job.title} by {protocol.name}"):
+                    numbers = measure_again(run, protocol)
+                wrong = differing(stored, numbers) if stored is not None else []
+                different += bool(wrong)
+                if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
+                    write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
+                    added += 1
+                reasons |= numbers["notes"]
+                mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
+                table.add_row(run.job.title, protocol.name, *(_text(numbers.get(name)) for name in _SHOWN), mark)
+        print_whole(console, table)
+        _print_reasons(console, reasons)
+        if added:
+            console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
+        if different:
+            console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
+            return 1
+        console.print("[green]✓[/] every stored number is identical, bit for bit")
+        return 0
 
 
 def _evaluate_map(options: Evaluate) -> int:

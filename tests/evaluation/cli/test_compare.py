@@ -6,7 +6,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import compare as module
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.commands import Compare
+from activestructure_gym.evaluation.cli.compare import Compare
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.comparison import Comparison, Result
 from activestructure_gym.evaluation.running.engines import Limits, Outcome

@@ -7,7 +7,7 @@ import pytest
 
 from activestructure_gym.config import ReconstructionConfig, configure
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.listing import field_notes, leaves
+from activestructure_gym.evaluation.cli.config import field_notes, leaves
 from activestructure_gym.features import GAINS
 from activestructure_gym.features.units import UNITS
 from activestructure_gym.policies import POLICIES, Policy, make_policy

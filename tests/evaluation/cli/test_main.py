@@ -122,12 +122,12 @@ def test_mistyped_options_end_with_two(option, capsys):
 
 
 def test_ctrl_c_ends_with_130(monkeypatch, capsys):
-    from activestructure_gym.evaluation.cli import commands
+    from activestructure_gym.evaluation.cli.doctor import Doctor
 
     def interrupt(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands.Doctor, "run", interrupt)
+    monkeypatch.setattr(Doctor, "run", interrupt)
     assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "asg: stopped\n"
 

@@ -3,20 +3,60 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
+from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine import hardware as machine
 
 
-def measure_quality(console: Console, scenes: Sequence[str], *, quick: bool, out: str | None) -> list[dict[str, Any]]:
-    """Map every scene by every recipe; with ``out``, write ``mapping.json`` and ``mapping.jpg`` there."""
+@dataclass(frozen=True)
+class Mapping:
+    """Quality of maps on held-out views, by every recipe of the mapper."""
+
+    scene: SceneNames = None
+    """The scenes that are mapped, separated by commas; two apartments if not given."""
+    out: PathName = None
+    """Directory for mapping.jpg and mapping.json; only printed if not given."""
+    quick: Switch = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        console = make_console()
+        rows = _quality(console, split_names(self.scene), quick=self.quick, out=self.out)
+        print_rows(console, rows, "quality of maps on held-out views")
+        return 0
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What one place costs while the map grows elsewhere."""
+
+    scene: Annotated[str | None, option("SCENE", "")] = None
+    """The scene that is mapped; an apartment if not given."""
+    out: PathName = None
+    """Directory for growth.jpg and growth.json; only printed if not given."""
+    quick: Switch = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        console = make_console()
+        rows = _growth(console, self.scene, quick=self.quick, out=self.out)
+        print_rows(console, rows, "cost of one place while the map grows elsewhere")
+        return 0
+
+
+def _quality(console: Console, scenes: Sequence[str], *, quick: bool, out: str | None) -> list[dict[str, Any]]:
     from activestructure_gym.evaluation.benchmarks.mapping import (
         PROCEDURAL_SCENES,
         RECIPES,
@@ -46,8 +86,7 @@ def measure_quality(console: Console, scenes: Sequence[str], *, quick: bool, out
     return rows
 
 
-def measure_growth(console: Console, scenes: Sequence[str], *, quick: bool, out: str | None) -> list[dict[str, Any]]:
-    """Grow one map and measure it on the way; with ``out``, write ``growth.json`` and ``growth.jpg`` there."""
+def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None) -> list[dict[str, Any]]:
     import numpy as np
 
     from activestructure_gym.evaluation.benchmarks import growth
@@ -58,7 +97,7 @@ def measure_growth(console: Console, scenes: Sequence[str], *, quick: bool, out:
     checkpoints, pair = ((2, 4, 27), (4, 27)) if quick else (growth.CHECKPOINTS, growth.PAIR)
     size, scored, probes = ((96, 54), 8, 2) if quick else (growth.SIZE, growth.SCORED, 15)
     with console.status("loading the scene"):
-        scene = load_scene(scenes[0] if scenes else "box" if quick else growth.SCENE)
+        scene = load_scene(spec or ("box" if quick else growth.SCENE))
     mapper = Mapper(MapperConfig(max_gaussians=growth.MAX_GAUSSIANS), np.random.default_rng(0))
     with _progress(console, growth.growth_steps(checkpoints)) as advance:
         measured, compared = growth.run_growth_benchmark(
@@ -78,7 +117,7 @@ def measure_growth(console: Console, scenes: Sequence[str], *, quick: bool, out:
     return rows
 
 
-def _write(out: str, name: str, settings: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Path:
+def _write(out: str, name: str, settings: dict[str, Any], rows: Sequence[dict[str, Any]]) -> Path:
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     content = {"settings": settings, "hardware": machine.hardware(), "rows": rows}

@@ -20,7 +20,7 @@ TOP = (PACKAGE, "envs", "policies", "evaluation")
 
 # From the ground up: a room may import those before it. Rooms of one line do not know each other.
 ORDER: tuple[tuple[str, ...], ...] = (
-    ("errors", "cores", "_version"),
+    ("errors", "cores", "files", "_version"),
     ("registry", "specs", "ranges"),
     ("compiling",),
     ("geometry",),
@@ -149,7 +149,7 @@ def test_no_room_of_the_planners_side_knows_the_truth(room: str) -> None:
 
 
 def test_policies_know_names_and_nothing_of_the_world() -> None:
-    allowed = ("policies", "registry", "errors", "specs", "ranges")
+    allowed = ("policies", "registry", "errors", "files", "specs", "ranges")
     for found in every_import():
         if room_of(found.importer) == "policies":
             assert room_of(found.imported) in allowed or found.imported.endswith("envs.observation"), found.place

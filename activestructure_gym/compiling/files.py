@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
-import os
 import pickle
 import sys
-import uuid
 import warnings
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
 from activestructure_gym.compiling.stamps import identity_of, stamp_of
+from activestructure_gym.files import replaced
 
 SUFFIX = ".kernel"
 _HEAD = b"activestructure_gym kernel 1\n"
@@ -107,13 +105,8 @@ def read(path: Path, stamp: bytes) -> bytes | None:
 
 def write(path: Path, stamp: bytes, content: bytes) -> None:
     """All of it or nothing."""
-    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
-    try:
-        beside.write_bytes(_head(stamp, content) + content)
-        os.replace(beside, path)
-    finally:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
+    with replaced(path) as file:
+        file.write(_head(stamp, content) + content)
 
 
 def is_whole(path: Path) -> bool:

@@ -8,7 +8,7 @@ import zipfile
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.mapping.whole_file import whole_file
+from activestructure_gym.files import replaced
 from activestructure_gym.splatting.workspace import aligned_zeros
 
 # Rows of the parameter array. One row per quantity (structure of arrays) lets the kernels load 16 Gaussians at once.
@@ -140,7 +140,7 @@ class GaussianMap:
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""
-        with whole_file(path) as file:
+        with replaced(path) as file:
             np.savez(
                 file,
                 format_version=np.int64(_FORMAT_VERSION),

@@ -14,6 +14,7 @@ import warnings
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.files import replaced
 from activestructure_gym.mapping.gaussian_map import (
     COLOR,
     LOG_SCALE,
@@ -23,7 +24,6 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
-from activestructure_gym.mapping.whole_file import whole_file
 
 # The order other tools write; readers go by name.
 PLY_PROPERTIES = (
@@ -72,7 +72,7 @@ def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: str =
         *(f"property float {name}" for name in PLY_PROPERTIES),
         "end_header",
     ]
-    with whole_file(path) as file:
+    with replaced(path) as file:
         file.write("\n".join(header).encode() + b"\n")
         file.write(rows.tobytes())
 

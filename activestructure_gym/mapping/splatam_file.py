@@ -14,6 +14,7 @@ import zipfile
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.files import replaced
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import (
@@ -25,7 +26,6 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
-from activestructure_gym.mapping.whole_file import whole_file
 
 _PLACE = "world_from_first_camera"
 _NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
@@ -62,7 +62,7 @@ def write_splatam(
         _PLACE: poses[0],
         "keyframe_time_indices": np.asarray(keyframes, np.int64),
     }
-    with whole_file(path) as file:
+    with replaced(path) as file:
         np.savez(file, **content)  # type: ignore[arg-type]
 
 

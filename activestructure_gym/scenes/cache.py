@@ -9,7 +9,6 @@ import io
 import os
 import re
 import struct
-import tempfile
 import time
 import zipfile
 import zlib
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.lib.format import read_array
 
 from activestructure_gym.errors import InputError, shown
+from activestructure_gym.files import UNFINISHED, replaced
 
 try:
     import fcntl
@@ -158,17 +158,11 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
     limit = cache_limit()
     if not limit:
         return
-    temporary = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=file.stem, suffix=".part", delete=False) as stream:
-            temporary = stream.name
+        with replaced(file) as stream:
             np.savez(stream, **arrays)  # type: ignore[arg-type]
-        os.replace(temporary, file)
     except OSError:  # read-only or full disk: the cache is a convenience
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)
         return
     with suppress(OSError), _being_read(file):
         clear_cache(limit)
@@ -199,5 +193,5 @@ def _open_alone(file: Path) -> Iterator[bool]:
 def _abandoned() -> list[Path]:
     old = time.time() - _ABANDONED
     with suppress(OSError):
-        return [file for file in cache_directory().glob("*.part") if file.stat().st_mtime < old]
+        return [file for file in cache_directory().glob(UNFINISHED) if file.stat().st_mtime < old]
     return []

@@ -37,6 +37,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job, scene_label
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+from activestructure_gym.files import replaced
 
 FORMAT_VERSION = 2
 DONE = ".done"
@@ -190,12 +191,9 @@ def remove_parts(directory: Path, job_name: str | None = None) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """Write ``content`` at once: readers see the old file or the new one."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    text = json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
+    with replaced(path) as file:
+        file.write(text.encode("utf-8"))
 
 
 def read_json(path: Path) -> Any:

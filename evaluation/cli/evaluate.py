@@ -116,8 +116,8 @@ def _evaluate_map(options: Evaluate) -> int:
 
 
 def _open(names: tuple[str, ...]) -> list[Run]:
+    from activestructure_gym.evaluation.archive.comparison import open_comparison
     from activestructure_gym.evaluation.archive.store import COMPARISON, read_run
-    from activestructure_gym.evaluation.running.comparison import open_comparison
 
     if not names:
         raise InputError("asg evaluate needs the directory of a comparison or of a run, or --map FILE --scene SPEC")

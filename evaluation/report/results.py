@@ -13,6 +13,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
@@ -139,8 +140,6 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
 
     A job that stands in two of them counts once. Raises `InputError` for a directory that is neither.
     """
-    from activestructure_gym.evaluation.running.comparison import open_comparison
-
     runs: dict[str, Run] = {}
     sources = []
     for directory in directories:

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import JOBS, finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
-from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code, scene_labels
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
-from activestructure_gym.evaluation.running.engines.base import JOBS, run_directory
 from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
-from activestructure_gym.evaluation.running.resuming import jobs_of, merged, read_record, recorded_jobs
+from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
 from activestructure_gym.evaluation.running.warmup import warming_up
 
 if TYPE_CHECKING:
@@ -297,34 +297,3 @@ class _Recording:
         if not outcome.finished or outcome.attempts > 1:
             store.write_json(self._directory / store.COMPARISON, self._content)
         self._listener.ended(outcome)
-
-
-def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
-    """The finished ones of these jobs, in their order."""
-    labels = scene_labels(job.scene for job in jobs)
-    places = [(run_directory(directory, job), job) for job in jobs]
-    return [store.read_run(place, labels[job.scene]) for place, job in places if store.is_done(place, job)]
-
-
-def open_comparison(directory: Path) -> list[Run]:
-    """All finished runs of a comparison's directory.
-
-    Parameters
-    ----------
-    directory
-        What ``asg compare --out`` or `compare` wrote into, or a copy of it.
-
-    Returns
-    -------
-    list of Run
-        In the order of the comparison's record: seeds, then scenes, then policies.
-
-    Raises
-    ------
-    InputError
-        The record, or a run, cannot be read.
-    """
-    record = read_record(directory)
-    if record is None:
-        raise InputError(f"'{directory}' cannot be read as a comparison: it has no {store.COMPARISON}")
-    return finished_runs(directory, jobs_of(record, directory))

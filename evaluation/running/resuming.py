@@ -14,33 +14,11 @@ from typing import Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record
 from activestructure_gym.evaluation.archive.jobs import Job
 
 # What tells the cells of one grid apart; whatever else a job has is the same for all of them.
 _CELL = ("scene", "scene_hash", "policy", "seed")
-
-
-def read_record(directory: Path) -> dict[str, Any] | None:
-    """The content of ``compare.json``, None where there is none yet; raises `InputError` if it cannot be read."""
-    try:
-        record = store.read_json(directory / store.COMPARISON)
-        if not isinstance(record["jobs"], dict):
-            raise TypeError("its jobs are no table")
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
-    return record
-
-
-def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
-    """The jobs of a record; raises `InputError` if they cannot be read."""
-    try:
-        return [Job.from_dict(content) for content in record["jobs"].values()]
-    except InputError:
-        raise
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
 
 
 def recorded_jobs(directory: Path) -> list[Job]:

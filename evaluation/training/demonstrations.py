@@ -7,7 +7,6 @@ configuration and its number alone, not on how many processes collect.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from activestructure_gym.evaluation.training.world import (
     learning_truth,
     make_env,
 )
+from activestructure_gym.files import replaced
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
@@ -160,13 +160,8 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
 
 def _write(config: TrainingConfig, directory: Path, number: int) -> None:
     file = _file(directory, number)
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as stream:
-            np.savez_compressed(stream, **record(config, number))  # type: ignore[arg-type]
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replaced(file) as stream:
+        np.savez_compressed(stream, **record(config, number))  # type: ignore[arg-type]
 
 
 def _file(directory: Path, number: int) -> Path:

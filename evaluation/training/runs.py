@@ -29,6 +29,7 @@ from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing
+from activestructure_gym.files import UNFINISHED, replaced
 
 if TYPE_CHECKING:
     import torch
@@ -151,20 +152,13 @@ class TrainingRun:
 
     def _replace(self, name: str, content: bytes) -> None:
         """Write a file at once."""
-        temporary = self.directory / f".{name}.{os.getpid()}.tmp"
-        try:
-            with open(temporary, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, self.directory / name)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with replaced(self.directory / name, durable=True) as file:
+            file.write(content)
 
     def _load(self) -> None:
         from safetensors import SafetensorError, safe_open
 
-        for temporary in self.directory.glob(".*.tmp"):
+        for temporary in self.directory.glob(UNFINISHED):
             temporary.unlink(missing_ok=True)
         file = self.directory / STATE
         if not file.is_file():

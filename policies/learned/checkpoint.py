@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.files import replaced
 from activestructure_gym.policies.learned.config import NetworkConfig
 
 if TYPE_CHECKING:
@@ -103,12 +104,5 @@ def _described(weights: Path) -> dict[str, Any]:
 
 def _replace(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replaced(path, durable=True) as file:
+        file.write(content)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import ActiveGamerProtocol, StandardProtocol
 from activestructure_gym.evaluation.running import episode
-from activestructure_gym.evaluation.running.comparison import open_comparison
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """

@@ -11,7 +11,6 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.ranges import check_ranges
 
-JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
 LOGS = "logs"  # sub-directory of a comparison: what the workers wrote to standard error
 _RANGES = {"workers": "[0, 4096]", "timeout": "[0, 525600]", "retries": "[0, 1000]"}  # timeout: up to a year
 
@@ -74,8 +73,3 @@ class Engine:
     run: Run
     slots: Callable[[int, Limits], int]  # of so many jobs, how many run at a time
     check: Callable[[Limits], None]  # raises `InputError` where it cannot work here; writes nothing
-
-
-def run_directory(directory: Path, job: Job) -> Path:
-    """Where a job's result stands in a comparison's directory."""
-    return directory / JOBS / job.name

@@ -8,8 +8,9 @@ from functools import partial
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome, run_directory
+from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import run_job
 
 

@@ -9,7 +9,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison as module
-from activestructure_gym.evaluation.running.comparison import Comparison, check_output, open_comparison
+from activestructure_gym.evaluation.running.comparison import Comparison, check_output
 from activestructure_gym.evaluation.running.warmup import smallest_job, warming_up
 
 
@@ -118,13 +118,6 @@ def test_an_output_without_permission(tmp_path):
     command = [*prefix, sys.executable, "-c", code, str(tmp_path / "new")]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert ended.returncode == 1 and "InputError" in ended.stderr and "no permission" in ended.stderr
-
-
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"jobs": 3}', "no json"])
-def test_a_damaged_record_is_one_sentence(tmp_path, content):
-    (tmp_path / "compare.json").write_text(content)
-    with pytest.raises(InputError, match="cannot be read as a comparison"):
-        open_comparison(tmp_path)
 
 
 def test_the_warm_up_ends_with_its_block_when_that_fails():

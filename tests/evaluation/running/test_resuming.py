@@ -6,11 +6,12 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import jobs, store
+from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison, engines
 from activestructure_gym.evaluation.running.comparison import Comparison, jobs_to_resume, run_comparison
-from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome, run_directory
+from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome
 from activestructure_gym.evaluation.running.resuming import conditions, recorded_jobs
 
 JOB = Job("box", "random", 0, scene_hash="a" * 64, preset="fast", frame_budget=9, overrides=(("sensor.width", 64),))

@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import is_done
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import episode
 from activestructure_gym.evaluation.running.engines import get_engine, ray_cluster
-from activestructure_gym.evaluation.running.engines.base import LOGS, Limits, run_directory
+from activestructure_gym.evaluation.running.engines.base import LOGS, Limits
 from activestructure_gym.evaluation.running.engines.ray_cluster import run_ray
 
 pytestmark = pytest.mark.slow

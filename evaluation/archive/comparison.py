@@ -1,0 +1,73 @@
+"""A comparison's directory, read: its record, where its runs stand, and those of them that are finished."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive.store import Run
+
+JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
+
+
+def run_directory(directory: Path, job: Job) -> Path:
+    """Where a job's result stands in a comparison's directory."""
+    return directory / JOBS / job.name
+
+
+def read_record(directory: Path) -> dict[str, Any] | None:
+    """The content of ``compare.json``, None where there is none yet; raises `InputError` if it cannot be read."""
+    try:
+        record = store.read_json(directory / store.COMPARISON)
+        if not isinstance(record["jobs"], dict):
+            raise TypeError("its jobs are no table")
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+    return record
+
+
+def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
+    """The jobs of a record; raises `InputError` if they cannot be read."""
+    try:
+        return [Job.from_dict(content) for content in record["jobs"].values()]
+    except InputError:
+        raise
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+
+
+def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
+    """The finished ones of these jobs, in their order."""
+    labels = scene_labels(job.scene for job in jobs)
+    places = [(run_directory(directory, job), job) for job in jobs]
+    return [store.read_run(place, labels[job.scene]) for place, job in places if store.is_done(place, job)]
+
+
+def open_comparison(directory: Path) -> list[Run]:
+    """All finished runs of a comparison's directory.
+
+    Parameters
+    ----------
+    directory
+        What ``asg compare --out`` or `compare` wrote into, or a copy of it.
+
+    Returns
+    -------
+    list of Run
+        In the order of the comparison's record: seeds, then scenes, then policies.
+
+    Raises
+    ------
+    InputError
+        The record, or a run, cannot be read.
+    """
+    record = read_record(directory)
+    if record is None:
+        raise InputError(f"'{directory}' cannot be read as a comparison: it has no {store.COMPARISON}")
+    return finished_runs(directory, jobs_of(record, directory))

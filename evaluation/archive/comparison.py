@@ -44,7 +44,7 @@ def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
 
 def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
     """The finished ones of these jobs, in their order."""
-    labels = scene_labels(job.scene for job in jobs)
+    labels = scene_labels(jobs)
     places = [(run_directory(directory, job), job) for job in jobs]
     return [store.read_run(place, labels[job.scene]) for place, job in places if store.is_done(place, job)]
 

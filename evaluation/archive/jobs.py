@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol, get_proto
 
 _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
+_LABEL_DIGITS = 8  # of a content hash, in a name that people read
 _LONGEST = 80  # characters of a scene, and of a policy, in a file's name
 
 
@@ -67,15 +68,6 @@ class Job:
     def title(self) -> str:
         """What people read."""
         return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
-
-    def shown(self) -> Job:
-        """The job as tables have it: a checkpoint by its short name; hash and name are still those of the job."""
-        label = policy_label(self.policy)
-        if label == self.policy:
-            return self
-        job = dataclasses.replace(self, policy=label)
-        job.__dict__.update(hash=self.hash, name=self.name)
-        return job
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -137,20 +129,32 @@ def scene_label(spec: str, parts: int = 1) -> str:
     ``parts`` > 1 keeps that many of the last folder names, to tell files of one name apart.
     """
     kind, path, options = _split_spec(spec)
-    names = PurePath(path).with_suffix("").parts if "/" in path or "." in path else (path,)
+    place = PurePath(path)
+    names = place.with_suffix("").parts[bool(place.anchor) :] if "/" in path or "." in path else (path,)
     label = "/".join(names[-parts:]) or path or kind
     short = "&".join(f"{key}={PurePath(value).name}" for key, value in _pairs(options))
     return f"{label}?{short}" if short else label
 
 
-def scene_labels(specs: Iterable[str]) -> dict[str, str]:
-    """Short names that differ for different specs."""
-    specs = list(dict.fromkeys(specs))
+def scene_labels(jobs: Iterable[Job]) -> dict[str, str]:
+    """Short names by spec, which differ for different specs and never hold a whole path.
+
+    Where three names of folders tell two files apart no better than one, the first digits of their content do,
+    ``house@01234567``; of one content under several names, their order.
+    """
+    hashes = {job.scene: job.scene_hash for job in jobs}
     for parts in (1, 2, 3):
-        labels = {spec: scene_label(spec, parts) for spec in specs}
-        if len(set(labels.values())) == len(specs):
+        labels = {spec: scene_label(spec, parts) for spec in hashes}
+        if len(set(labels.values())) == len(labels):
             return labels
-    return {spec: spec for spec in specs}
+    by_content = {spec: f"{scene_label(spec)}@{content[:_LABEL_DIGITS]}" for spec, content in hashes.items()}
+    taken: dict[str, list[str]] = {}
+    for spec, label in by_content.items():
+        taken.setdefault(label, []).append(spec)
+    return {
+        spec: label if len(taken[label]) == 1 else f"{label}-{taken[label].index(spec) + 1}"
+        for spec, label in by_content.items()
+    }
 
 
 def policy_label(spec: str) -> str:

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.jobs import Job, scene_label
+from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
 from activestructure_gym.files import replaced
 
@@ -56,6 +56,11 @@ class Run:
     config: dict[str, Any]  # of config.json
     metrics: dict[str, Any]  # of metrics.json: ``metrics``, ``curve``, ...
     timing: dict[str, Any]  # of timing.json, seconds
+
+    @cached_property
+    def policy(self) -> str:
+        """What people call the policy: a checkpoint without the folders it lies in."""
+        return policy_label(self.job.policy)
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:
@@ -93,7 +98,7 @@ class Run:
 
     @cached_property
     def pictures(self) -> dict[str, np.ndarray]:
-        """What the pictures were drawn from; see `report.pictures.picture_arrays`."""
+        """What the pictures were drawn from; see `picture_record.picture_arrays`."""
         return load_arrays(self.directory / "pictures.npz")
 
 
@@ -127,6 +132,11 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
     """
     if not (directory / DONE).is_file():
         raise InputError(f"'{directory}' is not a finished run: it has no {DONE} file")
+    return open_run(directory, scene)
+
+
+def open_run(directory: Path, scene: str | None = None) -> Run:
+    """The same for a directory whose data are whole and which may not count as finished yet."""
     try:
         content = {name: read_json(directory / f"{name}.json") for name in ("config", "metrics", "timing")}
         if content["config"]["format"] != FORMAT_VERSION:
@@ -135,7 +145,7 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
                 "run it again"
             )
         job = Job.from_dict(content["config"]["job"])
-        return Run(directory, scene or scene_label(job.scene), job.shown(), **content)
+        return Run(directory, scene or scene_label(job.scene), job, **content)
     except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
         raise InputError(f"'{directory}' cannot be read as a run ({type(error).__name__}: {error})") from error
 

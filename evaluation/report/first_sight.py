@@ -27,7 +27,7 @@ def first_sight(results: Results, anchor: str) -> Html:
             key(PLAN_KEY),
         )
     ]
-    tiles += [_tile(run, index, results.policies.index(run.job.policy)) for run in runs]
+    tiles += [_tile(run, index, results.policies.index(run.policy)) for run in runs]
     where = f"{results.scenes[0]}, seed {runs[0].job.seed}"
     if len(runs) < len(everyone):
         where += f", the {len(runs)} policies with the highest C.R. (the baseline among them) of {len(everyone)}"
@@ -42,7 +42,7 @@ def first_sight(results: Results, anchor: str) -> Html:
 
 
 def _tile(run: Run, index: int, number: int) -> Html:
-    policy, metrics = run.job.policy, run.metrics["metrics"]
+    policy, metrics = run.policy, run.metrics["metrics"]
     dot = element("i", class_=f"dot p{number % 8}", aria_hidden="true")
     numbers = element("span", f"C.R. {metrics['completion_ratio']:.1f} %, {metrics['metres']:.1f} m")
     view = picture(to_image(run.pictures["rendered"][index]), f"the same view in the map of {policy}")

@@ -267,7 +267,7 @@ def _how(results: Results) -> Html:
     configurations: dict[str, dict[str, str]] = {}
     for run in results.runs:
         for name, value in _flat(run.config["configuration"]):
-            configurations.setdefault(name, {}).setdefault(without_places(str(value)), run.job.policy)
+            configurations.setdefault(name, {}).setdefault(without_places(str(value)), run.policy)
     rows = [
         [Cell(name), Cell(", ".join(values) if len(values) == 1 else "; ".join(f"{p}: {v}" for v, p in values.items()))]
         for name, values in configurations.items()

@@ -27,7 +27,7 @@ Colour = tuple[int, int, int]
 
 
 def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tuple[Image.Image, Image.Image]:
-    """By type with edges and tree, and by deficit with deficiency centres; ``plan`` as in `plan.plan_arrays`.
+    """By type with edges and tree, and by deficit with deficiency centres; ``plan`` as in `picture_record.plan_arrays`.
 
     Steep planes are strokes on the side they are seen from, so that both faces of a wall can be told apart. Level
     ones that face up are areas, the floor a faint one; those that face down, the ceiling among them, are outlines.

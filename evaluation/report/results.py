@@ -61,7 +61,7 @@ class Results:
     @cached_property
     def policies(self) -> list[str]:
         """In the order of the runs."""
-        return list(dict.fromkeys(run.job.policy for run in self.runs))
+        return list(dict.fromkeys(run.policy for run in self.runs))
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -80,7 +80,7 @@ class Results:
 
     def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:
         """The runs of a policy, of a scene, or of both."""
-        return [run for run in self.runs if policy in (None, run.job.policy) and scene in (None, run.scene)]
+        return [run for run in self.runs if policy in (None, run.policy) and scene in (None, run.scene)]
 
     def cells(self, policy: str, key: str, scene: str | None = None) -> dict[tuple[str, int], float]:
         """A policy's numbers by scene and seed, where they are defined."""
@@ -117,9 +117,9 @@ class Results:
     def foremost(self, scene: str, key: str = "completion_ratio") -> list[Run]:
         """As many of the shown runs as fit on a screen: those with the best result, the baseline in any case."""
         runs = self.shown(scene)
-        ranks = sorted(runs, key=lambda run: (run.job.policy != self.baseline, -(value_of(run, key) or 0.0)))
-        kept = {run.job.policy for run in ranks[:_ON_A_SCREEN]}
-        return [run for run in runs if run.job.policy in kept]
+        ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, key) or 0.0)))
+        kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
+        return [run for run in runs if run.policy in kept]
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
@@ -155,7 +155,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             runs.setdefault(run.job.hash, run)
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
-    labels = scene_labels(run.job.scene for run in runs.values())
+    labels = scene_labels(run.job for run in runs.values())
     return Results([dataclasses.replace(run, scene=labels[run.job.scene]) for run in runs.values()], sources, baseline)
 
 

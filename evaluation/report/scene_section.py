@@ -86,7 +86,7 @@ def scene_section(results: Results, scene: str, anchor: str) -> Html:
 def which_runs(results: Results, scene: str) -> str:
     """Whose pictures are shown, and who has none."""
     runs = results.shown(scene)
-    shown = {run.job.policy for run in runs}
+    shown = {run.policy for run in runs}
     text = f"All pictures are of seed {runs[0].job.seed}, so that every path begins at the same place"
     if len({run.job.seed for run in results.of(None, scene)}) > 1:
         text += "; of the seeds it is the one with the median C.R., averaged over the policies"
@@ -141,10 +141,10 @@ def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> Html:
         tiles = []
         for i in telling:
             psnr = float(run.pictures["psnr"][i])
-            alt = f"view {i + 1} as {run.job.policy} reconstructed it, PSNR {psnr:.2f} dB"
+            alt = f"view {i + 1} as {run.policy} reconstructed it, PSNR {psnr:.2f} dB"
             badge = element("b", decimal(psnr, 2), class_="first" if len(runs) > 1 and psnr == best[i] else None)
             tiles.append((to_image(run.pictures["rendered"][i]), alt, badge))
-        rows.append(_view_row(run.job.policy, _result(run), tiles, policies.index(run.job.policy)))
+        rows.append(_view_row(run.policy, _result(run), tiles, policies.index(run.policy)))
     caption = element(
         "figcaption",
         "The nearer a picture comes to the true one above it, the better: PSNR in dB in the corner, the best of a view "
@@ -157,7 +157,7 @@ def plans(runs: Sequence[Run], policies: Sequence[str]) -> Html:
     """Every run's map from above, with what it knew and the way it went."""
     tiles = []
     for run in runs:
-        drawn = picture(draw_plan(run.pictures, run.trajectory), f"plan with the path of {run.job.policy}")
+        drawn = picture(draw_plan(run.pictures, run.trajectory), f"plan with the path of {run.policy}")
         tiles.append(_tile(run, policies, drawn))
     caption = element(
         "figcaption",
@@ -178,13 +178,13 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
         in_3d = stored_panels(run.directory / "psg_3d.png") or draw_planes_3d(run.graph)
         for place, drawn in (("from above", above), ("in 3D", in_3d)):
             for what, image in zip(("type", "deficit"), drawn):
-                drawing = picture(image, f"planes of {run.job.policy} {place}, by {what}", drawing=True)
+                drawing = picture(image, f"planes of {run.policy} {place}, by {what}", drawing=True)
                 if (place, what) == ("from above", "deficit"):
                     plans_by_deficit.append(_tile(run, policies, drawing))
                 else:
                     caption = element("figcaption", element("strong", f"by {what}, {place}"), f": {_SEEN[what, place]}")
                     pictures.append(element("figure", drawing, caption))
-        history = picture(_history(run), f"timeline of {run.job.policy}", drawing=True, widest=_TIMELINE)
+        history = picture(_history(run), f"timeline of {run.policy}", drawing=True, widest=_TIMELINE)
         caption = element(
             "figcaption", "What is still missing, and what decided, frame by frame: deficits should fall."
         )
@@ -192,7 +192,7 @@ def planes(runs: Sequence[Run], policies: Sequence[str]) -> Html:
         count, structural = len(run.graph["ids"]), int(run.graph["structural"].sum())
         holes = run.graph["deficiency_areas"]
         line = (
-            f"{run.job.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} of objects, "
+            f"{run.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} of objects, "
             f"{len(holes)} deficiency centres for {holes.sum():.1f} m²"
         )
         blocks.append(folded(line, element("div", *pictures, class_="tiles paper"), over_time, class_="planes"))
@@ -230,8 +230,8 @@ def _view_row(name: str, more: str, tiles: Sequence[tuple[Image.Image, str, Html
 
 
 def _tile(run: Run, policies: Sequence[str], image: Html) -> Html:
-    dot = element("i", class_=f"dot p{policies.index(run.job.policy) % 8}", aria_hidden="true")
-    caption = element("figcaption", dot, element("strong", run.job.policy), f" {_result(run)}")
+    dot = element("i", class_=f"dot p{policies.index(run.policy) % 8}", aria_hidden="true")
+    caption = element("figcaption", dot, element("strong", run.policy), f" {_result(run)}")
     return element("figure", image, caption)
 
 

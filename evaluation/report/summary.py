@@ -41,7 +41,7 @@ def write_report(
 
     A baseline that finished nothing is among the missing, and another one takes its place.
     """
-    baseline = baseline if any(run.job.policy == baseline for run in runs) else None
+    baseline = baseline if any(run.policy == baseline for run in runs) else None
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
@@ -139,7 +139,7 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
 
 def _link(run: Run, directory: Path) -> str:
     place = os.path.relpath(run.directory, directory).replace(os.sep, "/")
-    return f"[{run.job.policy} seed {run.job.seed}](./{place}/)"
+    return f"[{run.policy} seed {run.job.seed}](./{place}/)"
 
 
 def _summary(results: Results, sections: Sequence[str]) -> str:

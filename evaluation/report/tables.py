@@ -18,6 +18,7 @@ from activestructure_gym.evaluation.report.layout import Heading, Table
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
+_HASH_DIGITS = 12  # of a scene's content, as messages show it
 AVERAGE = "average"  # the name of the last block: the mean over the scenes
 
 
@@ -51,12 +52,12 @@ class Row:
 def table_rows(runs: Sequence[Run]) -> list[Row]:
     """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
     scenes = list(dict.fromkeys(run.scene for run in runs))
-    policies = list(dict.fromkeys(run.job.policy for run in runs))
+    policies = list(dict.fromkeys(run.policy for run in runs))
     rows: list[Row] = []
     for scene in scenes:
         block = []
         for policy in policies:
-            cell_runs = [r for r in runs if r.scene == scene and r.job.policy == policy]
+            cell_runs = [r for r in runs if r.scene == scene and r.policy == policy]
             if cell_runs:
                 cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
                 block.append(Row(scene, policy, len(cell_runs), cells))
@@ -128,11 +129,12 @@ def runs_csv(runs: Sequence[Run]) -> str:
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    titles = ["scene", "policy", "seed", "preset", "protocol", "job"]
+    titles = ["scene", "scene_hash", "policy", "seed", "preset", "protocol", "job"]
     writer.writerow([*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
     for run, numbers in zip(runs, scalars):
         job = run.job
-        identity = [job.scene, job.policy, job.seed, job.preset, job.protocol.name, job.hash]
+        scene = [run.scene, job.scene_hash[:_HASH_DIGITS]]
+        identity = [*scene, run.policy, job.seed, job.preset, job.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
         writer.writerow([*identity, *values, run.timing["total"], *seconds])

@@ -18,7 +18,7 @@ _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "d
 def run_trace(run: Run) -> Html:
     """Folded: identity and result in one line; behind it phases, decisions and where the run's files are."""
     numbers = {key: value_of(run, key) for key in ("completion_ratio", "psnr", "metres", "collisions", "seconds")}
-    parts = [f"{run.job.policy}, seed {run.job.seed}"]
+    parts = [f"{run.policy}, seed {run.job.seed}"]
     for key, form in (("completion_ratio", "C.R. {:.1f} %"), ("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
         if (value := numbers[key]) is not None:
             parts.append(form.format(value))
@@ -77,7 +77,7 @@ def trace_table(run: Run) -> Table:
         row.append(number(step.get("gaussians"), 0, ""))
         row += [number(check.get("completion_ratio"), 1, ""), number(check.get("psnr"), 2, "")]
         rows.append(row)
-    title = f"Decisions of {run.job.policy} on {run.scene}, seed {run.job.seed}"
+    title = f"Decisions of {run.policy} on {run.scene}, seed {run.job.seed}"
     return Table(f"trace-{run.job.name}", title, headings, rows)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
@@ -75,7 +76,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
             for other in others:
                 numbers = other.evaluate(reconstruction.mapper.map, other.truth(known), path)
                 store.write_evaluation(part, other.parameters(), scene.content_hash, numbers)
-            _write_pictures(part, job, truth, reconstruction, metrics, episode.steps)
+            _write_pictures(part, job, truth, reconstruction, metrics)
             seconds |= episode.seconds() | {"evaluation": episode.evaluation_seconds + time.perf_counter() - began}
             timing = {
                 "seconds": seconds,
@@ -84,6 +85,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
                 "hardware": machine.hardware(),
             }
             store.write_json(part / "timing.json", timing)
+            _draw_pictures(part)
             # Last: a directory without it is not a result.
             (part / store.DONE).write_text(job.hash + "\n", encoding="utf-8")
     finally:
@@ -326,27 +328,15 @@ def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 
 
 def _write_pictures(
-    part: Path,
-    job: Job,
-    truth: Truth,
-    reconstruction: Reconstruction,
-    metrics: dict[str, Any],
-    steps: list[dict[str, Any]],
+    part: Path, job: Job, truth: Truth, reconstruction: Reconstruction, metrics: dict[str, Any]
 ) -> None:
-    from activestructure_gym.evaluation.report.canvas import save_with_panels
-    from activestructure_gym.evaluation.report.phases import plot_phases
-    from activestructure_gym.evaluation.report.pictures import picture_arrays, run_plan, run_views
-    from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d, run_planes_plan
-
+    """The arrays that pictures are drawn from."""
     arrays = picture_arrays(job.protocol, truth, reconstruction, [view["psnr"] for view in metrics["views"]])
     with open(part / "pictures.npz", "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    run_views(arrays, title=job.title).save(part / "views.png")
-    graph = graph_arrays(reconstruction.planes)
-    run_plan(arrays, _path_arrays(reconstruction), graph, title=job.title).save(part / "plan.png")
-    for name, (page, panels) in (
-        ("psg_plan", run_planes_plan(graph, arrays, title=job.title)),
-        ("psg_3d", run_planes_3d(graph, title=job.title)),
-    ):
-        save_with_panels(page, part / f"{name}.png", panels)
-    plot_phases([("", store.plain(steps))], part / "phases.png", title=job.title)
+
+
+def _draw_pictures(part: Path) -> None:
+    from activestructure_gym.evaluation.report.run_pictures import draw_run
+
+    draw_run(part)

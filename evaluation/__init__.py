@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.comparison import open_comparison
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.archive.store import Run, read_run
     from activestructure_gym.evaluation.metrics import (
@@ -31,17 +32,18 @@ if TYPE_CHECKING:
         StandardProtocol,
         get_protocol,
     )
-    from activestructure_gym.evaluation.running.comparison import Comparison, Result, open_comparison, run_comparison
+    from activestructure_gym.evaluation.running.comparison import Comparison, Result, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits
     from activestructure_gym.evaluation.running.one_call import compare
     from activestructure_gym.evaluation.statistics import estimate, paired_difference, probability_of_improvement
 
 _PLACES = {
+    "archive.comparison": ("open_comparison",),
     "archive.jobs": ("Job",),
     "archive.store": ("Run", "read_run"),
     "metrics": ("SurfaceSamples", "depth_l1", "geometry_scores", "ms_ssim", "psnr", "ssim"),
     "protocols": ("PROTOCOLS", "ActiveGamerProtocol", "StandardProtocol", "get_protocol"),
-    "running.comparison": ("Comparison", "Result", "open_comparison", "run_comparison"),
+    "running.comparison": ("Comparison", "Result", "run_comparison"),
     "running.engines": ("Limits",),
     "running.one_call": ("compare",),
     "statistics": ("estimate", "paired_difference", "probability_of_improvement"),

@@ -102,7 +102,7 @@ def compare(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     result = compare(["box"], ["random"], folder, preset="fast", frame_budget=2, engine="inline",
     ...                      protocol=StandardProtocol(views=1, surface_samples=2000, points_source="means"))
-    ...     [(run.job.policy, run.metrics["metrics"]["psnr"] > 0) for run in result.runs]
+    ...     [(run.policy, run.metrics["metrics"]["psnr"] > 0) for run in result.runs]
     [('random', True)]
     """
     comparison = Comparison(

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.greedy import Planner, Travel
 
 REVISIT = CANDIDATE_FEATURES.index("revisit")
 
@@ -59,7 +59,7 @@ class ActiveGAMER(Planner):
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_gains = ("uncovered",)
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.anm_s import UNCERTAINTY
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies.anm_s import Uncertainty
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.greedy import Planner, Travel
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
 _REVISIT = CANDIDATE_FEATURES.index("revisit")
@@ -32,9 +35,9 @@ class ActiveINR(Planner):
     decides_by = "the largest piece of uncertain surface"
     source = "Yan et al., Active Neural Mapping, ICCV 2023"
 
-    def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
-        if uncertainty not in UNCERTAINTY:
-            raise ValueError(f"option uncertainty must be {' or '.join(UNCERTAINTY)}, got '{uncertainty}'")
+    def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        if uncertainty not in get_args(Uncertainty):
+            raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         name = "activeinr" if uncertainty == "perturbation" else "activeinr_proxy"
         self.required_gains = (name, *(f"{name}_{axis}" for axis in "xyz"))  # type: ignore[misc]
         super().__init__(travel)

@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.activesplat_nodes import Nodes, choose_node, node_scores
 from activestructure_gym.policies.base import POLICIES, REVISIT, Observation, best_valid
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.naruto import forward
 
 _LENGTH = CANDIDATE_FEATURES.index("path_length")
@@ -41,7 +41,7 @@ class ActiveSplat(Planner):
     required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat_information",
                       "activesplat_volume", "activesplat_region", "activesplat_view")  # fmt: skip
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.greedy import Planner, Travel
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
 _LOOK = [CANDIDATE_FEATURES.index(name) for name in ("look_x", "look_y", "look_z")]
@@ -20,7 +23,7 @@ AT_NODE = 0.5  # metres in the plane: candidates that stand for a node are no fa
 FORGET_AFTER = 3  # node decisions without a node that is neither arrived at nor failed; the table is a draw
 FACING = float(np.cos(np.radians(30.0)))  # between a candidate's axis and what it is to look at
 ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this are one look
-UNCERTAINTY = ("perturbation", "proxy")
+Uncertainty = Literal["perturbation", "proxy"]
 
 
 @POLICIES.register("anm_s")
@@ -41,9 +44,9 @@ class AnmS(Planner):
     decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
     source = "Kuang et al., ANM-S, IROS 2024"
 
-    def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
-        if uncertainty not in UNCERTAINTY:
-            raise ValueError(f"option uncertainty must be {' or '.join(UNCERTAINTY)}, got '{uncertainty}'")
+    def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        if uncertainty not in get_args(Uncertainty):
+            raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         self._gains = "anm_s" if uncertainty == "perturbation" else "anm_s_proxy"
         own = tuple(f"{self._gains}_{name}" for name in ("clusters", "looks", "facing"))
         self.required_gains = ("voronoi_node", "visited_distance", "in_horizon", *own)  # type: ignore[misc]

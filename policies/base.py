@@ -27,7 +27,7 @@ class Policy(ABC):
     `bind` tells the policy, and without it `gain` refuses. `make_env_and_policy` makes both at once and binds them.
 
     Parameters of a subclass's constructor are its options: ``name?key=value`` in a command. They are checked there,
-    with a ValueError.
+    with an `InputError`.
     """
 
     decides_by: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none

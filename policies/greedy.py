@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import Observation, Policy, best_valid, travel_discount
 
-TRAVEL = ("native", "shared")
+Travel = Literal["native", "shared"]
 
 
 class Planner(Policy):
@@ -23,10 +24,10 @@ class Planner(Policy):
 
     least: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__()
-        if travel not in TRAVEL:
-            raise ValueError(f"option travel must be {' or '.join(TRAVEL)}, got '{travel}'")
+        if travel not in get_args(Travel):
+            raise InputError(f"option travel must be {' or '.join(get_args(Travel))}, got '{travel}'")
         self.travel = travel
         self._trace: dict[str, Any] = {}
 

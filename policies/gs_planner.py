@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.greedy import Planner, Travel
 
 _LENGTH = CANDIDATE_FEATURES.index("path_length")
 
@@ -63,7 +63,7 @@ class GSPlanner(Planner):
     source = "Jin et al., GS-Planner, IROS 2024"
     required_gains = ("gs_planner_volume", "gs_planner_loss")
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 

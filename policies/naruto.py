@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.greedy import Planner, Travel
 
 _XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
 _LOOK = [CANDIDATE_FEATURES.index(name) for name in ("look_x", "look_y", "look_z")]
@@ -36,7 +36,7 @@ class Naruto(Planner):
     source = "Feng et al., NARUTO, CVPR 2024"
     required_gains = ("naruto", *LIST_COLUMNS)
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 

@@ -6,12 +6,15 @@ small image is not blurred by pixels it does not have.
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, se3_exp
 from activestructure_gym.geometry.depth_noise import axial_sigma
 
-DEPTH_NOISE = ("none", "kinect", "redwood")
+DepthNoise = Literal["none", "kinect", "redwood"]
+DEPTH_NOISE: tuple[DepthNoise, ...] = get_args(DepthNoise)
 
 _SOURCE_FOCAL = 525.0  # px; the 640-wide camera both models were measured with
 _DISPARITY_METRES = 35.130  # focal length times baseline in px m (Redwood); one disparity step is 1/8 px
@@ -106,7 +109,7 @@ def noisy_depth(
     camera: PinholeCamera,
     rng: np.random.Generator,
     *,
-    model: str,  # one of DEPTH_NOISE
+    model: DepthNoise,
     multiplier: float = 1.0,
 ) -> np.ndarray:  # [H, W] float32
     """Depth as a camera of the given model would report it. ``multiplier`` scales every error; 0 changes nothing.

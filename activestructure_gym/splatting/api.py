@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.autograd import CpuOptions, CpuRasterization
-from activestructure_gym.splatting.backends import BACKENDS, backend_status
+from activestructure_gym.splatting.backends import BACKENDS, Backend, backend_status
 from activestructure_gym.splatting.packing import parameter_rows
 from activestructure_gym.splatting.reference import blend_reference, camera_centre
 from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
@@ -63,7 +64,7 @@ def rasterize(
     sh: torch.Tensor | None = None,  # [N, K, 3] harmonics of degree 0 to 3 in place of colours, K = 1, 4, 9 or 16
     channels: torch.Tensor | None = None,  # [N, D] anything else to blend
     median_depth: bool = False,
-    backend: str = "auto",
+    backend: Backend | Literal["auto"] = "auto",
     max_alpha: float = 0.999,
     threads: int | None = None,
 ) -> Rasterization:

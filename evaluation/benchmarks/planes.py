@@ -31,11 +31,11 @@ from activestructure_gym.planes.graph import PlaneSceneGraph
 from activestructure_gym.planes.matching import MatchingConfig
 from activestructure_gym.planes.sparseness import MapPoints
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.noise import noisy_depth
+from activestructure_gym.sensors.noise import DepthNoise, noisy_depth
 
 SCENES = ("room?seed=3", "apartment?rooms=4&seed=2")
 SIZES = ((160, 90), (320, 180))
-NOISES = ("none", "kinect")
+NOISES: tuple[DepthNoise, ...] = ("none", "kinect")
 CANDIDATES = 256
 PLANES = 60  # of a graph, where its cost is stated
 _LARGE = 0.01  # share of the image
@@ -218,7 +218,7 @@ def detection_rows(
     scene: Scene,
     *,
     sizes: Sequence[tuple[int, int]] = SIZES,  # (width, height)
-    noises: Sequence[str] = NOISES,
+    noises: Sequence[DepthNoise] = NOISES,
     views: int = 20,
     seed: int = 3,
 ) -> list[dict[str, Any]]:

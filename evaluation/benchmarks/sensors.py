@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.renderer import Renderer, make_renderer, renderer_status
+from activestructure_gym.sensors.renderer import Renderer, RendererName, make_renderer, renderer_status
 
 SIZES = ((160, 90), (320, 180), (640, 360))
 
@@ -65,9 +66,9 @@ def run_sensor_benchmark(
     from activestructure_gym.scenes.library import load_scene
 
     if repeats < 1 or views < 1:
-        raise ValueError(f"repeats and views must be at least 1, got {repeats} and {views}")
+        raise InputError(f"repeats and views must be at least 1, got {repeats} and {views}")
     status = renderer_status()["pyrender"]
-    names = ("raycast", "pyrender") if status == "works" else ("raycast",)
+    names: tuple[RendererName, ...] = ("raycast", "pyrender") if status == "works" else ("raycast",)
     rows = []
     for spec in scenes:
         scene = load_scene(spec)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.splatting.cpu import Rendering
 
-POINTS_SOURCES = ("both", "means")
-VIEW_SOURCES = ("free_space", "recorded")
+PointsSource = Literal["both", "means"]
+ViewSource = Literal["free_space", "recorded"]
 
 
 @dataclass(frozen=True)
@@ -76,23 +76,25 @@ class StandardProtocol:
     view_height: int = 180  # pixels
     view_fov_deg: float = 90.0  # horizontal
     view_supersample: int = 4  # rays per pixel and axis in the true views
-    view_source: str = "free_space"  # or "recorded": the views that came with the scene
+    view_source: ViewSource = "free_space"  # or "recorded": the views that came with the scene
     coverage_alpha: float = 0.5  # a rendered pixel shows the map where its alpha is above this
-    points_source: str = "both"  # "means" leaves the TSDF surface out
+    points_source: PointsSource = "both"  # "means" leaves the TSDF surface out
     tsdf_voxel_m: float = 0.03  # metres
     tsdf_truncation_m: float = 0.1  # metres
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
-        if self.points_source not in POINTS_SOURCES:
-            raise InputError(f"points_source must be one of {', '.join(POINTS_SOURCES)}, got '{self.points_source}'")
+        if self.points_source not in get_args(PointsSource):
+            raise InputError(
+                f"points_source must be one of {', '.join(get_args(PointsSource))}, got '{self.points_source}'"
+            )
         if self.tsdf_voxel_m > self.tsdf_truncation_m:
             raise InputError(
                 f"tsdf_truncation_m must be at least tsdf_voxel_m ({self.tsdf_voxel_m}), got {self.tsdf_truncation_m}"
             )
-        if self.view_source not in VIEW_SOURCES:
-            raise InputError(f"view_source must be one of {', '.join(VIEW_SOURCES)}, got '{self.view_source}'")
+        if self.view_source not in get_args(ViewSource):
+            raise InputError(f"view_source must be one of {', '.join(get_args(ViewSource))}, got '{self.view_source}'")
 
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant, for the result file."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
 
-METHODS = ("bc", "rank", "ppo")
-REWARDS = ("rate", "auc", "env")
+Method = Literal["bc", "rank", "ppo"]
+Reward = Literal["rate", "auc", "env"]
 ORACLE = "oracle"  # the teacher who knows the truth
 _WORLD_RANGES = {
     "layouts": "[1, 1000000]",
@@ -52,7 +52,7 @@ class WorldConfig:
     max_planes: int = 64
     noise: bool = True  # sensor noise, another one in every episode
     episodes_per_layout: int = 2  # of the expert, in a row; PPO keeps a layout for one iteration of one env
-    reward: str = "rate"
+    reward: Reward = "rate"
 
     def __post_init__(self) -> None:
         for name in ("rooms", "gains"):
@@ -61,15 +61,15 @@ class WorldConfig:
             self, "overrides", tuple(sorted((str(k), _fixed(v)) for k, v in dict(self.overrides).items()))
         )
         check_ranges(self, _WORLD_RANGES)
-        if self.reward not in REWARDS:
-            raise unknown_name("reward", self.reward, REWARDS)
+        if self.reward not in get_args(Reward):
+            raise unknown_name("reward", self.reward, get_args(Reward))
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
     """A method, its world and its constants. Wrong values raise `InputError`."""
 
-    method: str = "bc"
+    method: Method = "bc"
     seed: int = 0
     world: WorldConfig = field(default_factory=WorldConfig)
     planes: int = 32  # sizes of the network, see NetworkConfig
@@ -105,8 +105,8 @@ class TrainingConfig:
     start: str | None = None  # checkpoint to begin from, with its content: FILE@1a2b3c4d
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise unknown_name("method", self.method, METHODS)
+        if self.method not in get_args(Method):
+            raise unknown_name("method", self.method, get_args(Method))
         check_ranges(self, _RANGES)
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")

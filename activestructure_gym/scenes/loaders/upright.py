@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
 from activestructure_gym.errors import InputError
 
-UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
 CEILING_HEIGHTS = (1.9, 6.0)  # metres, floor to ceiling
 
 # Points on the surface, and columns per side of the grid they are sorted into: enough for hundreds of free lines, few

@@ -43,7 +43,7 @@ class Cache:
         table = plain_table("Kept between runs", "part", "files", "size", "at most", "where")
         for row in rows:
             most = "no limit" if row["limit"] is None else _megabytes(row["limit"])
-            table.add_row(row["part"], str(row["files"]), _megabytes(row["bytes"]), most, escape(str(row["place"])))
+            table.add_row(str(row["part"]), str(row["files"]), _megabytes(row["bytes"]), most, escape(str(row["place"])))
         print_whole(console, table)
         console.print("Remove: asg cache clear, of one part: asg cache clear scenes, asg cache clear kernels.")
         console.print("Place and size are set by ASG_CACHE_DIR, ASG_CACHE_MAX and NUMBA_CACHE_DIR.")

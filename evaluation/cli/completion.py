@@ -118,7 +118,7 @@ def _names() -> dict[str, Sequence[str]]:
 
 
 def _bash() -> str:
-    cases, alone, split = [], [], []
+    cases, alone, split = list[str](), list[str](), list[str]()
     for place in _places():
         where = " ".join(place.words)
         for entry in place.entries:

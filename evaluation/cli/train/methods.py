@@ -6,7 +6,7 @@ import dataclasses
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Count, Names, PathName, Switch, option
@@ -144,7 +144,7 @@ def training_config(options: Learning) -> TrainingConfig:
         del given["layouts"]
     given["overrides"] = tuple(parse_overrides(options.set).items())
 
-    def of(kind: type[TrainingConfig | WorldConfig]) -> dict[str, object]:
+    def of(kind: type[TrainingConfig | WorldConfig]) -> dict[str, Any]:
         return {field.name: given[field.name] for field in dataclasses.fields(kind) if field.name in given}
 
     return TrainingConfig(method=options.method, world=WorldConfig(**of(WorldConfig)), **of(TrainingConfig))

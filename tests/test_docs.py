@@ -22,10 +22,10 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/guide/own_policy.md, importable."""
-    for block in blocks("docs/guide/own_policy.md"):
+    """The files of docs/guide/own_policy.md and own_scene.md, importable."""
+    for block in (*blocks("docs/guide/own_policy.md"), *blocks("docs/guide/own_scene.md")):
         name = re.match(r"# (\w+\.py)\n", block)
-        assert name, f"a block of docs/guide/own_policy.md does not begin with its file name:\n{block}"
+        assert name, f"a block of docs/guide/own_policy.md or own_scene.md does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)
         assert len([line for line in block.splitlines() if line.strip()]) <= 20
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -31,6 +31,18 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     assert all(f"asg {name} " in done.stdout for name in COMMANDS)
 
 
+@pytest.mark.parametrize("command, others", [("train bc", "compare"), ("bench", "train"), ("cache", "bench")])
+def test_help_of_a_command_loads_that_command_alone(command, others):
+    script = (
+        f"import sys; from activestructure_gym.evaluation.cli import main; code = main(['help', *{command.split()}]);"
+        "print([m for m in ('torch', 'numba', 'scipy', 'matplotlib', 'cv2', 'trimesh',"
+        f" 'activestructure_gym.evaluation.cli.{others}') if m in sys.modules], code)"
+    )
+    environment = {"PYTHONPATH": ":".join(sys.path), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+    assert done.stdout.splitlines()[-1] == "[] 0", done.stdout + done.stderr
+
+
 def test_version_and_no_argument(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.split() == ["activestructure-gym", __version__]
     assert main([]) == 0 and capsys.readouterr().out.strip() == HELP

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from typing import Any
 
 from rich.markup import escape
 
@@ -33,7 +34,7 @@ def cache(options: Cache) -> int:
     return 0
 
 
-def _show(part: str) -> dict[str, str | int | None]:
+def _show(part: str) -> dict[str, Any]:
     from activestructure_gym.scenes.cache import cache_directory, cache_files, cache_limit
 
     if part == "scenes":
@@ -54,7 +55,7 @@ def _show(part: str) -> dict[str, str | int | None]:
     return _row(part, len(sizes), sum(sizes)) | {"limit": None, "place": where}
 
 
-def _clear(part: str) -> dict[str, str | int | None]:
+def _clear(part: str) -> dict[str, Any]:
     from activestructure_gym.scenes.cache import clear_cache
 
     if part == "scenes":
@@ -71,9 +72,9 @@ def _clear(part: str) -> dict[str, str | int | None]:
     return _row(part, count, gone)
 
 
-def _row(part: str, files: int, size: int) -> dict[str, str | int | None]:
+def _row(part: str, files: int, size: int) -> dict[str, Any]:
     return {"part": part, "files": files, "bytes": size}
 
 
-def _megabytes(size: int | str | None) -> str:
-    return f"{int(size or 0) / 1e6:.1f} MB"
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"

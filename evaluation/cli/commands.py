@@ -366,7 +366,7 @@ class Config:
 class Cache:
     """Show what is kept on disk between runs, or remove it: what scenes share, and compiled kernels.
 
-    The cache of scenes keeps itself below ASG_CACHE_MAX (1GiB if not set): what was used longest ago goes first.
+    The cache of scenes keeps itself below ASG_CACHE_MAX (4GiB if not set): what was used longest ago goes first.
     """
 
     what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"

@@ -50,10 +50,14 @@ def scenes(options: Scenes) -> int:
             table.add_row(f"[bold]{name}[/]", escape(text))
         print_whole(console, table)
     if options.picture is not None:
+        from activestructure_gym.evaluation.archive.store import writing
         from activestructure_gym.evaluation.report.scene_picture import scene_picture
+        from activestructure_gym.mapping.whole_file import whole_file
 
         with console.status("drawing"):
-            scene_picture(facts["scene"]).save(options.picture)
+            picture = scene_picture(facts["scene"])
+            with writing(options.picture), whole_file(options.picture) as file:
+                picture.save(file, "PNG")
         if not options.json:
             console.print(f"picture: {escape(options.picture)}", soft_wrap=True)
     return 0

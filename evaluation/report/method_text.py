@@ -53,7 +53,7 @@ def protocol_texts(results: Results) -> list[str]:
     texts = [protocol_text(results)]
     if "activegamer" in results.runs[0].protocols:
         texts.append(
-            "Protocol `activegamer` follows the evaluation code of ActiveGAMER (docs/protocols.md): means matched to "
+            "Protocol `activegamer` follows the evaluation code of ActiveGAMER: means matched to "
             "the 1 cm voxels of the whole surface, seen or not, so that floaters do not count; images masked where the "
             "truth has no depth, from one small circle of views; PSNR by channel."
         )

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.scenes.stl import read_stl
+from activestructure_gym.scenes.loaders.stl import read_stl
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])

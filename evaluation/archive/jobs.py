@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
@@ -89,6 +90,8 @@ class Job:
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
         """The job that `as_dict` described."""
         values = dict(content)
+        if more := values.keys() - {field.name for field in dataclasses.fields(cls)}:
+            raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
         protocol = protocol_from(values.pop("protocol"))
         if not isinstance(protocol, StandardProtocol):
             raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
@@ -170,14 +173,14 @@ def policy_label(spec: str) -> str:
 def absolute_spec(spec: str) -> str:
     """The same scene, named so that it is found from any working directory."""
     kind, path, options = _split_spec(spec)
-    if not path or not Path(path).expanduser().exists():
+    if not path or not Path(os.path.expanduser(path)).exists():
         return spec
     places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
     return (f"{kind}:" if kind else "") + _absolute(path) + (f"?{places}" if places else "")
 
 
 def _absolute(path: str) -> str:
-    place = Path(path).expanduser()
+    place = Path(os.path.expanduser(path))
     return str(place.resolve()) if place.exists() else path
 
 
@@ -187,7 +190,7 @@ def _pairs(options: str) -> list[tuple[str, str]]:
 
 def _split_spec(spec: str) -> tuple[str, str, str]:
     """``kind:path?options`` taken apart; what is missing is empty."""
-    if Path(spec).expanduser().exists():
+    if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""
     path, _, options = spec.partition("?")
     kind, colon, rest = path.partition(":")

@@ -120,6 +120,17 @@ class Results:
         kept = {run.job.policy for run in ranks[:_ON_A_SCREEN]}
         return [run for run in runs if run.job.policy in kept]
 
+    def check_pictures(self) -> None:
+        """Raise `InputError` where runs that are shown side by side have not kept the same views."""
+        for scene in self.scenes:
+            first, *others = self.shown(scene)
+            for run in others:
+                if run.pictures["true"].shape != first.pictures["true"].shape:
+                    raise InputError(
+                        f"'{run.directory}' and '{first.directory}' have not kept the same held-out views of {scene}: "
+                        "report them apart, or make one of them again"
+                    )
+
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
     """What must not differ between compared runs, with all values found."""
@@ -140,13 +151,14 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
     A job that stands in two of them counts once. Raises `InputError` for a directory that is neither.
     """
     from activestructure_gym.evaluation.running.comparison import open_comparison
+    from activestructure_gym.evaluation.running.resuming import read_record
 
     runs: dict[str, Run] = {}
     sources = []
     for directory in directories:
         if (directory / store.COMPARISON).is_file():
             found = open_comparison(directory)
-            sources.append(source_of(directory, store.read_json(directory / store.COMPARISON), found))
+            sources.append(source_of(directory, read_record(directory) or {}, found))
         elif (directory / store.DONE).is_file():
             found = [store.read_run(directory)]
             sources.append(Source(directory))

@@ -153,7 +153,7 @@ def check_output(directory: Path, *, resume: bool) -> None:
                 raise InputError(
                     f"'{directory}' holds a comparison already; add --resume to go on, or choose another one"
                 )
-        elif any(not _is_ours(path) for path in directory.iterdir()):
+        elif not (resume and (directory / JOBS).is_dir()) and any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
     parent = directory
     while not parent.exists():
@@ -191,11 +191,12 @@ def run_comparison(
     resume: bool = False,
     command: str = "",  # how the comparison was asked for; kept in the archive
     held: int | None = None,  # the descriptor that `holding.hold` gave for the directory
+    tell: Callable[[str], None] = lambda _: None,  # hears of every damaged run
 ) -> Result:
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 
-    Unfinished jobs are never counted, finished ones never repeated. Jobs of earlier sittings stay part of the
-    comparison. Raises `InputError` where the jobs cannot stand beside those, see `resuming.merged`. Call
+    Unfinished jobs are never counted, finished ones never repeated unless their files are
+    damaged. Jobs of earlier sittings stay part of the comparison. Raises `InputError` where the jobs cannot stand beside those, see `resuming.merged`. Call
     `check_output` first, and hold the directory.
 
     Parameters
@@ -235,6 +236,11 @@ def run_comparison(
     store.remove_parts(directory / JOBS)
     for path in directory.glob(f".{store.COMPARISON}.*"):
         path.unlink(missing_ok=True)
+    for job in everything:
+        place = run_directory(directory, job)
+        if store.is_done(place, job) and (damage := store.damage_of(place)):
+            store.set_aside(place)
+            tell(f"{job.title} counts as not finished: {damage}")
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     record = _record(everything, read_record(directory), engine=engine, slots=slots, command=command)
@@ -302,8 +308,8 @@ class _Recording:
 def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
     """The finished ones of these jobs, in their order."""
     labels = scene_labels(job.scene for job in jobs)
-    places = [(run_directory(directory, job), job) for job in jobs]
-    return [store.read_run(place, labels[job.scene]) for place, job in places if store.is_done(place, job)]
+    found = [store.read_done(run_directory(directory, job), job, labels[job.scene]) for job in jobs]
+    return [run for run in found if run is not None]
 
 
 def open_comparison(directory: Path) -> list[Run]:

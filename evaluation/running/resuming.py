@@ -13,23 +13,23 @@ from typing import Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation import run_files
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
 
+_REMEDY = (
+    "move it away and give scenes, policies and options again, with the same --out and --resume: finished runs are kept"
+)
 # What tells the cells of one grid apart; whatever else a job has is the same for all of them.
 _CELL = ("scene", "scene_hash", "policy", "seed")
 
 
 def read_record(directory: Path) -> dict[str, Any] | None:
     """The content of ``compare.json``, None where there is none yet; raises `InputError` if it cannot be read."""
-    try:
-        record = store.read_json(directory / store.COMPARISON)
-        if not isinstance(record["jobs"], dict):
-            raise TypeError("its jobs are no table")
-    except FileNotFoundError:
+    file = directory / store.COMPARISON
+    if not file.exists():
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+    record: dict[str, Any] = store.read_json(file, run_files.COMPARISON, remedy=_REMEDY)
     return record
 
 
@@ -37,10 +37,8 @@ def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
     """The jobs of a record; raises `InputError` if they cannot be read."""
     try:
         return [Job.from_dict(content) for content in record["jobs"].values()]
-    except InputError:
-        raise
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+    except InputError as error:
+        raise InputError(f"'{directory / store.COMPARISON}' cannot be read: {error}") from error
 
 
 def recorded_jobs(directory: Path) -> list[Job]:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Protocol
 
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.store import JOBS
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.ranges import check_ranges
 
-JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
 LOGS = "logs"  # sub-directory of a comparison: what the workers wrote to standard error
 _RANGES = {"workers": "[0, 4096]", "timeout": "[0, 525600]", "retries": "[0, 1000]"}  # timeout: up to a year
 

@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.report.summary import PAGE, write_results
 from tests.evaluation.report import chromium
 
 HOSTILE = '<img src=x onerror="fetch(1)">'
-SCENE = "a|b<i>\n<b onclick=x>*_c"
+SCENE = "a|b<i> <b onclick=x>*_c"
 
 
 @pytest.fixture(scope="session")

@@ -145,7 +145,7 @@ def test_a_job_that_takes_too_long_is_stopped_and_tried_again(tmp_path, monkeypa
                                    {"retries": -1}])  # fmt: skip
 def test_wrong_limits_are_one_sentence(wrong):
     (name,) = wrong
-    with pytest.raises(InputError, match=f"--{name} is"):
+    with pytest.raises(InputError, match=f"^--{name} must be a .* from 0 to "):
         Limits(**wrong)
 
 

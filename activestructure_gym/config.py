@@ -167,6 +167,8 @@ def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
         target = result
         for part in path:
             target = target.setdefault(part, {})
+            if not isinstance(target, dict):
+                raise InputError(f"{shown(key)} sets a field of {part}, which is set as a whole, too; give one of both")
         if isinstance(value, Mapping) and isinstance(target.get(last), dict):
             target[last].update(value)
         else:

@@ -52,7 +52,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     paid, and `info["invalid_action"]` is True.
 
     ## Observation Space
-    One flat `Dict` of arrays, listed in `docs/guide/observation.md` (`activestructure_gym.envs.observation`): the last
+    One flat `Dict` of arrays, listed in `activestructure_gym.envs.observation`: the last
     keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their gains and mask, the Plane Scene Graph
     (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
     arrays are zero where no plane exists yet. Nothing in it comes from ground truth. The space says by name what stands

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import zipfile
 
 import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.files import replaced
+from activestructure_gym.npz import read_npz
 from activestructure_gym.splatting.workspace import aligned_zeros
 
 # Rows of the parameter array. One row per quantity (structure of arrays) lets the kernels load 16 Gaussians at once.
@@ -153,11 +153,10 @@ class GaussianMap:
     def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:
         """Read what `save_npz` wrote. Never unpickles; anything else raises `InputError`."""
         try:
-            with np.load(path, allow_pickle=False) as file:
-                content = {name: file[name] for name in file.files}
+            content = read_npz(path)
         except FileNotFoundError:
             raise InputError(f"expected a saved Gaussian map, but there is no file '{path}'") from None
-        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:  # TypeError: a lone .npy
+        except (OSError, ValueError) as error:
             raise InputError(f"'{path}' is not a Gaussian map saved as npz ({error})") from error
         version = content.get("format_version")
         if version is None or version.shape != () or version != _FORMAT_VERSION:
@@ -172,6 +171,8 @@ class GaussianMap:
         types = [content[name].dtype for name in ("parameters", "first_moment", "second_moment")]
         if any(dtype.kind != "f" for dtype in types):
             raise InputError(f"'{path}' should hold three arrays of floats, but their types are {types}")
+        if not all(np.isfinite(block).all() for block in blocks):
+            raise InputError(f"'{path}' holds Gaussians with values that are not finite")
         loaded = cls(shapes[0][1])
         loaded.append(content["parameters"])
         loaded.first_moment[:, : loaded.count] = content["first_moment"]

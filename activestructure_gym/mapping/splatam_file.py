@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import warnings
-import zipfile
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
+from activestructure_gym.npz import read_npz
 
 _PLACE = "world_from_first_camera"
+_LARGEST = 1e9  # of a camera's numbers: metres, pixels
 _NEEDED = ("means3D", "rgb_colors", "unnorm_rotations", "logit_opacities", "log_scales")
 
 
@@ -79,7 +81,7 @@ def read_splatam(path: str | os.PathLike[str], world_from_first: np.ndarray | No
         if name not in content:
             found = ", ".join(sorted(content)) or "none"
             raise InputError(f"'{path}' is not a SplaTAM params.npz: expected the array '{name}', found {found}")
-    count = len(content["means3D"])
+    count = content["means3D"].shape[0] if content["means3D"].ndim else 0
     widths = {
         "means3D": (3,),
         "rgb_colors": (3,),
@@ -122,32 +124,40 @@ def splatam_path(
     needed = ("gt_w2c_all_frames", "intrinsics", "org_width", "org_height", "keyframe_time_indices")
     if any(name not in content for name in needed):
         return None
-    poses, matrix = np.asarray(content["gt_w2c_all_frames"], np.float64), np.asarray(content["intrinsics"], np.float64)
-    keyframes = np.asarray(content["keyframe_time_indices"]).astype(np.int64).reshape(-1)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or matrix.shape[0] < 3 or not len(keyframes):
+    poses, matrix, chosen, *sides = (
+        _numbers(content, name, path)
+        for name in ("gt_w2c_all_frames", "intrinsics", "keyframe_time_indices", "org_width", "org_height")
+    )
+    keyframes = chosen.astype(np.int64).reshape(-1)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses) or not len(keyframes):
         return None
+    if matrix.ndim != 2 or min(matrix.shape) < 3 or any(side.size != 1 for side in sides):
+        raise InputError(f"'{path}': expected intrinsics (3, 3), org_width and org_height of one camera")
     if keyframes.min() < 0 or keyframes.max() >= len(poses):
         raise InputError(f"'{path}': keyframe_time_indices point outside the {len(poses)} frames")
     return {
         "world_from_camera": _place(content, path, world_from_first) @ poses[0] @ invert_rigid(poses),
         "keyframes": keyframes,
         "intrinsics": np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
-        "image_size": np.array([int(content["org_width"]), int(content["org_height"])]),
+        "image_size": np.array([int(side.item()) for side in sides]),
     }
 
 
 def _place(
     content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
 ) -> np.ndarray:  # [4, 4] world from the first camera
-    """As given, as the file's own key says, or as true poses that do not begin with the identity say."""
+    """As given, as the file's own key says, or as true poses that do not begin with the identity say.
+
+    Raises `InputError` where that is no rigid motion.
+    """
     if given is not None:
         return np.asarray(given, np.float64)
     if _PLACE in content:
-        place = np.asarray(content[_PLACE], np.float64)
+        place = _numbers(content, _PLACE, path)
         if place.shape != (4, 4):
             raise InputError(f"'{path}': expected {_PLACE} of shape (4, 4), got {place.shape}")
-        return place
-    poses = np.asarray(content.get("gt_w2c_all_frames", np.eye(4)[None]), np.float64)
+        return _rigid(place, _PLACE, path)
+    poses = _numbers({"gt_w2c_all_frames": np.eye(4)[None], **content}, "gt_w2c_all_frames", path)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise InputError(f"'{path}': expected gt_w2c_all_frames of shape (T, 4, 4), got {poses.shape}")
     if np.allclose(poses[0], np.eye(4), atol=1e-6):
@@ -155,14 +165,27 @@ def _place(
             f"{path} does not say where its first camera stood; its frame is taken for the world", stacklevel=3
         )
         return np.eye(4)
-    return invert_rigid(poses[0])
+    return invert_rigid(_rigid(poses[0], "gt_w2c_all_frames[0]", path))
+
+
+def _numbers(content: Mapping[str, np.ndarray], name: str, path: str | os.PathLike[str]) -> np.ndarray:  # float64
+    found = content[name]
+    if found.dtype.kind not in "fiu" or not np.isfinite(found).all() or np.abs(found).max(initial=0.0) > _LARGEST:
+        raise InputError(f"'{path}': expected '{name}' as finite numbers up to {_LARGEST:g}, got {found.dtype}")
+    return found.astype(np.float64)
+
+
+def _rigid(pose: np.ndarray, name: str, path: str | os.PathLike[str]) -> np.ndarray:  # [4, 4]
+    turn = pose[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-2 or np.linalg.det(turn) < 0:
+        raise InputError(f"'{path}': expected '{name}' to be a rigid motion")
+    return pose
 
 
 def _read(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        return read_npz(path)
     except FileNotFoundError:
         raise InputError(f"expected a SplaTAM params.npz, but there is no file '{path}'") from None
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"'{path}' is not a SplaTAM params.npz ({error})") from error

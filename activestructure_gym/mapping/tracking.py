@@ -42,7 +42,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """Constants of `track_pose`. All choices are our own; "measured" refers to the table in docs/notebook/method.md."""
+    """Constants of `track_pose`. All choices are our own; "measured": as in the project's docs, method."""
 
     iterations: int = 0  # Gauss-Newton steps at most; 0 = believe the reported pose. 20 is a good number
     references: int = 10  # keyframes compared with: those that share most with the frame (measured: 6 double the error)

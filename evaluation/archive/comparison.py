@@ -7,28 +7,26 @@ from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import run_files, store
 from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 
-JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
+_REMEDY = (
+    "move it away and give scenes, policies and options again, with the same --out and --resume: finished runs are kept"
+)
 
 
 def run_directory(directory: Path, job: Job) -> Path:
     """Where a job's result stands in a comparison's directory."""
-    return directory / JOBS / job.name
+    return directory / store.JOBS / job.name
 
 
 def read_record(directory: Path) -> dict[str, Any] | None:
     """The content of ``compare.json``, None where there is none yet; raises `InputError` if it cannot be read."""
-    try:
-        record = store.read_json(directory / store.COMPARISON)
-        if not isinstance(record["jobs"], dict):
-            raise TypeError("its jobs are no table")
-    except FileNotFoundError:
+    file = directory / store.COMPARISON
+    if not file.exists():
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+    record: dict[str, Any] = store.read_json(file, run_files.COMPARISON, remedy=_REMEDY)
     return record
 
 
@@ -36,17 +34,15 @@ def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
     """The jobs of a record; raises `InputError` if they cannot be read."""
     try:
         return [Job.from_dict(content) for content in record["jobs"].values()]
-    except InputError:
-        raise
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"'{directory}' cannot be read as a comparison ({type(error).__name__}: {error})") from error
+    except InputError as error:
+        raise InputError(f"'{directory / store.COMPARISON}' cannot be read: {error}") from error
 
 
 def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
     """The finished ones of these jobs, in their order."""
-    labels = scene_labels(jobs)
-    places = [(run_directory(directory, job), job) for job in jobs]
-    return [store.read_run(place, labels[job.scene]) for place, job in places if store.is_done(place, job)]
+    labels = scene_labels({job.scene: job.scene_hash for job in jobs})
+    found = [store.read_done(run_directory(directory, job), job, labels[job.scene]) for job in jobs]
+    return [run for run in found if run is not None]
 
 
 def open_comparison(directory: Path) -> list[Run]:

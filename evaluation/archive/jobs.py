@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
@@ -81,6 +82,8 @@ class Job:
     def from_dict(cls, content: Mapping[str, Any]) -> Job:
         """The job that `as_dict` described."""
         values = dict(content)
+        if more := values.keys() - {field.name for field in dataclasses.fields(cls)}:
+            raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
         protocol = protocol_from(values.pop("protocol"))
         if not isinstance(protocol, StandardProtocol):
             raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
@@ -136,18 +139,19 @@ def scene_label(spec: str, parts: int = 1) -> str:
     return f"{label}?{short}" if short else label
 
 
-def scene_labels(jobs: Iterable[Job]) -> dict[str, str]:
+def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the content's hash, empty if unknown
     """Short names by spec, which differ for different specs and never hold a whole path.
 
     Where three names of folders tell two files apart no better than one, the first digits of their content do,
-    ``house@01234567``; of one content under several names, their order.
+    ``house@01234567``; of one content under several names, and of unknown content, their order.
     """
-    hashes = {job.scene: job.scene_hash for job in jobs}
     for parts in (1, 2, 3):
         labels = {spec: scene_label(spec, parts) for spec in hashes}
         if len(set(labels.values())) == len(labels):
             return labels
-    by_content = {spec: f"{scene_label(spec)}@{content[:_LABEL_DIGITS]}" for spec, content in hashes.items()}
+    by_content = {
+        spec: f"{scene_label(spec)}@{content[:_LABEL_DIGITS]}".removesuffix("@") for spec, content in hashes.items()
+    }
     taken: dict[str, list[str]] = {}
     for spec, label in by_content.items():
         taken.setdefault(label, []).append(spec)
@@ -174,14 +178,14 @@ def policy_label(spec: str) -> str:
 def absolute_spec(spec: str) -> str:
     """The same scene, named so that it is found from any working directory."""
     kind, path, options = _split_spec(spec)
-    if not path or not Path(path).expanduser().exists():
+    if not path or not Path(os.path.expanduser(path)).exists():
         return spec
     places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
     return (f"{kind}:" if kind else "") + _absolute(path) + (f"?{places}" if places else "")
 
 
 def _absolute(path: str) -> str:
-    place = Path(path).expanduser()
+    place = Path(os.path.expanduser(path))
     return str(place.resolve()) if place.exists() else path
 
 
@@ -191,7 +195,7 @@ def _pairs(options: str) -> list[tuple[str, str]]:
 
 def _split_spec(spec: str) -> tuple[str, str, str]:
     """``kind:path?options`` taken apart; what is missing is empty."""
-    if Path(spec).expanduser().exists():
+    if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""
     path, _, options = spec.partition("?")
     kind, colon, rest = path.partition(":")

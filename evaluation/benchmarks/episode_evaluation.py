@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
+from rich.markup import escape
 
 from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.ground_truth import ground_truth_of
@@ -24,7 +25,7 @@ def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) 
     protocol = StandardProtocol(views=4, surface_samples=20_000) if quick else StandardProtocol()
     rows = []
     for scene in scenes or (("box",) if quick else SCENES):
-        with console.status(f"measuring the evaluation of {scene}"):
+        with console.status(f"measuring the evaluation of {escape(scene)}"):
             rows += list(_rows(scene, protocol, frames=25 if quick else 200, preset="fast" if quick else "default"))
     return rows
 

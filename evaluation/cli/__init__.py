@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
-from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
+
+_STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
+_NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+_LONGEST = 1500  # characters of a message
 
 # Written out, and not left to the parser, so that it appears at once.
 HELP = """usage: asg COMMAND [OPTIONS]
@@ -38,7 +46,10 @@ Begin with `asg compare`: two planners in a furnished room, in less than a minut
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C."""
+    """Run one command and return the exit code.
+
+    0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C, 143 stopped with SIGTERM.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help") or arguments == ["help"]:
         print(HELP)
@@ -51,18 +62,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_passive_waiting()
     try:
         _find_in_working_directory()
-        with _doubts_as_lines():
-            return _run(arguments)
+        with _doubts_as_lines(), _sigterm_as_ctrl_c() as terminated:
+            code = _run(arguments)
+            return _TERMINATED if terminated and code == _STOPPED else code
     except InputError as error:
-        print(f"asg: {error}", file=sys.stderr)
+        print(f"asg: {_one_line(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("asg: stopped", file=sys.stderr)
-        return 130
+        return _STOPPED
     except BrokenPipeError:
         # The reader (`| head`) has gone; nothing more can be said to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in _NOT_WRITABLE and error.filename is None:
+            raise
+        where = "a file" if error.filename is None else shown(error.filename)
+        what = " cannot be written" if error.errno in _NOT_WRITABLE else ""
+        print(f"asg: {_one_line(f'{where}{what}: {error.strerror}')}", file=sys.stderr)
+        return 1 if error.errno in _NOT_WRITABLE else 2
+
+
+def _one_line(text: str) -> str:
+    """Names may hold anything: newlines, what moves a terminal's cursor, half a file."""
+    text = " ".join(text.split())
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 200]} ... {text[-150:]}"
 
 
 def _find_in_working_directory() -> None:
@@ -73,6 +99,25 @@ def _find_in_working_directory() -> None:
         raise InputError("the working directory does not exist any more; change into another one") from None
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
+
+
+@contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
+    """End as Ctrl-C does, which cleans up and says how to go on; gives a list that the signal is put into."""
+    came: list[int] = []
+
+    def stop(number: int, frame: FrameType | None) -> NoReturn:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield came  # somebody else's to decide
+        return
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.markup import escape
@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.cli.output import make_console, plain_table,
 class Cache:
     """Show what is kept on disk between runs, or remove it: what scenes share, and compiled kernels.
 
-    The cache of scenes keeps itself below ASG_CACHE_MAX (1GiB if not set): what was used longest ago goes first.
+    The cache of scenes keeps itself below ASG_CACHE_MAX (4GiB if not set): what was used longest ago goes first.
     """
 
     what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"
@@ -43,14 +43,15 @@ class Cache:
         table = plain_table("Kept between runs", "part", "files", "size", "at most", "where")
         for row in rows:
             most = "no limit" if row["limit"] is None else _megabytes(row["limit"])
-            table.add_row(str(row["part"]), str(row["files"]), _megabytes(row["bytes"]), most, escape(str(row["place"])))
+            place = escape(str(row["place"]))
+            table.add_row(str(row["part"]), str(row["files"]), _megabytes(row["bytes"]), most, place)
         print_whole(console, table)
         console.print("Remove: asg cache clear, of one part: asg cache clear scenes, asg cache clear kernels.")
         console.print("Place and size are set by ASG_CACHE_DIR, ASG_CACHE_MAX and NUMBA_CACHE_DIR.")
         return 0
 
 
-def _show(part: str) -> dict[str, str | int | None]:
+def _show(part: str) -> dict[str, Any]:
     from activestructure_gym.scenes.cache import cache_directory, cache_files, cache_limit
 
     if part == "scenes":
@@ -71,7 +72,7 @@ def _show(part: str) -> dict[str, str | int | None]:
     return _row(part, len(sizes), sum(sizes)) | {"limit": None, "place": where}
 
 
-def _clear(part: str) -> dict[str, str | int | None]:
+def _clear(part: str) -> dict[str, Any]:
     from activestructure_gym.scenes.cache import clear_cache
 
     if part == "scenes":
@@ -88,9 +89,9 @@ def _clear(part: str) -> dict[str, str | int | None]:
     return _row(part, count, gone)
 
 
-def _row(part: str, files: int, size: int) -> dict[str, str | int | None]:
+def _row(part: str, files: int, size: int) -> dict[str, Any]:
     return {"part": part, "files": files, "bytes": size}
 
 
-def _megabytes(size: int | str | None) -> str:
-    return f"{int(size or 0) / 1e6:.1f} MB"
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"

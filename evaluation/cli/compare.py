@@ -105,7 +105,7 @@ _MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline
 
 def _compare(options: Compare) -> int:
     # Before the slow imports: a directory that cannot be used is known at once.
-    from activestructure_gym.evaluation.archive.store import COMPARISON, read_json
+    from activestructure_gym.evaluation.archive.store import COMPARISON
 
     use_trust(options.trust_code)
     console = make_console()
@@ -117,6 +117,7 @@ def _compare(options: Compare) -> int:
         options = _with_demo_defaults(options)
     directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
 
+    from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
     from activestructure_gym.evaluation.archive.jobs import policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
@@ -131,8 +132,7 @@ def _compare(options: Compare) -> int:
     with working(console, "loading") as notify:
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
-    record = directory / COMPARISON
-    before = read_json(record)["jobs"].values() if options.resume and record.is_file() else ()
+    before = ((read_record(directory) or {}) if options.resume else {}).get("jobs", {}).values()
     known = list(dict.fromkeys((*policies, *(job["policy"] for job in before))))
     if options.baseline is not None and options.baseline not in known:
         options = dataclasses.replace(options, baseline=canonical_policy(options.baseline))
@@ -149,16 +149,19 @@ def _compare(options: Compare) -> int:
                 result = run_comparison(
                     jobs, directory, live, engine=options.engine, limits=limits, resume=options.resume,
                     command=_command_line(), held=held,
+                    tell=lambda text: console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True),
                 )  # fmt: skip
             baseline = None if options.baseline is None else policy_label(options.baseline)
             return _report(console, result, directory, time.monotonic() - began, baseline)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
         if (directory / COMPARISON).is_file():
             print(
                 "asg: stopped; finished runs are kept, go on with: "
                 f"asg compare --out {shlex.quote(str(directory))} --resume",
                 file=sys.stderr,
             )
+        if isinstance(error, OSError):
+            raise
         return 130
 
 
@@ -207,13 +210,13 @@ def _announce(
         _counted(len(comparison.seeds), "seed"),
     ]
     line = f"[bold]{' x '.join(parts)}[/], preset {comparison.preset}, {frames} per run, into {escape(str(directory))}"
-    console.print(line if jobs > 1 else f"[bold]one run[/], preset {comparison.preset}, into {directory}")
+    console.print(line if jobs > 1 else f"[bold]one run[/], preset {comparison.preset}, into {escape(str(directory))}")
     if demo:
         console.print("[dim]This is the demo; `asg compare --help` shows how to choose scenes and policies.")
 
 
 def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:
-    from activestructure_gym.evaluation.archive.store import COMPARISON, read_json
+    from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.report.summary import write_report
     from activestructure_gym.evaluation.report.tables import rich_table, table_rows
 
@@ -225,10 +228,10 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
         )
     if result.runs:
         with console.status("drawing"):
-            files = write_report(directory, result.runs, read_json(directory / COMPARISON), baseline)
+            files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
         console.print()
         print_whole(console, rich_table(table_rows(result.runs), title=_title(result)))
-        page, summary = files[-1], files[-2]
+        page, summary = escape(str(files[-1])), files[-2]
         console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
         console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")
     if result.failed:

@@ -37,6 +37,7 @@ class Doctor:
             console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
             return 1
         console.print("[green]✓[/] `asg compare` can run")
+        console.print("Help: asg COMMAND --help; of the package: python -m pydoc activestructure_gym")
         return 0
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
@@ -46,7 +47,7 @@ class Evaluate:
     """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
 
     def run(self) -> int:
-        """Print stored and new numbers; 0 if all that were stored are identical to the last bit, else 1."""
+        """Print stored and new numbers; 0 if all stored ones are bit-identical and all new ones are kept."""
         use_trust(self.trust_code)
         use_lpips_weights(self.lpips_weights)
         if self.map is not None:
@@ -60,33 +61,40 @@ class Evaluate:
         runs = _open(self.runs)
         table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
         different, added = 0, 0
+        lost = list[str]()
         reasons: dict[str, str] = {}
         for run in runs:
             for protocol, stored in protocols_of(run, split_list(self.protocol)):
-                with console.status(f"measuring {run.job.title} by {protocol.name}"):
+                with console.status(escape(f"measuring {run.job.title} by {protocol.name}")):
                     numbers = measure_again(run, protocol)
                 wrong = differing(stored, numbers) if stored is not None else []
                 different += bool(wrong)
                 if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
-                    write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
-                    added += 1
+                    try:
+                        write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
+                        added += 1
+                    except InputError as error:  # to have measured for nothing would be worse
+                        lost.append(str(error))
                 reasons |= numbers["notes"]
                 mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
-                table.add_row(run.job.title, protocol.name, *(_text(numbers.get(name)) for name in _SHOWN), mark)
+                values = (_text(numbers.get(name)) for name in _SHOWN)
+                table.add_row(escape(run.job.title), protocol.name, *values, mark)
         print_whole(console, table)
         _print_reasons(console, reasons)
         if added:
             console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
+        for reason in lost:
+            console.print(f"[red]✗[/] not kept: {escape(reason)}", soft_wrap=True)
         if different:
             console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
             return 1
         console.print("[green]✓[/] every stored number is identical, bit for bit")
-        return 0
+        return 1 if lost else 0
 
 
 def _evaluate_map(options: Evaluate) -> int:
     """Score a map file of any origin on a scene."""
-    from activestructure_gym.evaluation.archive.store import write_json
+    from activestructure_gym.evaluation.archive.store import write_json, writing
     from activestructure_gym.evaluation.protocols import get_protocol
     from activestructure_gym.evaluation.running.remeasure import measure_file
 
@@ -97,12 +105,14 @@ def _evaluate_map(options: Evaluate) -> int:
     assert options.map is not None
     console = make_console()
     names = split_list(options.protocol) or ("standard",)
-    table = plain_table(f"{Path(options.map).name} on {options.scene}", "protocol", *_SHOWN)
+    if options.out and not Path(options.out).absolute().parent.is_dir():
+        raise InputError(f"'{options.out}' cannot be written: there is no folder '{Path(options.out).parent}'")
+    table = plain_table(escape(f"{Path(options.map).name} on {options.scene}"), "protocol", *_SHOWN)
     results: dict[str, Any] = {}
     reasons: dict[str, str] = {}
     for name in names:
         protocol = get_protocol(name)
-        with console.status(f"measuring by {name}"):
+        with console.status(f"measuring by {escape(name)}"):
             numbers = measure_file(options.map, options.scene, protocol, poses=options.poses)
         reasons |= numbers["notes"]
         table.add_row(name, *(_text(numbers.get(key)) for key in _SHOWN))
@@ -110,8 +120,9 @@ def _evaluate_map(options: Evaluate) -> int:
     print_whole(console, table)
     _print_reasons(console, reasons)
     if options.out:
-        write_json(Path(options.out), {"map": options.map, "scene": options.scene, "protocols": results})
-        console.print(f"written: {options.out}")
+        with writing(options.out):
+            write_json(Path(options.out), {"map": options.map, "scene": options.scene, "protocols": results})
+        console.print(f"written: {escape(options.out)}")
     return 0
 
 
@@ -132,7 +143,7 @@ def _open(names: tuple[str, ...]) -> list[Run]:
 
 def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
     for name, reason in reasons.items():
-        console.print(f"[dim]{name}: n/a, {reason}", soft_wrap=True)
+        console.print(f"[dim]{escape(f'{name}: n/a, {reason}')}", soft_wrap=True)
 
 
 def _text(value: float | None) -> str:

@@ -34,8 +34,7 @@ class Export:
     def run(self) -> int:
         """Write the file and say what is in it."""
         from activestructure_gym.evaluation.archive.store import read_run
-        from activestructure_gym.evaluation.running.remeasure import read_path
-        from activestructure_gym.mapping import GaussianMap
+        from activestructure_gym.evaluation.protocols import CameraPath
         from activestructure_gym.mapping.ply import write_ply
         from activestructure_gym.mapping.splat_file import write_splat
         from activestructure_gym.mapping.splatam_file import write_splatam
@@ -47,7 +46,7 @@ class Export:
                 f"--up {self.up} is for ply and splat: SplaTAM's params.npz lies in the frame of its first camera"
             )
         run = read_run(Path(self.run_directory))
-        gaussians = GaussianMap.load_npz(run.directory / "map.npz")
+        gaussians = run.gaussians
         if self.up != "z":
             gaussians = turned_map(gaussians, FILE_FROM_WORLD[self.up])
         try:
@@ -60,9 +59,9 @@ class Export:
             elif form == "splat":
                 write_splat(gaussians, out)
             else:
-                path = read_path(run.directory / "trajectory.npz")
-                poses, keyframes = run.trajectory["world_from_camera"], run.trajectory["keyframes"]
-                write_splatam(gaussians, out, poses, path.camera, keyframes)
+                path = run.trajectory
+                camera = CameraPath.from_arrays(path).camera
+                write_splatam(gaussians, out, path["world_from_camera"], camera, path["keyframes"])
         except OSError as error:
             raise InputError(f"'{out}' cannot be written: {error.strerror}") from error
         frame = "in its first camera's frame" if form == "splatam" else f"{self.up} up"

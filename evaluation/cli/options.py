@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import TRUST
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
@@ -33,7 +34,7 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
     items: list[str] = []
     for word in words:
         ends = [len(word), *(place for place, letter in enumerate(word) if letter == "?")]
-        file = next((word[:end] for end in ends if Path(word[:end]).expanduser().is_file()), "")
+        file = next((word[:end] for end in ends if Path(os.path.expanduser(word[:end])).is_file()), "")
         if file:
             first, *others = split_list(["?" + word[len(file) + 1 :]])  # as if the file had no name
             items += [file + first if file != word else file, *others]
@@ -61,8 +62,8 @@ def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
     """Whole numbers from 0 on."""
     seeds = []
     for text in split_list(words):
-        if not (text.isascii() and text.isdigit()):
-            raise InputError(f"a seed is a whole number from 0 on, got '{text}'")
+        if not (text.isascii() and text.isdigit() and len(text) < 20):
+            raise InputError(f"a seed is a whole number from 0 to 2^63 - 1, got {shown(text)}")
         seeds.append(int(text))
     return tuple(seeds)
 
@@ -73,8 +74,10 @@ def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
         return None
     try:
         x, y, z, yaw = (float(part) for part in text.split(","))
+        if not all(map(math.isfinite, (x, y, z, yaw))):
+            raise ValueError
     except ValueError:
-        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got '{text}'") from None
+        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got {shown(text)}") from None
     return x, y, z, yaw
 
 
@@ -84,10 +87,12 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
     for word in words:
         key, equals, value = word.partition("=")
         if not (key and equals):
-            raise InputError(f"--set takes key=value, as in sensor.depth_noise=kinect, got '{word}'")
+            raise InputError(f"--set takes key=value, as in sensor.depth_noise=kinect, got {shown(word)}")
         try:
             overrides[key] = json.loads(value)
-        except json.JSONDecodeError:
+        except (RecursionError, ValueError) as error:
+            if not isinstance(error, json.JSONDecodeError):  # nested without end, or a number of thousands of digits
+                raise InputError(f"--set {shown(key)} takes no such value, got {shown(value)}") from None
             overrides[key] = {"True": True, "False": False, "None": None}.get(value, value)
     return overrides
 
@@ -96,10 +101,18 @@ def use_lpips_weights(place: str | None) -> None:
     """Make the weights known to this process and all that it starts; raises `InputError` if they are not there."""
     from activestructure_gym.evaluation.metrics import lpips
 
+    before = os.environ.get(lpips.VARIABLE)
     if place is not None:
-        os.environ[lpips.VARIABLE] = str(Path(place).expanduser().absolute())
-    if os.environ.get(lpips.VARIABLE):
+        os.environ[lpips.VARIABLE] = str(Path(os.path.expanduser(place)).absolute())
+    if not os.environ.get(lpips.VARIABLE):
+        return
+    try:
         lpips.weights_name()
+    except InputError:
+        del os.environ[lpips.VARIABLE]
+        if before is not None:
+            os.environ[lpips.VARIABLE] = before
+        raise
 
 
 def use_trust(trusted: bool) -> None:

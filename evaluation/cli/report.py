@@ -48,10 +48,7 @@ class Report:
         console = make_console()
         results = gather(directories, self.baseline)
         with console.status("drawing"):
-            try:
-                files = write_results(out, results)
-            except OSError as error:
-                raise InputError(f"the output '{out}' cannot be written: {error.strerror}") from error
+            files = write_results(out, results)
         print_whole(console, rich_table(table_rows(results.runs), title=f"{len(results.runs)} runs"))
         for name, why in results.missing.items():
             console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")

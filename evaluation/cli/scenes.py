@@ -63,10 +63,14 @@ class Scenes:
                 table.add_row(f"[bold]{name}[/]", escape(text))
             print_whole(console, table)
         if self.picture is not None:
+            from activestructure_gym.evaluation.archive.store import writing
             from activestructure_gym.evaluation.report.scene_picture import scene_picture
+            from activestructure_gym.files import replaced
 
             with console.status("drawing"):
-                scene_picture(facts["truth"]).save(self.picture)
+                picture = scene_picture(facts["truth"])
+                with writing(self.picture), replaced(self.picture) as file:
+                    picture.save(file, "PNG")
             if not self.json:
                 console.print(f"picture: {escape(self.picture)}", soft_wrap=True)
         return 0

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 
 if TYPE_CHECKING:
     import torch
@@ -109,9 +109,11 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     if place is None:
         folder = _hub_directory() / "checkpoints"
     else:
-        folder = Path(place).expanduser()
+        folder = Path(os.path.expanduser(place))
         if not folder.exists():
-            raise InputError(f"the LPIPS weights '{place}' do not exist; give a folder with both files, or one of them")
+            raise InputError(
+                f"the LPIPS weights {shown(place)} do not exist; give a folder with both files, or one"
+            )
         folder = folder if folder.is_dir() else folder.parent
     present = {}
     for path in sorted(folder.glob("*.pth")) if folder.is_dir() else ():
@@ -120,7 +122,7 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     missing = [file for file in expected if file.sha256 not in present]
     if missing:
         wanted = " and ".join(f"{file.what} ({file.usual_name}, sha256 {file.sha256[:8]}...)" for file in missing)
-        return [], f"weights not supplied: {folder} does not hold {wanted}; see docs/protocols.md"
+        return [], f"weights not supplied: {folder} does not hold {wanted}; --lpips-weights FOLDER takes them"
     return [present[file.sha256] for file in expected], ""
 
 

@@ -25,7 +25,7 @@ class CameraPath:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
-        """From the arrays of ``trajectory.npz``; KeyError or ValueError where they are not those."""
+        """From the arrays of ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
         poses = arrays["world_from_camera"]
         width, height = (int(side) for side in arrays["image_size"])
         return cls(

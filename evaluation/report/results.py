@@ -13,7 +13,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.comparison import open_comparison
+from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
 from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
@@ -121,6 +121,17 @@ class Results:
         kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
         return [run for run in runs if run.policy in kept]
 
+    def check_pictures(self) -> None:
+        """Raise `InputError` where runs that are shown side by side have not kept the same views."""
+        for scene in self.scenes:
+            first, *others = self.shown(scene)
+            for run in others:
+                if run.pictures["true"].shape != first.pictures["true"].shape:
+                    raise InputError(
+                        f"'{run.directory}' and '{first.directory}' have not kept the same held-out views of {scene}: "
+                        "report them apart, or make one of them again"
+                    )
+
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
     """What must not differ between compared runs, with all values found."""
@@ -145,7 +156,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
     for directory in directories:
         if (directory / store.COMPARISON).is_file():
             found = open_comparison(directory)
-            sources.append(source_of(directory, store.read_json(directory / store.COMPARISON), found))
+            sources.append(source_of(directory, read_record(directory) or {}, found))
         elif (directory / store.DONE).is_file():
             found = [store.read_run(directory)]
             sources.append(Source(directory))
@@ -155,7 +166,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             runs.setdefault(run.job.hash, run)
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
-    labels = scene_labels(run.job for run in runs.values())
+    labels = scene_labels({run.job.scene: run.job.scene_hash for run in runs.values()})
     return Results([dataclasses.replace(run, scene=labels[run.job.scene]) for run in runs.values()], sources, baseline)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import verdicts
@@ -46,32 +47,40 @@ def write_report(
 
 
 def write_results(directory: Path, results: Results) -> list[Path]:
-    """Write the report; returns the files, ``summary.md`` and ``report.html`` last.
+    """Write the report, all of it or nothing; returns the files, ``summary.md`` and ``report.html`` last.
 
-    Only finished runs are given, and only they are counted; everything is rebuilt from their directories.
+    Only finished runs are given, and only they are counted; everything is rebuilt from their directories. Raises
+    `InputError` where those are damaged, or where ``directory`` cannot be written.
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    tables = directory / TABLES
-    tables.mkdir(exist_ok=True)
-    written = [_written(directory / "results.csv", runs_csv(results.runs))]
+    results.check_pictures()
+    with store.whole_files(directory) as part:
+        written = _write_into(part, results, directory)
+    return [directory / file.relative_to(part) for file in written]
+
+
+def _write_into(part: Path, results: Results, directory: Path) -> list[Path]:
+    """Write all files into ``part``; links between them and the runs are those from ``directory``."""
+    tables = part / TABLES
+    tables.mkdir()
+    written = [_written(part / "results.csv", runs_csv(results.runs))]
     for name, text in documents(all_tables(results)).items():
         written.append(_written(tables / name, text))
     sections = []
     for scene, ending in zip(results.scenes, _endings(results.scenes)):
-        pictures = _scene_pictures(directory, results, scene, ending)
+        pictures = _scene_pictures(part, results, scene, ending)
         written += pictures
         sections.append(_scene_section(results, scene, pictures, directory))
-    overall = [_curves(directory / "convergence.svg", results, None)] if len(results.scenes) > 1 else []
+    overall = [_curves(part / "convergence.svg", results, None)] if len(results.scenes) > 1 else []
     if panels := policy_panels(results):
         title = f"Each of {len(results.policies)} policies, all others behind it"
         charts = standalone([[chart] for chart in panels], (), title=title)
-        overall.append(_written(directory / "policies.svg", charts))
+        overall.append(_written(part / "policies.svg", charts))
     if overall:
         written += overall
         shown = "\n\n".join(f"![{path.stem}](./{path.name})" for path in overall)
         sections.insert(0, f"## All scenes\n\n{shown}\n")
-    written.append(_written(directory / "summary.md", _summary(results, sections)))
-    written.append(_written(directory / PAGE, html_page(results)))
+    written.append(_written(part / "summary.md", _summary(results, sections)))
+    written.append(_written(part / PAGE, html_page(results)))
     return written
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.comparison import JOBS, finished_runs, read_record, run_directory
+from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
 from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
@@ -153,6 +153,8 @@ def check_output(directory: Path, *, resume: bool) -> None:
                 raise InputError(
                     f"'{directory}' holds a comparison already; add --resume to go on, or choose another one"
                 )
+        elif resume and (directory / store.JOBS).is_dir():
+            pass  # its record is lost, its runs are not
         elif any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
     parent = directory
@@ -190,13 +192,14 @@ def run_comparison(
     limits: Limits | None = None,  # the usual ones
     resume: bool = False,
     command: str = "",  # how the comparison was asked for; kept in the archive
-    held: int | None = None,  # the descriptor that `holding.hold` gave for the directory
+    held: int | None = None,  # the descriptor that `directory_lock.hold` gave for the directory
+    tell: Callable[[str], None] = lambda _: None,  # hears of every damaged run
 ) -> Result:
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 
-    Unfinished jobs are never counted, finished ones never repeated. Jobs of earlier sittings stay part of the
-    comparison. Raises `InputError` where the jobs cannot stand beside those, see `resuming.merged`. Call
-    `check_output` first, and hold the directory.
+    Unfinished jobs are never counted, finished ones never repeated unless their files are damaged. Jobs of earlier
+    sittings stay part of the comparison. Raises `InputError` where the jobs cannot stand beside those, see
+    `resuming.merged`. Call `check_output` first, and hold the directory.
 
     Parameters
     ----------
@@ -216,6 +219,8 @@ def run_comparison(
         How the comparison was asked for; kept in the archive.
     held
         The descriptor that `directory_lock.hold` gave for the directory.
+    tell
+        Hears of every damaged run, which counts as not finished.
 
     Returns
     -------
@@ -232,9 +237,14 @@ def run_comparison(
     if recorded and not resume:
         raise InputError(f"'{directory}' holds a comparison already; add --resume to go on, or choose another one")
     everything = merged(recorded, jobs, directory)
-    store.remove_parts(directory / JOBS)
+    store.remove_parts(directory / store.JOBS)
     for path in directory.glob(f".{store.COMPARISON}.*"):
         path.unlink(missing_ok=True)
+    for job in everything:
+        place = run_directory(directory, job)
+        if store.is_done(place, job) and (damage := store.damage_of(place)):
+            store.set_aside(place)
+            tell(f"{job.title} counts as not finished: {damage}")
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     record = _record(everything, read_record(directory), engine=engine, slots=slots, command=command)

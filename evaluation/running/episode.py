@@ -87,7 +87,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
             store.write_json(part / "timing.json", timing)
             _draw_pictures(part)
             # Last: a directory without it is not a result.
-            (part / store.DONE).write_text(job.hash + "\n", encoding="utf-8")
+            store.finish(part, job)
     finally:
         env.close()
     tell(Progress("done", reconstruction.frames, reconstruction.frame_budget, metrics["completion_ratio"]))

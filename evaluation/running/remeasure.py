@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import run_files
 from activestructure_gym.evaluation.archive.jobs import refuse_code
-from activestructure_gym.evaluation.archive.store import CONFIG, Run, load_arrays, plain
+from activestructure_gym.evaluation.archive.schema import Mismatch
+from activestructure_gym.evaluation.archive.store import CONFIG, Run, plain
 from activestructure_gym.evaluation.protocols import CameraPath, EvaluationProtocol, get_protocol, protocol_from
+from activestructure_gym.npz import read_npz
 
 
 def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationProtocol, dict[str, Any] | None]]:
@@ -32,11 +37,9 @@ def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     """The protocol's numbers from ``map.npz`` and ``trajectory.npz`` alone, in JSON's types."""
     from activestructure_gym.evaluation.running.episode import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
-    from activestructure_gym.mapping import GaussianMap
 
     refuse_code([run.job], run.directory / CONFIG)
-    path = read_path(run.directory / "trajectory.npz")
-    gaussians = GaussianMap.load_npz(run.directory / "map.npz")
+    path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 
 
@@ -75,16 +78,28 @@ def measure_file(
     gaussians = read_map(map_file, None if path is None else path.start)
     if path is None and map_kind(map_file) == "splatam":
         arrays = splatam_path(map_file)
-        path = CameraPath.from_arrays(arrays) if arrays is not None else None
+        path = _path_of(arrays, map_file) if arrays is not None else None
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_scene(scene))), path))
 
 
 def read_path(file: str | Path) -> CameraPath:
     """The poses and the camera of a ``trajectory.npz``; raises `InputError` if it is none."""
     try:
-        return CameraPath.from_arrays(load_arrays(Path(file)))
-    except (OSError, ValueError, KeyError, IndexError, EOFError) as error:
+        return _path_of(read_npz(file), file)
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"'{file}' cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"'{file}' cannot be read as a trajectory.npz: {error}") from error
+
+
+def _path_of(arrays: Mapping[str, np.ndarray], file: str | Path) -> CameraPath:
+    try:
+        run_files.check_trajectory(arrays)
+    except Mismatch as error:
         raise InputError(
-            f"'{file}' cannot be read as a trajectory.npz ({type(error).__name__}: {error}); expected the arrays "
-            "world_from_camera [T, 4, 4], keyframes [K], intrinsics [4] and image_size [2]"
+            f"'{file}' holds no camera's path: {error}; expected are the arrays world_from_camera [T, 4, 4], "
+            "keyframes [K], intrinsics [4] and image_size [2]"
         ) from error
+    return CameraPath.from_arrays(arrays)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
 
@@ -23,8 +23,6 @@ _WORLD_RANGES = {
 }
 _RANGES = {
     "seed": "[0, 4294967295]",  # what every library takes
-    **dict.fromkeys(("planes", "candidates"), "[1, 4096]"),
-    "rounds": "[0, 64]",
     **dict.fromkeys(("validation_layouts", "episodes"), "[1, 1000000]"),
     **dict.fromkeys(("validate_every", "epochs", "iterations", "ppo_epochs"), "[1, 10000000]"),
     **dict.fromkeys(("batch", "ppo_batch", "steps"), "[1, 1000000]"),
@@ -56,11 +54,14 @@ class WorldConfig:
 
     def __post_init__(self) -> None:
         for name in ("rooms", "gains"):
+            if not isinstance(getattr(self, name), list | tuple):
+                raise InputError(f"{name} of a training world is a list, got {shown(getattr(self, name))}")
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(
             self, "overrides", tuple(sorted((str(k), _fixed(v)) for k, v in dict(self.overrides).items()))
         )
         check_ranges(self, _WORLD_RANGES)
+        _check_kinds(self, texts=("preset",), flags=("noise",))
         if self.reward not in get_args(Reward):
             raise unknown_name("reward", self.reward, get_args(Reward))
 
@@ -108,6 +109,7 @@ class TrainingConfig:
         if self.method not in get_args(Method):
             raise unknown_name("method", self.method, get_args(Method))
         check_ranges(self, _RANGES)
+        _check_kinds(self, texts=("teacher", "start"), flags=("mirror",))
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
@@ -139,13 +141,26 @@ class TrainingConfig:
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> TrainingConfig:
         """The configuration that `as_dict` described; raises `InputError` for anything else."""
-        try:
-            values = dict(content)
-            world = dict(values.pop("world"))
-            overrides = tuple(world.pop("overrides").items())
-            return cls(**values, world=WorldConfig(**world, overrides=overrides))
-        except (KeyError, TypeError, AttributeError) as error:
-            raise InputError(f"this is no description of a training run ({type(error).__name__}: {error})") from error
+        values = dict(content)
+        world = values.pop("world", None)
+        for part, kind, given in (("run", cls, values), ("world", WorldConfig, world)):
+            known = {field.name for field in dataclasses.fields(kind)} - {"world"}
+            if not isinstance(given, Mapping) or not given.keys() <= known:
+                raise InputError(f"this is no description of a training {part}: expected {', '.join(sorted(known))}")
+        assert isinstance(world, Mapping)
+        changes = world.get("overrides", {})
+        if not isinstance(changes, Mapping):
+            raise InputError(f"overrides of a training world are names with values, got {shown(changes)}")
+        overrides = tuple(changes.items())
+        return cls(**values, world=WorldConfig(**{**world, "overrides": overrides}))
+
+
+def _check_kinds(config: Any, *, texts: Sequence[str], flags: Sequence[str]) -> None:
+    for names, kind, words in ((texts, str, "a text"), (flags, bool, "true or false")):
+        for name in names:
+            value = getattr(config, name)
+            if not isinstance(value, kind) and not (value is None and name == "start"):
+                raise InputError(f"{name} of a training run is {words}, got {shown(value)}")
 
 
 def _fixed(value: Any) -> Any:

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.store import load_arrays, plain, read_json, write_json
+from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
+from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain
@@ -29,6 +31,8 @@ from activestructure_gym.evaluation.training.world import (
     make_env,
 )
 from activestructure_gym.files import replaced
+from activestructure_gym.npz import read_npz
+from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
@@ -86,7 +90,9 @@ def check_description(config: TrainingConfig, directory: Path) -> None:
     """Raise `InputError` if ``directory`` holds demonstrations made otherwise."""
     if not (directory / _DESCRIPTION).is_file():
         return
-    found, wanted = read_json(directory / _DESCRIPTION), _as_json(description(config))
+    file = directory / _DESCRIPTION
+    found = read_json(file, table(), remedy=f"delete '{directory}', and its episodes are played again")
+    wanted = _as_json(description(config))
     different = [key for key in wanted if found.get(key) != wanted[key]]
     if different:
         raise InputError(
@@ -101,10 +107,36 @@ def load(config: TrainingConfig, directory: Path) -> Demonstrations:
     missing = [number for number in numbers if not _file(directory, number).is_file()]
     if missing:
         raise InputError(f"'{directory}' lacks {len(missing)} of {len(numbers)} files of demonstrations")
-    files = [load_arrays(_file(directory, number)) for number in numbers]
+    files = [_read(_file(directory, number), config) for number in numbers]
+    if len({tuple(file["candidates"].shape[1:]) for file in files}) > 1:
+        raise InputError(f"'{directory}' holds demonstrations with tables of different sizes: choose another directory")
     joined = {key: np.concatenate([file[key] for file in files]) for key in files[0]}
     observations = {key: joined.pop(key) for key in USED_KEYS}
     return Demonstrations(observations, **joined)
+
+
+def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
+    """The content of a file; raises `InputError` where it cannot be what `record` gave."""
+    try:
+        arrays = read_npz(file)
+        check_arrays(arrays, _layout(config))
+        if not arrays["action_mask"].any(axis=1).all() or not arrays["ends"][-1]:
+            raise Mismatch("it does not hold whole episodes")
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{file}' is damaged: {error}; delete it, and its episodes are played again") from error
+    return {name: arrays[name] for name in (*USED_KEYS, "scores", "rewards", "ends")}
+
+
+def _layout(config: TrainingConfig) -> dict[str, Array]:
+    """Every array of a file: N states, K rows of candidates, of planes as many as the world has."""
+    planes, gains, columns = config.world.max_planes, len(config.world.gains), len(PLANE_FEATURES)
+    shapes: dict[str, tuple[int | str, ...]] = {
+        "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_FEATURES)), "candidate_gains": ("K", gains),
+        "action_mask": ("K",), "plane_features": (planes, columns), "plane_mask": (planes,),
+        "plane_edges": (planes, planes), "candidate_planes": ("K", planes), "scores": ("K",), "rewards": (),
+    }  # fmt: skip
+    layout = {name: Array("fiub", ("N", *shape), least=1) for name, shape in shapes.items()}
+    return layout | {"ends": Array("b", ("N",), least=1)}
 
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:

@@ -26,8 +26,6 @@ from activestructure_gym.evaluation.training.runs import (
     TrainingRun,
     module_tensors,
     optimizer_tensors,
-    restore_module,
-    restore_optimizer,
 )
 from activestructure_gym.evaluation.training.spreading import one_thread
 from activestructure_gym.evaluation.training.supervised import Tell, Validate
@@ -76,8 +74,7 @@ def train_ppo(
     policy = model.policy
     assert isinstance(policy, CandidatePolicy)
     if run.tensors:
-        restore_module(policy.network, run.tensors)
-        restore_optimizer(policy.optimizer, run.tensors)
+        run.restore(policy.network, policy.optimizer)
     elif config.start is not None:
         from activestructure_gym.policies.learned import learned_from
 

@@ -24,12 +24,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.schema import Mismatch, checked_json, maybe, number, table
 from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing
+from activestructure_gym.features import GAINS
 from activestructure_gym.files import UNFINISHED, replaced
+from activestructure_gym.policies.learned.checkpoint import LARGEST_WEIGHTS
+from activestructure_gym.registry import refuse_code
 
 if TYPE_CHECKING:
     import torch
@@ -44,15 +48,28 @@ TIMING = "timing.json"
 BEST, LAST = "best.safetensors", "last.safetensors"
 SCORE = "validation/auc"  # what decides which checkpoint is the best
 _META = "training"
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of Adam and of AdamW
+_LARGEST_STATE = 3 * LARGEST_WEIGHTS  # bytes: the weights and two moments of each
+_BEGIN_AGAIN = "begin the run again in another --out"
+_ROW = table({"unit": number(0, whole=True)}, others=maybe(number()))
+_STATE_NOTES = table({"position": number(0, whole=True), "best": maybe(number()), "facts": table()})
 
 
 def read_config(directory: Path) -> TrainingConfig:
-    """The configuration a run was begun with; raises `InputError` where there is none."""
+    """The configuration a run was begun with; raises `InputError` where there is none, or none that runs no code."""
+    file = directory / CONFIG
+    if not file.exists():
+        raise InputError(f"'{directory}' holds no training run to go on with: it has no {CONFIG}")
+    content = read_json(file, table({"training": table({"world": table()})}), remedy=_BEGIN_AGAIN)
     try:
-        content = read_json(directory / CONFIG)["training"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"'{directory}' holds no training run to go on with: no {CONFIG} can be read") from error
-    return TrainingConfig.from_dict(content)
+        config = TrainingConfig.from_dict(content["training"])
+    except InputError as error:
+        raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
+    overrides = dict(config.world.overrides).get("gains", ())
+    for name in (*config.world.gains, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
+        if isinstance(name, str) and GAINS.imports(name):
+            refuse_code("gain", name, file)
+    return config
 
 
 class TrainingRun:
@@ -80,6 +97,28 @@ class TrainingRun:
     def tensors(self) -> dict[str, torch.Tensor]:
         """What `save` was given last; empty at the beginning."""
         return self._tensors
+
+    def restore(self, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
+        """Bring both to where the run was left; raises `InputError` where the state is not theirs."""
+        weights = {name.removeprefix("module."): v for name, v in self._tensors.items() if name.startswith("module.")}
+        expected = {name: value.shape for name, value in module.state_dict().items()}
+        if {name: value.shape for name, value in weights.items()} != expected:
+            raise self._damaged_state(Mismatch("it does not hold the weights of the configured network"))
+        module.load_state_dict(weights)
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        for name, value in self._tensors.items():
+            kind, _, rest = name.partition(".")
+            number, _, key = rest.partition(".")
+            if kind != "optimizer":
+                continue
+            known = number.isdecimal() and len(number) < 10 and int(number) < len(parameters) and key in _MOMENTS
+            if not known or value.shape != (() if key == "step" else parameters[int(number)].shape):
+                raise self._damaged_state(Mismatch(f"it holds '{name[:80]}' of the shape {tuple(value.shape)}"))
+            moments.setdefault(int(number), {})[key] = value
+        if any(len(own) != len(_MOMENTS) for own in moments.values()):
+            raise self._damaged_state(Mismatch("it lacks moments of the optimiser"))
+        optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
 
     @property
     def ended(self) -> bool:
@@ -115,7 +154,11 @@ class TrainingRun:
         file = self.directory / LOG
         if not file.is_file():
             return []
-        return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines(keepends=True) if _whole(line)]
+        try:
+            lines = file.read_bytes().splitlines(keepends=True)
+            return [checked_json(line, _ROW) for line in lines if line.endswith(b"\n") and line.strip()]
+        except (OSError, Mismatch) as error:
+            raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
 
     def close(self) -> None:
         """Stop the watch and let go of the log for TensorBoard."""
@@ -156,7 +199,7 @@ class TrainingRun:
             file.write(content)
 
     def _load(self) -> None:
-        from safetensors import SafetensorError, safe_open
+        from activestructure_gym.policies.learned.checkpoint import read_tensors
 
         for temporary in self.directory.glob(UNFINISHED):
             temporary.unlink(missing_ok=True)
@@ -164,12 +207,16 @@ class TrainingRun:
         if not file.is_file():
             return
         try:
-            with safe_open(file, "pt") as stored:
-                meta = json.loads(stored.metadata()[_META])
-                self._tensors = {name: stored.get_tensor(name) for name in stored.keys()}
-        except (SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"'{file}' cannot be read ({type(error).__name__}: {error})") from error
+            self._tensors, notes = read_tensors(file, most=_LARGEST_STATE)
+            meta = checked_json(notes.get(_META, "").encode(), _STATE_NOTES)
+            if meta["position"] > self.config.units:
+                raise Mismatch(f"it is of unit {meta['position']}, of {self.config.units}")
+        except (InputError, Mismatch) as error:
+            raise self._damaged_state(error) from error
         self.position, self.best, self.facts = meta["position"], meta["best"], meta["facts"]
+
+    def _damaged_state(self, reason: Exception) -> InputError:
+        return InputError(f"'{self.directory / STATE}' is damaged: {reason}; {_BEGIN_AGAIN}")
 
     def _cut_log(self) -> None:
         """Forget lines of units whose state was not written any more: they are done again."""
@@ -185,29 +232,9 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tenso
     return {f"optimizer.{n}.{key}": value for n, entries in state.items() for key, value in entries.items()}
 
 
-def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Undo `optimizer_tensors`."""
-    state: dict[int, dict[str, torch.Tensor]] = {}
-    for name, value in tensors.items():
-        kind, _, rest = name.partition(".")
-        if kind == "optimizer":
-            number, _, key = rest.partition(".")
-            state.setdefault(int(number), {})[key] = value
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-
-
 def module_tensors(module: torch.nn.Module) -> dict[str, torch.Tensor]:
     """A module's weights under flat names, copied."""
     return {f"module.{name}": value.detach().clone() for name, value in module.state_dict().items()}
-
-
-def restore_module(module: torch.nn.Module, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Undo `module_tensors`."""
-    module.load_state_dict({n.removeprefix("module."): v for n, v in tensors.items() if n.startswith("module.")})
-
-
-def _whole(line: str) -> bool:
-    return line.endswith("\n") and bool(line.strip())
 
 
 def _tensorboard_writer(directory: Path, done: int) -> Any:

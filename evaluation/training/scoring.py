@@ -17,6 +17,7 @@ import numpy as np
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
 from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
@@ -32,6 +33,10 @@ RANDOM, ORACLE_GREEDY = "random", "oracle-greedy"  # the references: 0 and 1 of 
 LAYOUTS = "held-out layouts"
 _EPISODES = "episodes"
 RECORD = "score.json"
+_EPISODE = schema.table(
+    {}, {"scene_hash": schema.text, "start": schema.anything}, others=schema.table({"auc": schema.number()})
+)
+_AGAIN, _ELSEWHERE = "delete it, and the episode is played again", "choose another --out"
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class Row:
 def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequence[int]) -> list[Cell]:
     """One episode on each test layout, and one per seed in each of the scenes, the n-th from its n-th start."""
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
-    labels = scene_labels(scenes)
+    labels = scene_labels(dict.fromkeys(scenes, ""))
     for spec in scenes:
         found += [Cell(absolute_spec(spec), seed, labels[spec], start) for start, seed in enumerate(seeds)]
     if not found:
@@ -90,7 +95,10 @@ def play_cells(
     conditions |= {"starts": "in turn", "version": __version__}
     (directory / _EPISODES).mkdir(parents=True, exist_ok=True)
     record = directory / RECORD
-    if record.is_file() and read_json(record)["conditions"] != _json(conditions):
+    known = (
+        read_json(record, schema.table({"conditions": schema.table()}), remedy=_ELSEWHERE) if record.is_file() else {}
+    )
+    if known and known["conditions"] != _json(conditions):
         raise InputError(f"'{directory}' was scored under other conditions: choose another --out")
     write_json(record, {"conditions": conditions})
     calls = [(world, tuple(policies), cell, directory) for cell in todo]
@@ -116,7 +124,7 @@ def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], base
     rows = []
     for group in dict.fromkeys(cell.group for cell in played):
         own = [cell for cell in played if cell.group == group]
-        contents = [read_json(directory / _EPISODES / cell.file) for cell in own]
+        contents = [read_json(directory / _EPISODES / cell.file, _EPISODE, remedy=_AGAIN) for cell in own]
         starts = len({(cell.scene, json.dumps(one["start"])) for cell, one in zip(own, contents)})
         areas = {name: np.array([one[name]["auc"] for one in contents]) for name in (*policies, RANDOM, ORACLE_GREEDY)}
         draws = stratified_draws((len(contents),), REPEATS, 0)
@@ -216,7 +224,7 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
     from activestructure_gym.scenes import load_scene
 
     file = directory / _EPISODES / cell.file
-    content: dict[str, Any] = read_json(file) if file.is_file() else {}
+    content: dict[str, Any] = read_json(file, _EPISODE, remedy=_AGAIN) if file.is_file() else {}
     missing = [name for name in dict.fromkeys((RANDOM, *policies, ORACLE_GREEDY)) if name not in content]
     if not missing:
         return

@@ -18,8 +18,6 @@ from activestructure_gym.evaluation.training.runs import (
     TrainingRun,
     module_tensors,
     optimizer_tensors,
-    restore_module,
-    restore_optimizer,
 )
 from activestructure_gym.evaluation.training.targets import bin_edges, ordinal, soft_labels, standardised
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
@@ -61,8 +59,7 @@ def train_supervised(
     assert isinstance(network, CandidateNetwork)
     optimizer = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
     if run.tensors:
-        restore_module(model, run.tensors)
-        restore_optimizer(optimizer, run.tensors)
+        run.restore(model, optimizer)
 
     inputs = as_tensors(data.observations)
     targets, returns = _targets(config, data), torch.as_tensor(data.returns(config.gamma), dtype=torch.float32)

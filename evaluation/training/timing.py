@@ -6,9 +6,17 @@ import time
 from pathlib import Path
 from typing import Any
 
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.schema import number, table
 from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.machine.processes import processor_seconds
+
+_SECONDS = number(0)
+_CHECK = table({
+    "sittings": number(0, whole=True),
+    "parts": table(others=table({"wall_s": _SECONDS, "processor_s": _SECONDS}, others=_SECONDS)),
+})  # fmt: skip
 
 
 class Timing:
@@ -21,9 +29,9 @@ class Timing:
         self._file = file
         found: dict[str, Any] = {}
         try:
-            found = read_json(file)
+            found = read_json(file, _CHECK)
             self._parts = {name: dict(values) for name, values in found["parts"].items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):  # none yet, or damaged: times are no result
+        except InputError:  # none yet, or damaged: times are no result
             found, self._parts = {}, {}
         self._sittings = int(found.get("sittings", 0)) + 1
         self._part: str | None = None

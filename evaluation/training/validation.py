@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
@@ -23,6 +24,7 @@ from activestructure_gym.policies.learned.network import CandidateNetwork, as_te
 
 _SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
 _FILE = "references.json"
+_PLAYED = {name: schema.each(schema.number(0, 1)) for name in ("random", "oracle")}
 
 
 def network_choice(network: CandidateNetwork) -> Choose:
@@ -63,8 +65,11 @@ class Validation:
         for number, spec in enumerate(self._specs):
             self._tell(f"preparing validation layout {number + 1} of {len(self._specs)}")
             self._truths.append(learning_truth(spec))
-        stored: dict[str, Any] = read_json(self._file) if self._file.is_file() else {}
-        if stored.get("layouts") != list(self._specs):
+        stored: dict[str, Any] = {}
+        if self._file.is_file():
+            again = "delete it, and the references are played again"
+            stored = read_json(self._file, schema.table({"layouts": schema.each(schema.text)} | _PLAYED), remedy=again)
+        if stored.get("layouts") != list(self._specs) or any(len(stored[name]) != len(self._specs) for name in _PLAYED):
             stored = {"layouts": list(self._specs), "random": [], "oracle": []}
             world = self._config.world
             for number, truth in enumerate(self._truths):

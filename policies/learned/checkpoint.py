@@ -10,14 +10,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.files import replaced
 from activestructure_gym.policies.learned.config import NetworkConfig
+from activestructure_gym.registry import refuse_code
 
 if TYPE_CHECKING:
+    import torch
+
     from activestructure_gym.policies.learned.network import CandidateNetwork
 
 FORMAT = 1
+LARGEST_WEIGHTS = 256 << 20  # bytes
+_LARGEST_HEADER, _LARGEST_DESCRIPTION = 1 << 20, 4 << 20  # bytes: of the tensors' names and shapes; of the JSON
 WEIGHTS = ".safetensors"
 _DIGITS = 8
 _BEST = "best"  # of a training run's directory
@@ -29,7 +34,7 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
 
     Raises `InputError` where one of the two files is missing, and for a path that a policy's name cannot hold.
     """
-    path = Path(place).expanduser()
+    path = Path(os.path.expanduser(place))
     if "?" in str(path.absolute()):
         raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
     if path.is_dir():
@@ -47,17 +52,34 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
 
 def digest(weights: Path) -> str:
     """Eight hex digits over weights and description: a checkpoint that changes is another policy."""
+    check_size(weights)
     content = hashlib.sha256(weights.read_bytes())
     content.update(json.dumps(_described(weights)["network"], sort_keys=True).encode())
     return content.hexdigest()[:_DIGITS]
 
 
+def check_size(file: Path, most: int = LARGEST_WEIGHTS) -> None:
+    """Raise `InputError` for a file larger than any of ours."""
+    size = file.stat().st_size
+    if size > most:
+        raise InputError(f"'{file}' has {size:,} bytes, a checkpoint has at most {most:,}")
+
+
 def read_network_config(weights: Path) -> NetworkConfig:
-    """The shape of the network, from the description beside the weights."""
+    """The shape of the network, from the description beside the weights.
+
+    Raises `InputError`, also for gains that are code, see `registry.refuse_code`.
+    """
+    file = weights.with_suffix(".json")
+    content = _described(weights)["network"]
     try:
-        return NetworkConfig.from_dict(_described(weights)["network"])
+        config = NetworkConfig.from_dict(content)
     except InputError as error:
-        raise InputError(f"'{weights.with_suffix('.json')}' describes no policy of ours: {error}") from error
+        raise InputError(f"'{file}' describes no policy of ours: {error}") from error
+    for name in config.gains:
+        if ":" in name:  # no registered gain's name has a colon
+            refuse_code("gain", name, file)
+    return config
 
 
 def save_checkpoint(weights: Path, network: CandidateNetwork, notes: Mapping[str, Any]) -> None:
@@ -73,32 +95,67 @@ def save_checkpoint(weights: Path, network: CandidateNetwork, notes: Mapping[str
 
 def load_network(weights: Path) -> CandidateNetwork:
     """The network of a checkpoint; raises `InputError` if weights and description do not fit."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
     from activestructure_gym.policies.learned.network import CandidateNetwork
 
     network = CandidateNetwork(read_network_config(weights))
+    expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     try:
-        network.load_state_dict(load_file(weights))
-    except (SafetensorError, RuntimeError, OSError) as error:
-        first = str(error).strip().splitlines()[0]
-        raise InputError(f"the weights in '{weights}' are not those that its JSON describes: {first}") from error
+        network.load_state_dict(read_tensors(weights, expected)[0])
+    except InputError as error:
+        raise InputError(f"{error}; its JSON describes other weights, or one of the two is damaged") from error
     return network.eval()
+
+
+def read_tensors(
+    file: Path,
+    expected: Mapping[str, tuple[int, ...]] | None = None,  # shapes by name: exactly these
+    *,
+    most: int = LARGEST_WEIGHTS,  # bytes
+) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """Tensors and notes of a safetensors file, all numbers finite; shapes are compared before anything is read.
+
+    Raises `InputError`.
+    """
+    import torch
+    from safetensors import SafetensorError, safe_open
+
+    check_size(file, most)
+    with open(file, "rb") as stream:
+        header = int.from_bytes(stream.read(8), "little")
+    if header > _LARGEST_HEADER:
+        raise InputError(f"'{file}' is no whole safetensors file: its header would have {header:,} bytes")
+    try:
+        with safe_open(file, "pt") as stored:
+            shapes = {name: tuple(stored.get_slice(name).get_shape()) for name in stored.keys()}
+            for name in [] if expected is None else sorted(expected.keys() | shapes.keys()):
+                if shapes.get(name) != expected.get(name):
+                    have, want = (which.get(name, "nothing") for which in (shapes, expected))
+                    raise InputError(f"'{file}' holds {have} as '{name[:80]}', expected {want}")
+            tensors = {name: stored.get_tensor(name) for name in shapes}
+            notes = dict(stored.metadata() or {})
+    except (SafetensorError, OSError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"'{file}' is no whole safetensors file ({reason})") from error
+    for name, tensor in tensors.items():
+        if tensor.is_complex() or not torch.isfinite(tensor).all():
+            raise InputError(f"'{file}' holds numbers in '{name[:80]}' that are not finite")
+    return tensors, notes
 
 
 def _described(weights: Path) -> dict[str, Any]:
     file = weights.with_suffix(".json")
     try:
+        check_size(file, _LARGEST_DESCRIPTION)
         content = json.loads(file.read_text(encoding="utf-8"))
-        if content["format"] != FORMAT:
-            raise InputError(f"'{file}' has the format {content['format']}, this version reads {FORMAT}")
-        if "network" not in content:
-            raise KeyError("network")
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"'{file}' cannot be read as a checkpoint ({type(error).__name__}: {error})") from error
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"'{file}' cannot be read as the description of a checkpoint: {reason}") from error
+    if not isinstance(content, dict) or not {"format", "network"} <= content.keys():
+        raise InputError(f"'{file}' cannot be read as the description of a checkpoint: it lacks format or network")
+    if content["format"] != FORMAT:
+        raise InputError(f"'{file}' has the format {shown(content['format'])}, this version reads {FORMAT}")
     return content
 
 

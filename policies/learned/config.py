@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 
 # The entries of the observation that the network reads; all others can be dropped before training.
 USED_KEYS = (
@@ -22,6 +22,10 @@ USED_KEYS = (
     "candidate_planes",
 )
 
+# Least and most of every size: a checkpoint of a stranger must not fill the memory.
+LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16)}
+MOST_GAINS = 64
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -33,13 +37,18 @@ class NetworkConfig:
     rounds: int = 2  # of passing messages between neighbouring planes
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gains", tuple(self.gains))
-        if not self.gains or not all(isinstance(name, str) for name in self.gains):
-            raise InputError(f"a learned policy needs at least one gain by name, got {self.gains!r}")
-        for name in ("planes", "candidates", "rounds"):
-            value, least = getattr(self, name), 0 if name == "rounds" else 1
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(f"{name} of the network must be a whole number of at least {least}, got {value!r}")
+        gains = self.gains
+        if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
+            raise InputError(f"a learned policy needs a list of gains by name, got {shown(gains)}")
+        if not 1 <= len(gains) <= MOST_GAINS:
+            raise InputError(f"a learned policy needs 1 to {MOST_GAINS} gains, got {len(gains)}")
+        object.__setattr__(self, "gains", tuple(gains))
+        for name, (least, most) in LIMITS.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise InputError(
+                    f"{name} of the network must be a whole number from {least} to {most}, got {shown(value)}"
+                )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -50,5 +59,5 @@ class NetworkConfig:
         """The configuration that `as_dict` described; raises `InputError` for anything else."""
         known = {field.name for field in dataclasses.fields(cls)}
         if not isinstance(content, Mapping) or set(content) != known:
-            raise InputError(f"a network is described by {', '.join(sorted(known))}, got {content!r}")
+            raise InputError(f"a network is described by {', '.join(sorted(known))}, got {shown(content)}")
         return cls(**content)

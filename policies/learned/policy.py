@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -82,7 +83,7 @@ def learned_from(place: str) -> type[Learned]:
     ``FILE@1a2b3c4d`` says which content is meant. Raises `InputError` if it is not there, or another one.
     """
     path, at, expected = place.rpartition("@")
-    if not at or len(expected) != 8 or Path(place).expanduser().exists():
+    if not at or len(expected) != 8 or Path(os.path.expanduser(place)).exists():
         path, expected = place, ""
     weights = find_checkpoint(path).resolve()
     found = digest(weights)

@@ -10,7 +10,7 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label
-from activestructure_gym.evaluation.archive.store import DONE, FORMAT_VERSION, is_done, read_run, write_json
+from activestructure_gym.evaluation.archive.store import is_done, read_run
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.episode import build
@@ -20,6 +20,7 @@ from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork
+from tests.evaluation.written_runs import write_run
 
 
 @pytest.fixture
@@ -62,12 +63,7 @@ def test_tables_show_a_short_name_that_tells_contents_apart(run: Path) -> None:
 def test_a_finished_run_is_read_with_that_name(run: Path, tmp_path: Path) -> None:
     job = Job(scene="box", policy=canonical_policy("learned:run"), seed=0)
     place = tmp_path / job.name
-    place.mkdir()
-    write_json(place / "config.json", {"format": FORMAT_VERSION, "job": job.as_dict()})
-    for name in ("metrics", "timing"):
-        write_json(place / f"{name}.json", {})
-    (place / DONE).write_text(job.hash)
-    read = read_run(place)
+    read = read_run(write_run(place, job))
     assert read.policy == policy_label(job.policy) and read.job == job and is_done(place, read.job)
 
 

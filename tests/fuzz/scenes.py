@@ -34,7 +34,7 @@ def _damaged(rng: np.random.Generator, name: str, kind: str, data: bytes) -> byt
             return damaged_json(rng, data)
         if name.endswith(".glb") and rng.random() < 0.7:
             return _damaged_header(rng, data)
-    except ValueError:  # damaged before, and JSON no more
+    except (ValueError, struct.error):  # damaged before, and JSON no more
         pass
     if kind == "ply-binary" and rng.random() < 0.5:
         end = data.find(b"end_header")

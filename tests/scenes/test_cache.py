@@ -209,7 +209,7 @@ def test_nothing_is_kept_where_the_size_is_0(directory, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "text, size", [("", 1 << 30), ("1GiB", 1 << 30), ("1.5 kb", 1536), ("500M", 500 << 20), ("7", 7), ("2TB", 2 << 40)]
+    "text, size", [("", 4 << 30), ("1GiB", 1 << 30), ("1.5 kb", 1536), ("500M", 500 << 20), ("7", 7), ("2TB", 2 << 40)]
 )
 def test_sizes(text, size, monkeypatch):
     monkeypatch.setenv("ASG_CACHE_MAX", text)

@@ -22,7 +22,7 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
 
     Raises `InputError` where the mesh is missing or cannot be read.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     if path.is_dir():
         mesh_file = path / f"{path.name}.glb"
         if not mesh_file.is_file():

@@ -101,7 +101,7 @@ def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
 
 def check_mesh_file(path: str | os.PathLike[str]) -> Path:
     """The path, if it is a file with a suffix that some reader knows."""
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     check_printable(str(path))
     if path.is_dir():
         raise InputError(f"'{path}' is a folder; give the mesh file in it ({', '.join(MESH_SUFFIXES)})")
@@ -240,7 +240,8 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
                     f"'{path}' is corrupt: a part of it has {len(part.vertices)} vertices and {len(values)} {what}; "
                     "export it again"
                 )
-        broken += int((~np.isfinite(part.vertices).all(axis=1)).sum())
+        # Positions are kept in float32; NaN is no number below its largest either.
+        broken += int((~(np.abs(part.vertices) < np.finfo(np.float32).max).all(axis=1)).sum())
     if broken:
         total = sum(len(part.vertices) for part in parts)
         raise InputError(

@@ -45,7 +45,7 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
     Raises:
         InputError: nothing of the kind is there, or a file is broken.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     if path.name in ("", ".."):  # "." has a name too
         path = Path(os.path.abspath(path))
     mesh_file, root = _mesh_file(path)

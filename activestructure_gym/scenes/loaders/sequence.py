@@ -76,7 +76,7 @@ def load_sequence(path: str | os.PathLike[str]) -> PosedSequence:
 
     Raises `InputError` where a file is missing, numbers and images do not match, or a pose is no rigid motion.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     if not path.is_dir():
         raise InputError(f"there is no sequence folder '{path}'")
     poses = _poses(path / "traj.txt")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
@@ -82,7 +83,7 @@ def _quality(console: Console, scenes: Sequence[str], *, quick: bool, out: str |
     if out is not None:
         folder = _write(out, "mapping.json", {"keyframes": keyframes, "views": views, "size": size}, rows)
         quality_strip(courses, results).save(folder / "mapping.jpg", quality=85)
-        console.print(f"written: {folder / 'mapping.jpg'}, {folder / 'mapping.json'}")
+        console.print(f"written: {escape(str(folder / 'mapping.jpg'))}, {escape(str(folder / 'mapping.json'))}")
     return rows
 
 
@@ -113,7 +114,7 @@ def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None)
         settings = {"scene": scene.name, "size": size, "scored": scored, "pair": asdict(compared)}
         folder = _write(out, "growth.json", settings, rows)
         plot_growth(measured, folder / "growth.jpg", title="One place, looked at again while the map grows elsewhere")
-        console.print(f"written: {folder / 'growth.jpg'}, {folder / 'growth.json'}")
+        console.print(f"written: {escape(str(folder / 'growth.jpg'))}, {escape(str(folder / 'growth.json'))}")
     return rows
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.evaluation.cli.fields import option
@@ -33,7 +34,7 @@ def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
         numeric = all(isinstance(row.get(name), int | float | type(None)) for row in rows)
         table.add_column(name.replace("_", " "), justify="right" if numeric else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*(_text(row.get(name)) for name in names))
+        table.add_row(*(escape(_text(row.get(name))) for name in names))
     return table
 
 

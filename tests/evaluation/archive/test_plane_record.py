@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary, seen_cells
-from activestructure_gym.evaluation.archive.store import load_arrays
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.npz import read_npz
 from activestructure_gym.planes import QUALITY_MODES, PlaneSceneGraph
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sensors import RGBDSensor, SensorConfig
@@ -24,7 +24,7 @@ def graph() -> PlaneSceneGraph:
 
 def test_the_graph_comes_back_from_its_file(graph, tmp_path):
     np.savez_compressed(tmp_path / "graph.npz", **graph_arrays(graph))
-    arrays = load_arrays(tmp_path / "graph.npz")  # never unpickles
+    arrays = read_npz(tmp_path / "graph.npz")  # never unpickles
     for name, expected in {
         "ids": [node.id for node in graph.nodes],
         "normals": graph.state.normals,

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import pytest
 
@@ -125,6 +126,23 @@ def test_the_baseline_must_take_part(asked, capsys):
 
 def test_the_baseline_may_be_of_an_earlier_sitting(asked, tmp_path):
     (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "compare.json").write_text(json.dumps({"jobs": {"one": {"policy": "pixel_only"}}}))
+    (tmp_path / "here" / "compare.json").write_text(
+        json.dumps({"jobs": {"one": Job("box", "pixel_only", 0).as_dict()}})
+    )
     words = "compare --scenes box --policies random --baseline pixel_only --out here --resume"
     assert main(words.split()) == 0 and len(asked) == 2  # prepared and run
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_markup_in_a_directory_s_name_is_shown_as_it_is(jobs):
+    import io
+
+    from rich.console import Console
+
+    from activestructure_gym.evaluation.cli.compare import _announce
+    from activestructure_gym.evaluation.running.comparison import Comparison
+
+    out = io.StringIO()
+    comparison = Comparison(scenes=["box"], policies=["random"])
+    _announce(Console(file=out, width=300), comparison, Path("runs/[red]a[/bold]"), jobs, 1, demo=False)
+    assert "into runs/[red]a[/bold]" in out.getvalue()

@@ -16,6 +16,10 @@ from activestructure_gym.mapping.gaussian_map import ROWS
 from activestructure_gym.scenes.loaders.upright import which_way_is_up
 
 
+class Opened(SimpleNamespace):
+    gaussians = property(lambda self: GaussianMap.load_npz(self.directory / "map.npz"))
+
+
 @pytest.fixture
 def run(tmp_path, monkeypatch, rng):
     """A finished run in a folder of its own: 500 Gaussians; the working directory is beside it."""
@@ -31,7 +35,8 @@ def run(tmp_path, monkeypatch, rng):
         "image_size": np.array([64, 36]),
     }
     np.savez(directory / "trajectory.npz", **path)
-    opened = SimpleNamespace(directory=directory, job=SimpleNamespace(title="room · random · seed 0"), trajectory=path)
+    job = SimpleNamespace(title="room · random · seed 0")
+    opened = Opened(directory=directory, job=job, trajectory=path)
     monkeypatch.setattr(store, "read_run", lambda place: opened)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")

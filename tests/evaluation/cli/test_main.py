@@ -95,6 +95,14 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "box", "--preset", "quick"], ["unknown preset 'quick'"]),
         (["compare", "--scenes", "box", "--set", "sensor.widht=3"], ["did you mean 'width'"]),
         (["compare", "--scenes", "box", "--views", "0"], ["views must be a whole number from 1 to 2000"]),
+        (["compare", "--scenes", "box", "--samples", "2147483648"], ["surface_samples", "from 1 to 5000000"]),
+        (["compare", "--scenes", "box", "--lpips-weights", "~nobody_there"], ["the LPIPS weights"]),
+        (["compare", "--scenes", "box", "--lpips-weights", "text.glb"], ["LPIPS"]),
+        (["compare", "--scenes", "x" * 5000], ["File name too long", "x... ("]),
+        (["compare", "--scenes", "box", "--set", "volume.max_range=Infinity"], ["VolumeConfig.max_range", "finite"]),
+        (["evaluate", "a" * 300], ["File name too long"]),
+        (["export", "a\nb\x1b[31m"], ["a b\\x1b[31m"]),
+        (["train", "bc", "--start", "~nobody_there"], ["~nobody_there"]),
         (["scenes", "missing.obj"], ["missing.obj"]),
         (["scenes", "--picture", "a.png"], ["needs a scene"]),
         (["scenes", "box", "--picture", "a.jpg"], [".png"]),
@@ -113,6 +121,32 @@ def test_bad_input_is_one_sentence_and_two_and_nothing_is_written(arguments, wor
     *notes, refusal = captured.err.splitlines()
     assert refusal.startswith("asg: ") and all(line.startswith("asg: note: ") for line in notes), captured.err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("errno, code", [(28, 1), (30, 1), (13, 2), (36, 2)])
+def test_what_the_file_system_says_is_one_sentence(errno, code, monkeypatch, capsys):
+    from activestructure_gym.evaluation.cli import commands
+
+    def fail(self):
+        raise OSError(errno, "as it says", "runs/a\nb")
+
+    monkeypatch.setattr(commands.Doctor, "run", fail)
+    assert main(["doctor"]) == code
+    assert capsys.readouterr().err .startswith("asg: 'runs/a\\nb'")
+
+
+def test_an_output_that_is_a_file_is_one_sentence(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    for arguments in (
+        ["compare", "--scenes", "box", "--out", "file"],
+        ["compare", "--scenes", "box", "--out", "file/below"],
+        ["train", "bc", "--out", "file"],
+        ["train", "bc", "--out", "file/below"],
+        ["train", "score", "--out", "file"],
+    ):
+        assert main(arguments) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("asg: ") and said.count("\n") == 1 and "file" in said, said
 
 
 def test_resume_needs_to_know_what(capsys):

@@ -38,7 +38,7 @@ def test_the_name_of_a_file_stays_whole(tmp_path, monkeypatch):
 
 def test_seeds():
     assert parse_seeds(["0,1", "7"]) == (0, 1, 7)
-    for text in ("-1", "1.5", "x"):
+    for text in ("-1", "1.5", "x", "9" * 20, "9" * 5000):
         with pytest.raises(InputError, match="whole number"):
             parse_seeds([text])
 
@@ -46,7 +46,7 @@ def test_seeds():
 def test_start():
     assert parse_start("-1,2,1.4,90") == (-1.0, 2.0, 1.4, 90.0)
     assert parse_start(None) is None
-    for text in ("1,2,3", "1,2,3,north", ""):
+    for text in ("1,2,3", "1,2,3,north", "", "nan,0,1,0", "0,0,1e400,0"):
         with pytest.raises(InputError, match="x,y,z,yaw"):
             parse_start(text)
 
@@ -56,7 +56,10 @@ def test_overrides():
     assert parse_overrides(words) == {
         "sensor.width": 96, "sensor.depth_noise": "kinect", "a": True, "b": [0.0, 0.3], "c": "x=y"
     }  # fmt: skip
-    for word in ("sensor.width", "=3"):
+    for value in ("[" * 100_000, '{"a":' * 10_000, "9" * 5000):
+        with pytest.raises(InputError, match="--set 'a' takes no such value"):
+            parse_overrides([f"a={value}"])
+    for word in ("sensor.width", "=3", "x" * 10_000):
         with pytest.raises(InputError, match="key=value"):
             parse_overrides([word])
 

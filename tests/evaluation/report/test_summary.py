@@ -1,6 +1,11 @@
+import errno
 import re
 from pathlib import Path
 
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.report import summary
 from activestructure_gym.evaluation.report.summary import PAGE, TABLES, write_report
 
 COMPARISON = {"command": "asg compare --scenes room", "workers": 2, "failed": {}}
@@ -76,3 +81,45 @@ def test_what_failed_is_named_and_not_counted(make_run, tmp_path):
 def test_collisions_are_said(make_run, tmp_path):
     text = write_report(tmp_path, made([make_run(collisions=3)]), COMPARISON)[-2].read_text()
     assert "through the true mesh: 3 (must be 0!)" in text
+
+
+def test_a_report_is_written_whole_or_not_at_all(make_run, tmp_path, monkeypatch):
+    runs = made([make_run(policy=policy) for policy in "ab"])
+    out = tmp_path / "out"
+    files = {file.relative_to(out): file.read_bytes() for file in write_report(out, runs, COMPARISON)}
+    (out / "mine.txt").write_text("kept")
+
+    def refuse(results):
+        raise InputError("at the very end")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(summary, "html_page", refuse)
+        for place in (out, tmp_path / "new" / "er"):
+            with pytest.raises(InputError, match="at the very end"):
+                write_report(place, made([make_run(policy="c")]), COMPARISON)
+    assert not (tmp_path / "new" / "er").exists()
+    assert {file.relative_to(out): file.read_bytes() for file in out.rglob("*") if file.is_file()} == files | {
+        Path("mine.txt"): b"kept"
+    }
+    # Nor is anything replaced where one of the files cannot be.
+    (out / PAGE).unlink()
+    (out / PAGE).mkdir()
+    with pytest.raises(InputError, match="out' cannot be written: 'report.html' in it is a folder"):
+        write_report(out, made([make_run(policy="c")]), COMPARISON)
+    assert (out / "results.csv").read_bytes() == files[Path("results.csv")]
+
+
+def test_a_full_disk_is_one_sentence(make_run, tmp_path, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(summary, "runs_csv", lambda runs: (_ for _ in ()).throw(full))
+    with pytest.raises(InputError, match="out' cannot be written: No space left on device$"):
+        write_report(tmp_path / "out", made([make_run()]), COMPARISON)
+    assert not (tmp_path / "out").exists()
+
+
+def test_runs_that_kept_other_views_are_not_shown_side_by_side(make_run, tmp_path):
+    one, other = made([make_run(policy=policy) for policy in "ab"])
+    other.__dict__["pictures"] = {**other.pictures, "true": other.pictures["true"][:2]}
+    with pytest.raises(InputError, match="have not kept the same held-out views of room"):
+        write_report(tmp_path / "out", [one, other], COMPARISON)
+    assert not (tmp_path / "out").exists()

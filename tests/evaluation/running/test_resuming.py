@@ -10,9 +10,10 @@ from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison, engines
-from activestructure_gym.evaluation.running.comparison import Comparison, jobs_to_resume, run_comparison
+from activestructure_gym.evaluation.running.comparison import Comparison, check_output, jobs_to_resume, run_comparison
 from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome
 from activestructure_gym.evaluation.running.resuming import conditions, recorded_jobs
+from tests.evaluation.written_runs import write_comparison, write_run
 
 JOB = Job("box", "random", 0, scene_hash="a" * 64, preset="fast", frame_budget=9, overrides=(("sensor.width", 64),))
 
@@ -57,6 +58,7 @@ def ran(monkeypatch):
     engine = Engine(run, slots=lambda jobs, limits: 2, check=lambda limits: None)
     monkeypatch.setitem(engines.ENGINES, "fake", engine)
     monkeypatch.setattr(store, "read_run", lambda place, scene: place.name)
+    monkeypatch.setattr(store, "damage_of", lambda place: None)
     return done
 
 
@@ -177,3 +179,50 @@ def test_a_record_runs_no_code(ran, tmp_path, monkeypatch):
     monkeypatch.setenv("ASG_TRUST_CODE", "1")
     with pytest.raises(InputError, match="unknown policy 'bad'"):  # and no more about code
         jobs_to_resume(tmp_path)
+
+
+def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path):
+    grid = [variant(seed=seed) for seed in range(3)]
+    write_comparison(tmp_path / "all", grid)
+    places = [run_directory(tmp_path / "all", job) for job in grid]
+    (places[0] / "pictures.npz").write_bytes(b"")
+    (places[1] / store.DONE).write_text("nonsense")
+    stamp = (places[2] / store.DONE).stat().st_mtime_ns
+    done = []
+
+    def run(jobs, directory, listener, limits, *, keep_open=()):
+        for job in jobs:
+            done.append(job)
+            with store.whole_directory(run_directory(directory, job)) as part:
+                part.rmdir()
+                write_run(part, job)
+            listener.ended(Outcome(job))
+
+    engine = Engine(run, slots=lambda jobs, limits: 1, check=lambda limits: None)
+    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    heard = []
+    result, listener = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
+    assert done == grid[:2] and listener.begun == ([job.title for job in grid[:2]], 0)
+    assert len(heard) == 1 and "seed 0 counts as not finished: '" in heard[0] and "pictures.npz' is damaged" in heard[0]
+    assert [run.job for run in result.runs] == grid and all(store.damage_of(place) is None for place in places)
+    assert (places[2] / store.DONE).stat().st_mtime_ns == stamp
+    # One that is damaged and not asked for is told apart from those that failed.
+    (places[2] / "map.npz").unlink()
+    result, _ = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
+    assert (len(result.runs), result.missing, result.failed) == (2, 1, []) and len(heard) == 2
+
+
+def test_a_comparison_whose_record_was_lost_is_gone_on_with(monkeypatch, tmp_path):
+    engine = Engine(lambda *_, **__: pytest.fail("run"), slots=lambda *_: 1, check=lambda limits: None)
+    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    grid = [variant(seed=seed) for seed in range(2)]
+    write_comparison(tmp_path / "all", grid)
+    (tmp_path / "all" / store.COMPARISON).write_bytes(b"\x00\xff")
+    with pytest.raises(InputError, match="compare.json' is damaged: it is no text in UTF-8; move it away and give"):
+        go(grid, tmp_path / "all", resume=True)
+    (tmp_path / "all" / store.COMPARISON).unlink()
+    with pytest.raises(InputError, match="holds other files"):
+        check_output(tmp_path / "all", resume=False)
+    check_output(tmp_path / "all", resume=True)
+    result, _ = go(grid, tmp_path / "all", resume=True)
+    assert len(result.runs) == 2 and recorded_jobs(tmp_path / "all") == grid

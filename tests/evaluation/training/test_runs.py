@@ -11,12 +11,22 @@ from typing import Any
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.processes import processor_seconds
 from activestructure_gym.evaluation.training import timing
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
-from activestructure_gym.evaluation.training.runs import SCORE, TrainingRun
+from activestructure_gym.evaluation.training.runs import (
+    SCORE,
+    STATE,
+    TrainingRun,
+    module_tensors,
+    optimizer_tensors,
+    read_config,
+)
 from activestructure_gym.policies.learned.network import CandidateNetwork
 
 CONFIG = TrainingConfig(method="bc", epochs=3, planes=8, candidates=16)
@@ -149,3 +159,85 @@ def test_a_unit_that_is_done_again_shows_once_to_tensorboard_s_own_reader(tmp_pa
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     assert [event.step for event in events.Scalars("train/loss")] == [1, 2, 3]
+
+
+def begun(place: Path) -> Path:
+    """A run that was stopped after its first unit."""
+    run = TrainingRun(place, CONFIG)
+    model = torch.nn.ModuleDict({"network": CandidateNetwork(CONFIG.network())})
+    optimizer = torch.optim.AdamW(model.parameters())
+    sum(parameter.sum() for parameter in model.parameters()).backward()
+    optimizer.step()
+    run.finish_unit({"train/loss": 0.5}, model["network"], module_tensors(model) | optimizer_tensors(optimizer))
+    run.close()
+    return place
+
+
+def restored(place: Path) -> int:
+    """Open the run as `train_supervised` does."""
+    run = TrainingRun(place, read_config(place))
+    model = torch.nn.ModuleDict({"network": CandidateNetwork(run.config.network())})
+    run.restore(model, torch.optim.AdamW(model.parameters()))
+    run.close()
+    return run.position
+
+
+def test_a_run_that_was_stopped_is_gone_on_with(tmp_path: Path) -> None:
+    assert restored(begun(tmp_path)) == 1
+
+
+def state(place: Path, change: Any = lambda tensors: None, **notes: Any) -> None:
+    """Write the run's state anew with changes."""
+    with safe_open(place / STATE, "pt") as stored:
+        tensors, meta = {name: stored.get_tensor(name) for name in stored.keys()}, stored.metadata()["training"]
+    change(tensors)
+    save_file(tensors, place / STATE, {"training": json.dumps(json.loads(meta) | notes)})
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda place: (place / STATE).write_bytes(b""), "state.safetensors' is damaged: .*no whole safetensors"),
+        (lambda place: (place / STATE).write_bytes(b"\xff" * 99), "state.safetensors' is damaged: .*header would have"),
+        (lambda place: state(place, position=7), "it is of unit 7, of 3"),
+        (lambda place: state(place, position="1"), "position: expected a whole number"),
+        (lambda place: state(place, best=[]), "best: expected a number"),
+        (lambda place: state(place, lambda t: t.pop("optimizer.0.exp_avg")), "lacks moments of the optimiser"),
+        (lambda place: state(place, lambda t: t.update({"optimizer.x.step": torch.zeros(())})), "'optimizer.x.step'"),
+        (lambda place: state(place, lambda t: t.update({"optimizer.0.exp_avg": torch.zeros(2)})), "of the shape"),
+        (lambda place: state(place, lambda t: t.pop(next(n for n in t if "module" in n))), "weights of the configured"),
+        (lambda place: state(place, lambda t: t["optimizer.0.step"].fill_(torch.nan)), "not finite"),
+        (lambda place: (place / "log.jsonl").write_bytes(b"\xff\n"), "log.jsonl' is damaged: it is no text"),
+        (lambda place: (place / "log.jsonl").write_text('{"unit": "a"}\n'), "unit: expected a whole number"),
+        (lambda place: (place / "config.json").write_text("{}"), "config.json' is damaged: it lacks training"),
+        (lambda place: (place / "config.json").unlink(), "no training run to go on with"),
+    ],
+)
+def test_damage_names_the_file(change: Any, words: str, tmp_path: Path) -> None:
+    change(begun(tmp_path))
+    with pytest.raises(InputError, match=words) as error:
+        restored(tmp_path)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"method": []}, "unknown method"), ({"more": 1}, "no description of a training run"),
+        ({"world": {"gains": 3}}, "gains of a training world is a list"),
+        ({"world": {"gains": ["os:system"]}}, "config.json' names the gain 'os:system', and to load it would run code"),
+        ({"teacher": "os:system"}, "config.json' names the gain 'os:system', and to load it would run code"),
+        ({"world": {"overrides": {"gains": ["os:system"]}}}, "names the gain 'os:system'"),
+        ({"world": {"overrides": 3}}, "overrides of a training world are names with values"),
+        ({"world": {"preset": ["a"]}}, "preset of a training run is a text"),
+        ({"world": {"noise": 3}}, "noise of a training run is true or false"),
+        ({"planes": 10**9}, "planes of the network must be a whole number from 1 to 1024"),
+    ],
+)  # fmt: skip
+def test_a_configuration_that_is_none_of_ours(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    content = json.loads((begun(tmp_path) / "config.json").read_text())
+    content["training"]["world"] |= change.get("world", {})
+    content["training"] |= {name: value for name, value in change.items() if name != "world"}
+    (tmp_path / "config.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=words):
+        read_config(tmp_path)

@@ -360,5 +360,5 @@ def test_configurations_are_checked_and_return_from_json() -> None:
     for wrong in ({"rooms": ()}, {"rooms": (9,)}, {"reward": "points"}, {"layouts": 0}):
         with pytest.raises(InputError):
             WorldConfig(**wrong)
-    with pytest.raises(InputError, match="no description of a training run"):
+    with pytest.raises(InputError, match="no description of a training world"):
         TrainingConfig.from_dict({"method": "bc"})

@@ -77,11 +77,67 @@ def test_a_changed_checkpoint_is_another_policy(checkpoint: Path, tmp_path: Path
 def test_damaged_files_are_told(checkpoint: Path, tmp_path: Path) -> None:
     (tmp_path / "a.safetensors").write_bytes(b"nothing")
     (tmp_path / "a.json").write_bytes(checkpoint.with_suffix(".json").read_bytes())
-    with pytest.raises(InputError, match="not those that its JSON describes"):
+    with pytest.raises(InputError, match="no whole safetensors file.*; its JSON describes other weights, or one of"):
         load_network(find_checkpoint(tmp_path / "a"))
-    (tmp_path / "a.json").write_text("{}")
-    with pytest.raises(InputError, match="cannot be read as a checkpoint"):
-        load_network(find_checkpoint(tmp_path / "a"))
+    for content in (b"{}", b"", b"\xff", b"[" * 100_000, b"[]"):
+        (tmp_path / "a.json").write_bytes(content)
+        with pytest.raises(InputError, match="cannot be read as the description of a checkpoint") as error:
+            load_network(find_checkpoint(tmp_path / "a"))
+        assert len(str(error.value).splitlines()) == 1
+
+
+def described(checkpoint: Path, place: Path, **changes: object) -> Path:
+    """The checkpoint with another description of its network."""
+    content = json.loads(checkpoint.with_suffix(".json").read_text())
+    content["network"] |= changes
+    (place / "b.json").write_text(json.dumps(content))
+    (place / "b.safetensors").write_bytes(checkpoint.read_bytes())
+    return place / "b.safetensors"
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"planes": 100_000}, "planes of the network must be a whole number from 1 to 1024, got 100000"),
+        ({"candidates": 2**40}, "candidates of the network must be a whole number from 1 to 1024"),
+        ({"rounds": 10**9}, "rounds of the network must be a whole number from 0 to 16"),
+        ({"gains": 5}, "a list of gains by name, got 5"),
+        ({"gains": "pixel"}, "a list of gains by name, got 'pixel'"),
+        ({"gains": ["pixel"] * 65}, "1 to 64 gains, got 65"),
+        ({"gains": ["os:system"]}, "b.json' names the gain 'os:system', and to load it would run code"),
+        ({"more": 1}, "a network is described by"),
+    ],
+)
+def test_a_network_that_cannot_be_is_not_built(checkpoint: Path, tmp_path: Path, changes, words) -> None:
+    weights = described(checkpoint, tmp_path, **changes)
+    with pytest.raises(InputError, match=words):
+        POLICIES.get(f"learned:{weights}")
+    with pytest.raises(InputError, match=words):
+        load_network(weights)
+
+
+def test_weights_of_other_sizes_are_not_read(checkpoint: Path, tmp_path: Path) -> None:
+    weights = described(checkpoint, tmp_path, candidates=1024, planes=1024)
+    with pytest.raises(InputError, match=r"holds \(48,\) as 'candidate_in.0.bias', expected \(1024,\)"):
+        load_network(weights)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_weights_that_are_not_finite_are_refused(checkpoint: Path, tmp_path: Path, value: float) -> None:
+    network = load_network(checkpoint)
+    with torch.no_grad():
+        network.scorer[-1].bias.fill_(value)
+    save_checkpoint(tmp_path / "c.safetensors", network, {})
+    with pytest.raises(InputError, match="holds numbers in 'scorer.2.bias' that are not finite"):
+        load_network(tmp_path / "c.safetensors")
+
+
+def test_a_file_that_is_too_large_is_not_read(checkpoint: Path, tmp_path: Path) -> None:
+    weights = described(checkpoint, tmp_path)
+    with open(weights, "r+b") as file:
+        file.truncate((256 << 20) + 1)
+    with pytest.raises(InputError, match="has 268,435,457 bytes, a checkpoint has at most 268,435,456"):
+        POLICIES.get(f"learned:{weights}")
 
 
 def test_never_a_masked_row_deterministic_and_picklable(checkpoint: Path, make_observation) -> None:

@@ -290,3 +290,9 @@ def test_colours_that_are_no_numbers_become_grey(tmp_path, gltf, make_box):
     gltf.triangle_mesh(vertices, faces)["attributes"]["COLOR_0"] = gltf.accessor(colors)
     scene = load_mesh_scene(gltf.write(tmp_path / "x.glb"), up="z")
     assert np.isfinite(scene.mesh.colors).all() and any("1 vertices have colours" in note for note in scene.notes)
+
+
+def test_vertices_beyond_float32_are_not_finite_either(write_box):
+    path = write_box(".obj")
+    path.write_text(path.read_text().replace("v ", "v 1e200 0 0\nv ", 1))
+    assert "1 of 8 vertices that are not finite" in _error(path)

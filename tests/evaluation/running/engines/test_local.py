@@ -12,9 +12,9 @@ import pytest
 
 from activestructure_gym.cores import core_count
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.comparison import JOBS, run_directory
+from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import is_done
+from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.running.engines import process
 from activestructure_gym.evaluation.running.engines.base import LOGS, Limits
 from activestructure_gym.evaluation.running.engines.local import run_local
@@ -146,7 +146,7 @@ def test_a_job_that_takes_too_long_is_stopped_and_tried_again(tmp_path, monkeypa
                                    {"retries": -1}])  # fmt: skip
 def test_wrong_limits_are_one_sentence(wrong):
     (name,) = wrong
-    with pytest.raises(InputError, match=f"--{name} is"):
+    with pytest.raises(InputError, match=f"^--{name} must be a .* from 0 to "):
         Limits(**wrong)
 
 

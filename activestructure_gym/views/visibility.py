@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.compiling.crew import CREW, default_threads
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.splatting.counters import take_ticket
@@ -77,7 +77,7 @@ def cosines_in_sight(
         cosines,
         counts,
     )
-    CREW.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
+    TEAM.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
     return cosines, counts
 
 

@@ -190,7 +190,7 @@ def run_comparison(
     limits: Limits | None = None,  # the usual ones
     resume: bool = False,
     command: str = "",  # how the comparison was asked for; kept in the archive
-    held: int | None = None,  # the descriptor that `holding.hold` gave for the directory
+    held: int | None = None,  # the descriptor that `directory_lock.hold` gave for the directory
 ) -> Result:
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 

@@ -120,7 +120,7 @@ Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of
 @lru_cache(1)
 def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
     """What a first keyframe calls, in that order, and what a first decision calls besides; nothing is run."""
-    from activestructure_gym.compiling.crew import CREW
+    from activestructure_gym.compiling.thread_team import TEAM
 
     calls = dict[Any, tuple[Any, ...]]()
 
@@ -128,13 +128,13 @@ def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
         calls.setdefault(kernel, arguments)
         arguments[0][:] = 1 << 10  # tickets: all units of work of this tiny map count as done
 
-    run, CREW.run = CREW.run, note  # type: ignore[method-assign]
+    run, TEAM.run = TEAM.run, note  # type: ignore[method-assign]
     try:
         mapper = map_a_wall()
         of_keyframe = len(calls)
         score_the_wall(mapper)
     finally:
-        CREW.run = run  # type: ignore[method-assign]
+        TEAM.run = run  # type: ignore[method-assign]
     return list(calls.items())[:of_keyframe], list(calls.items())[of_keyframe:]
 
 

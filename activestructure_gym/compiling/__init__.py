@@ -10,7 +10,7 @@ memory yet.
 - `locks`: of processes that start together, one compiles a kernel and the others load what it wrote.
 - `progress` says on standard error what is going on; `helper` starts a second process that compiles ahead.
 
-`crew` calls a kernel on several threads at once.
+`thread_team` calls a kernel on several threads at once.
 """
 
 from activestructure_gym.compiling.decorator import kernel

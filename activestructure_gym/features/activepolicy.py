@@ -9,7 +9,7 @@ from activestructure_gym.features.base import GAINS, GainContext
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import passes
-from activestructure_gym.splatting.workspace import Lease, fitted
+from activestructure_gym.splatting.workspace import PooledWorkspace, fitted
 
 # The digest of the paper names these constants without their values; all but the first are our choice.
 THRESHOLD = 0.25  # tau_u: a pixel with a higher U counts
@@ -42,10 +42,10 @@ def median_depths(context: GainContext) -> np.ndarray:  # [K, h, w] metres, 0 wh
     parameters, count = MapParts(context.mapper.map).in_view(camera, poses)
     parameters = fitted(parameters)
     result = np.zeros((len(poses), camera.height, camera.width), np.float32)
-    lease = Lease()
+    pooled = PooledWorkspace()
     for picture, pose in zip(result, invert_rigid(poses)):
-        lease.workspace.render(parameters, count, camera, pose, keep=False)  # which sorts what the next line reads
-        picture[:] = passes.median_depth(lease.workspace)
+        pooled.workspace.render(parameters, count, camera, pose, keep=False)  # which sorts what the next line reads
+        picture[:] = passes.median_depth(pooled.workspace)
     return result
 
 

@@ -43,9 +43,7 @@ def _walked(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
     shown = context.depth[:, ::STRIDE, ::STRIDE] / np.maximum(alpha, 1e-6)
     farthest = min(context.max_range, volume.config.max_range)
     volumes, losses = _walk(
-        volume.unobserved,
-        volume.occupied,
-        voxel_losses(context),
+        (volume.unobserved, volume.occupied, voxel_losses(context)),
         *grid_rays(volume, context.camera, context.world_from_camera, STRIDE),
         float(farthest),
         np.ascontiguousarray(shown, dtype=np.float32),
@@ -98,9 +96,7 @@ def pixel_losses(
 
 @kernel
 def _walk(
-    unobserved: np.ndarray,  # [X, Y, Z] bool
-    occupied: np.ndarray,  # [X, Y, Z] bool
-    losses: np.ndarray,  # [X, Y, Z] float32
+    fields: tuple[np.ndarray, np.ndarray, np.ndarray],  # [X, Y, Z] bool unobserved, bool occupied, float32 losses
     origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
     voxel_size: float,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
@@ -111,6 +107,7 @@ def _walk(
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] sum of T (d_out^3 - d_in^3), [K] sum of the losses met
     """Steps of half a voxel through the grid. Three times the volume of a pixel's frustum between two depths is the
     difference of their cubes, in units of 1 / f^2."""
+    unobserved, occupied, losses = fields
     size = unobserved.shape
     volumes = np.zeros(len(poses))
     met = np.zeros(len(poses))

@@ -62,8 +62,8 @@ def find_targets(context: GainContext) -> Targets:
     """T and its visibility; share it by ``context.once(find_targets)``."""
     gaussians, volume = context.mapper.map, context.volume
     voxels, sigma = uncertainty(volume, gaussians.means, gaussians.opacities)
-    names = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
-    kept = chosen(names, sigma, volume.state.size)
+    voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
+    kept = chosen(voxel_ids, sigma, volume.state.size)
     positions = volume.center_of(voxels[kept])
     places, place_of = np.unique(context.world_from_camera[:, :3, 3], axis=0, return_inverse=True)
     return Targets(positions, sigma[kept], visible(volume, places, positions)[place_of.ravel()])
@@ -102,12 +102,12 @@ def _beside(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 ne
     return total
 
 
-def chosen(names: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:  # [V] flat indices, [V] -> [T] rows
+def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:  # [V] flat indices, [V] -> [T] rows
     """Which places become targets, the most uncertain first: some of the most uncertain, spread evenly over them.
 
     Equals are taken in the order of a hash of their place, so the choice stays the same from step to step.
     """
-    key = names.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)  # Knuth's multiplicative hash
+    key = voxel_ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)  # Knuth's multiplicative hash
     pool = min(POOL, int(np.ceil(POOL_SHARE * voxels)))
     candidates = np.lexsort((key, -sigma))[:pool]
     kept = candidates[np.argsort(key[candidates])][: min(TARGETS, int(np.ceil(TARGET_SHARE * pool)))]

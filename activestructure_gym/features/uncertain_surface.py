@@ -75,13 +75,14 @@ def by_proxy(context: GainContext) -> Surface:
     gaussians, volume = context.mapper.map, context.volume
     inside = volume.contains(gaussians.means)
     means, opacity = gaussians.means[inside], gaussians.opacities[inside].astype(np.float64)
-    names, place = np.unique(np.ravel_multi_index(tuple(volume.voxel_of(means).T), volume.shape), return_inverse=True)
+    flat = np.ravel_multi_index(tuple(volume.voxel_of(means).T), volume.shape)
+    voxel_ids, place = np.unique(flat, return_inverse=True)
     total = np.bincount(place, weights=opacity)
     squares = np.bincount(place, weights=opacity**2)
     points = np.stack([np.bincount(place, weights=opacity * means[:, axis]) for axis in range(3)], axis=1)
     solid = total > context.coverage_alpha
     return _with_normals(
-        volume, names[solid], points[solid] / total[solid, None], np.sqrt(squares[solid]) / total[solid]
+        volume, voxel_ids[solid], points[solid] / total[solid, None], np.sqrt(squares[solid]) / total[solid]
     )
 
 
@@ -108,10 +109,11 @@ def _perturbed(context: GainContext, *, everything: bool) -> Surface:
     points = _in_world(camera.rays()[None] * depth[..., None], poses)[covered]
     inside = volume.contains(points)
     points, change = points[inside], change[inside] / PERTURBATIONS
-    names, place = np.unique(np.ravel_multi_index(tuple(volume.voxel_of(points).T), volume.shape), return_inverse=True)
+    flat = np.ravel_multi_index(tuple(volume.voxel_of(points).T), volume.shape)
+    voxel_ids, place = np.unique(flat, return_inverse=True)
     pixels = np.bincount(place)
     means = np.stack([np.bincount(place, weights=points[:, axis]) for axis in range(3)], axis=1) / pixels[:, None]
-    return _with_normals(volume, names, means, np.bincount(place, weights=change) / pixels)
+    return _with_normals(volume, voxel_ids, means, np.bincount(place, weights=change) / pixels)
 
 
 def covering_views(context: GainContext) -> np.ndarray:  # [<= VIEWS] rows
@@ -122,8 +124,8 @@ def covering_views(context: GainContext) -> np.ndarray:  # [<= VIEWS] rows
     points = _in_world(rays[None] * depth[..., None], context.world_from_camera)
     good = (alpha > context.coverage_alpha) & volume.contains(points)
     view = np.nonzero(good)[0]
-    names = np.ravel_multi_index(tuple(volume.voxel_of(points[good]).T), volume.shape)
-    _, place = np.unique(names, return_inverse=True)
+    voxel_ids = np.ravel_multi_index(tuple(volume.voxel_of(points[good]).T), volume.shape)
+    _, place = np.unique(voxel_ids, return_inverse=True)
     sees: np.ndarray = np.zeros((len(alpha), int(place.max(initial=-1)) + 1), dtype=bool)
     sees[view, place] = True
     chosen: list[int] = []
@@ -161,8 +163,8 @@ def clusters(surface: Surface, keep: float) -> Clusters:
     return Clusters(size[order] / total, centres + STAND_OFF * normals, centres, directions)
 
 
-def _with_normals(volume: VoxelVolume, names: np.ndarray, points: np.ndarray, uncertainty: np.ndarray) -> Surface:
-    voxels = np.stack(np.unravel_index(names, volume.shape), axis=1)
+def _with_normals(volume: VoxelVolume, voxel_ids: np.ndarray, points: np.ndarray, uncertainty: np.ndarray) -> Surface:
+    voxels = np.stack(np.unravel_index(voxel_ids, volume.shape), axis=1)
     normals = free_side(volume, voxels)
     good = normals.any(axis=1)
     return Surface(voxels[good], points[good], normals[good], uncertainty[good])

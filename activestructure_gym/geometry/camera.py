@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+
+
+class Lens(NamedTuple):
+    """Focal lengths and principal point in pixels, for kernels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,11 @@ class PinholeCamera:
         """The same camera sampled with another number of pixels."""
         sx, sy = width / self.width, height / self.height
         return PinholeCamera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
+
+    @property
+    def lens(self) -> Lens:
+        """The intrinsics without the image's size."""
+        return Lens(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def matrix(self) -> np.ndarray:  # [3, 3]

@@ -18,10 +18,10 @@ from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reliability import DirectionalReliability
-from activestructure_gym.mapping.scans import CHUNK, fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
 from activestructure_gym.splatting import cpu
 

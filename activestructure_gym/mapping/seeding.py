@@ -15,7 +15,7 @@ from activestructure_gym.geometry import invert_rigid, transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
-from activestructure_gym.mapping.scans import larger_in_view
+from activestructure_gym.mapping.map_passes import larger_in_view
 
 
 def missing_pixels(

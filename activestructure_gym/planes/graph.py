@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.compiling.crew import default_threads
+from activestructure_gym.compiling.thread_team import default_threads
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
 from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
@@ -24,7 +24,7 @@ from activestructure_gym.planes.quality import (
 )
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches
 from activestructure_gym.planes.state import GraphState
-from activestructure_gym.planes.surface import cross, length, observe
+from activestructure_gym.planes.surface import observe
 from activestructure_gym.planes.surprise import SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.topology import (
     TopologyConfig,
@@ -33,6 +33,7 @@ from activestructure_gym.planes.topology import (
     spanning_forest,
     tree_betweenness,
 )
+from activestructure_gym.planes.vectors import cross, length
 from activestructure_gym.ranges import check_ranges
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes import matching_kernels as kernels
 from activestructure_gym.planes.detection import PlaneSegment, cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
-from activestructure_gym.planes.surface import distance
+from activestructure_gym.planes.vectors import distance
 from activestructure_gym.ranges import check_ranges
 
 _RANGES = {

@@ -9,7 +9,8 @@ import numpy as np
 
 from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.detection_kernels import MOMENTS
-from activestructure_gym.planes.surface import Patch, SurfaceGrid, distance, length
+from activestructure_gym.planes.surface import Patch, SurfaceGrid
+from activestructure_gym.planes.vectors import distance, length
 
 _SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # where the moments hold the matrix of the second ones
 

@@ -13,11 +13,13 @@ import cv2
 import numpy as np
 
 from activestructure_gym.errors import InputError, shown
-from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes import quality_kernels as kernels
 from activestructure_gym.planes.detection import cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches, sparse_patches
-from activestructure_gym.planes.surface import SurfaceGrid, disc, length, stack_grids
+from activestructure_gym.planes.surface import SurfaceGrid, disc, stack_grids
+from activestructure_gym.planes.surface_kernels import UNKNOWN
+from activestructure_gym.planes.vectors import length
 from activestructure_gym.ranges import check_ranges
 
 QUALITY_MODES = (
@@ -143,7 +145,7 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     mask[part] = inner
     missing = inner > seen[part]
     if not config.count_explained_holes:
-        missing &= surface.beside[part] == kernels.UNKNOWN
+        missing &= surface.beside[part] == UNKNOWN
     total = cv2.countNonZero(mask)
     share = int(np.count_nonzero(missing)) / max(total, 1)
     return Interior(mask, share, total, hull_cells, missing, np.array([top, left]))
@@ -308,7 +310,7 @@ def find_deficiencies(
             normals.append(np.repeat(node.normal[None], len(cells), axis=0))
             areas.append(cells_each * node.surface.cell**2)
             owner.append(np.full(len(cells), k, np.int64))
-            explained.append(node.surface.beside[cells[:, 0], cells[:, 1]] != kernels.UNKNOWN)
+            explained.append(node.surface.beside[cells[:, 0], cells[:, 1]] != UNKNOWN)
     sizes = [np.full(sum(map(len, areas)), np.inf)]
     if coarse is not None and nodes:
         centres.append(coarse.centres)

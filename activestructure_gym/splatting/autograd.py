@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from activestructure_gym.compiling.crew import default_threads
+from activestructure_gym.compiling.thread_team import default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import layout, passes
 from activestructure_gym.splatting.packing import packed, unpacked
 from activestructure_gym.splatting.spherical_harmonics import shade, unshade
-from activestructure_gym.splatting.workspace import Lease, make_grid, make_view
+from activestructure_gym.splatting.workspace import PooledWorkspace, make_grid, make_view
 
 _TO_GRADIENT, _TO_POSE = np.zeros((2, layout.RATES), np.float32)
 _TO_GRADIENT[layout.MODE], _TO_POSE[layout.MODE] = layout.TO_GRADIENT, layout.POSE_ONLY
@@ -48,8 +48,8 @@ class CpuRasterization(torch.autograd.Function):
         pictures, ctx.rendered = [], []
         goes_back = any(ctx.needs_input_grad)
         for pose in poses:
-            lease = Lease()
-            workspace = lease.workspace
+            pooled = PooledWorkspace()
+            workspace = pooled.workspace
             if coefficients is not None:
                 view, grid = make_view(camera, pose), make_grid(count, ctx.parameters.shape[1], camera)
                 shade(ctx.parameters, coefficients, pose, view, grid, ctx.threads)
@@ -65,7 +65,7 @@ class CpuRasterization(torch.autograd.Function):
                 own.append(passes.median_depth(workspace))
             pictures.append(own)
             if goes_back:
-                ctx.rendered.append((lease, kept))
+                ctx.rendered.append((pooled, kept))
         if camera_from_world.dim() == 2:
             outputs = [torch.from_numpy(picture) for picture in pictures[0]]
         else:
@@ -92,8 +92,8 @@ class CpuRasterization(torch.autograd.Function):
         by_channels = torch.zeros(channels.shape if channels is not None else 0)
         by_pose = np.zeros((cameras, 4, 4), np.float32)
         part = total
-        for index, (lease, kept) in enumerate(ctx.rendered):
-            workspace, own_pose = lease.workspace, by_pose[index, :3]
+        for index, (pooled, kept) in enumerate(ctx.rendered):
+            workspace, own_pose = pooled.workspace, by_pose[index, :3]
             if index:
                 part = np.zeros_like(part)
             own = [

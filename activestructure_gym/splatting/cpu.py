@@ -10,11 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.compiling.crew import CREW, default_threads
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import kernels, layout
-from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, inverse_of_pose, make_grid, make_view
+from activestructure_gym.splatting.workspace import (
+    MAX_ALPHA,
+    PooledWorkspace,
+    fitted,
+    inverse_of_pose,
+    make_grid,
+    make_view,
+)
 
 PARAMETER_ROWS = layout.ROWS
 
@@ -102,12 +109,12 @@ def render(
     ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
     """
     _check(parameters, count)
-    lease = Lease()
-    lease.workspace.render(
+    pooled = PooledWorkspace()
+    pooled.workspace.render(
         fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha, threads=threads,
         keep=False, unseen=unseen,
     )  # fmt: skip
-    return Rendering(*lease.workspace.pictures())
+    return Rendering(*pooled.workspace.pictures())
 
 
 def render_depth_alpha(
@@ -127,7 +134,7 @@ def render_depth_alpha(
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     tickets = np.zeros(1, np.int64)
     arguments = (tickets, parameters, views, make_grid(count, parameters.shape[1], camera), depth, alpha)
-    CREW.run(kernels.score, arguments, min(threads or default_threads(), max(1, len(poses))))
+    TEAM.run(kernels.score, arguments, min(threads or default_threads(), max(1, len(poses))))
     shape = (len(poses), camera.height, camera.width)
     return depth.reshape(shape), alpha.reshape(shape)
 
@@ -170,8 +177,8 @@ def mapping_step(
         raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")
     state = (parameters, first_moment, second_moment)
     used = tuple(fitted(array) for array in state)
-    lease = Lease()
-    workspace = lease.workspace
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
     pose, of_color = inverse_of_pose(world_from_camera), weights.image * weights.l1_share
     if weights.image * (1.0 - weights.l1_share) == 0.0:
         workspace.prepare(used[0], count, camera, pose, threads=threads, unseen=unseen)
@@ -209,8 +216,8 @@ def pose_gradient(
     """
     _check(parameters, count)
     pose = inverse_of_pose(world_from_camera)
-    lease = Lease()
-    workspace, used = lease.workspace, fitted(parameters)
+    pooled = PooledWorkspace()
+    workspace, used = pooled.workspace, fitted(parameters)
     workspace.prepare(used, count, camera, pose, threads=threads)
     of_color = weights.color / 3.0 if weights.mean else weights.color
     color, depth, pixels, by_pose = workspace.tracking_losses(

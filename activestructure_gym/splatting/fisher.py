@@ -16,7 +16,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.cpu import _check
 from activestructure_gym.splatting.simd import LANES
-from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, Workspace, fitted, flat, inverse_of_pose
+from activestructure_gym.splatting.workspace import MAX_ALPHA, PooledWorkspace, Workspace, fitted, flat, inverse_of_pose
 
 TOUCH_TRANSMITTANCE = 0.5  # the released counters take 0.5 or 0.8
 BLOCK_NUMBERS = 21  # of a symmetric 6 x 6 matrix
@@ -104,8 +104,8 @@ def view_information(
 
 def _of_view(given, pose, channels, values, touch, options) -> ViewInformation:  # type: ignore[no-untyped-def]
     parameters, count, camera = given
-    lease = Lease()
-    workspace = lease.workspace
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
     workspace.prepare(parameters, count, camera, inverse_of_pose(pose), **options)
     width = len(channels) // max(1, count)
     pictures = np.empty((camera.height, camera.width, width), np.float32)

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from activestructure_gym.compiling.crew import CREW, default_threads
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import counters, image_losses, kernels, layout, stepping, tile_losses
 from activestructure_gym.splatting.simd import LANES
@@ -367,17 +367,17 @@ class Workspace:
 
     def _run(self, kernel, *arguments) -> None:
         self.tickets[counters.THREAD_TICKET] = self.tickets[counters.GIVEN_UP] = 0
-        CREW.run(kernel, (self.tickets, *arguments), self.threads)
+        TEAM.run(kernel, (self.tickets, *arguments), self.threads)
 
 
-class Lease:
-    """A workspace from the pool, given back when the lease is dropped (whoever needs the state keeps the lease)."""
+class PooledWorkspace:
+    """A workspace from the pool, given back when this is dropped (whoever needs the state keeps it)."""
 
     _free: list[Workspace] = []  # list.append and list.pop are atomic
 
     def __init__(self) -> None:
         try:
-            self.workspace = Lease._free.pop()
+            self.workspace = PooledWorkspace._free.pop()
         except IndexError:
             self.workspace = Workspace()
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.compiling.crew import CREW, default_threads
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.splatting.counters import take_ticket
@@ -63,40 +64,42 @@ def cosines_in_sight(
         blocking, eyes, ends = volume.occupied, volume.in_voxels(poses[:, :3, 3]), volume.in_voxels(points)
     shape = (len(poses), len(points), points.shape[1])
     cosines, counts = np.zeros(shape), np.zeros(shape[:2], np.int64)
-    arguments = (
-        np.zeros(1, np.int64),
+    targets = _Targets(
         points,
         np.ascontiguousarray(normals, dtype=np.float64),
-        poses,
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], dtype=np.float64),
-        np.full(len(points), farthest, dtype=np.float64),
-        blocking,
-        eyes,
         ends,
+        np.full(len(points), farthest, dtype=np.float64),
         min(enough, points.shape[1] + 1),
-        cosines,
-        counts,
     )
-    CREW.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], dtype=np.float64)
+    arguments = (np.zeros(1, np.int64), targets, poses, eyes, lens, blocking, cosines, counts)
+    TEAM.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
     return cosines, counts
+
+
+class _Targets(NamedTuple):
+    """What is looked at."""
+
+    points: np.ndarray  # [P, S, 3] metres, world
+    normals: np.ndarray  # [P, 3]
+    ends: np.ndarray  # [P, S, 3] the points in voxels
+    farthest: np.ndarray  # [P] metres of depth
+    enough: int  # points of a row
 
 
 @kernel
 def _cosines_in_sight(
     tickets: np.ndarray,  # [1] int64, the candidates that threads have taken
-    points: np.ndarray,  # [P, S, 3] metres, world
-    normals: np.ndarray,  # [P, 3]
+    targets: _Targets,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
-    farthest: np.ndarray,  # [P] metres of depth
-    blocking: np.ndarray,  # [X, Y, Z] bool
     eyes: np.ndarray,  # [K, 3] voxels
-    ends: np.ndarray,  # [P, S, 3] voxels
-    enough: int,
+    lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
+    blocking: np.ndarray,  # [X, Y, Z] bool
     cosines: np.ndarray,  # [K, P, S], zeros, written to
     counts: np.ndarray,  # [K, P], zeros, written to
 ) -> None:
     """Cheap tests first, the line of sight last; asked in every step of every candidate, hence compiled."""
+    points, normals, ends, farthest, enough = targets
     samples = points.shape[1]
     while True:
         k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]

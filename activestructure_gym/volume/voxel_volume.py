@@ -130,17 +130,19 @@ class VoxelVolume:
         depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
         if not np.isfinite(depth).all():
             depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         fresh = self._last_view is None or bool(
             np.linalg.norm(view[:3, 3] - self._last_view[:3, 3]) > 0.02
             or rotation_angle(view, self._last_view) > np.radians(1.0)
         )
         if fresh:
             self._last_view = view.copy()
-        integration.mark_hits(
-            depth, intrinsics, view, self.origin, self.voxel_size, config.max_range, self.state, self._solidity,
-            self._miss_chance, self._parts, self._last_hit, self._images, config.hit_gain, config.hit_ceiling,
+        voxels = integration.VoxelFields(
+            self.origin, self.voxel_size, self.state, self._solidity, self._miss_chance, self._parts, self._last_hit,
+            self.tsdf, self.weight,
         )  # fmt: skip
+        integration.mark_hits(
+            depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
+        )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
         # Where returns are lost, the rays that are left count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
@@ -149,10 +151,13 @@ class VoxelVolume:
         lower, upper = self._frustum_box(frame, float(free_to.max(initial=0.0)))
         pyramid, levels = minimum_pyramid(free_to)
         integration.carve(
-            depth, pyramid, levels, intrinsics, camera_from_world, *planes, self.origin, self.voxel_size, config.margin,
-            config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
-            config.max_weight, fresh, self._images, lower, upper, self.state, self._solidity, self._miss_chance,
-            self._parts, self._last_hit, self.tsdf, self.weight,
+            integration.Look(self._images, fresh, depth, pyramid, levels, camera.lens, camera_from_world),
+            integration.Frustum(*planes, lower, upper),
+            voxels,
+            integration.Caution(
+                config.margin, config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
+                config.max_weight,
+            ),
         )  # fmt: skip
         self._images += 1
         self._changed()

@@ -16,7 +16,7 @@ A comparison's directory::
         graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
         pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
     logs/<job name>.log          what a worker wrote to its standard error
-    .lock                        who is at work here; see `holding`
+    .lock                        who is at work here; see `directory_lock`
     summary.md, results.csv, *.png
 """
 

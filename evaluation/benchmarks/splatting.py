@@ -22,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.compiling.crew import CREW
+from activestructure_gym.compiling.thread_team import TEAM
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
 from activestructure_gym.splatting import kernels, layout
 from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
 from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.simd import LANES
-from activestructure_gym.splatting.workspace import Lease, aligned_zeros, inverse_of_pose
+from activestructure_gym.splatting.workspace import PooledWorkspace, aligned_zeros, inverse_of_pose
 
 WORKLOADS = ("W1", "W2", "W3", "W4")
 _SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
@@ -200,7 +200,7 @@ def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
     for _ in range(tries):
         tickets = np.zeros(1, np.int64)
         start = time.perf_counter()
-        CREW.run(kernels.multiply_add, (tickets, rounds, pieces, values), threads)
+        TEAM.run(kernels.multiply_add, (tickets, rounds, pieces, values), threads)
         best = min(best, time.perf_counter() - start)
     return 10 * 2 * LANES * pieces * rounds / best
 
@@ -209,8 +209,8 @@ def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]
     """Visible Gaussians, and how many (pixel, Gaussian) pairs enter the picture: the pixel still open and alpha at
     least 1/255.
     """
-    lease = Lease()
-    workspace = lease.workspace
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
     workspace.render(work.parameters, work.count, work.camera, invert_rigid(world_from_camera), threads=1, keep=False)
     visible = np.unpackbits(workspace.visible[: -(-work.count // LANES)].view(np.uint8)).sum()
     splats = workspace.entries[layout.SORTED_SPLAT]
@@ -255,13 +255,13 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
             weights, _RATES, threads=threads,
         )  # fmt: skip
 
-    lease, gradient = Lease(), np.zeros_like(work.parameters)
-    workspace = lease.workspace
+    pooled, gradient = PooledWorkspace(), np.zeros_like(work.parameters)
+    workspace = pooled.workspace
     height, width = work.target_depth.shape
     images = (np.ones((height, width, 3), np.float32), *np.ones((2, height, width), np.float32))
 
     def there_and_back(threads: int) -> None:
-        _ = lease  # holds the workspace
+        _ = pooled  # holds the workspace
         workspace.render(work.parameters, work.count, work.camera, inverse_of_pose(work.poses[0]), threads=threads)
         workspace.set_gradient_images(*images)
         workspace.backward(np.zeros(layout.RATES, np.float32), gradient, gradient, gradient)

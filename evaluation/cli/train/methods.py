@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.cli.options import parse_overrides, split_li
 from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.training.config import TrainingConfig
+    from activestructure_gym.evaluation.training.config import Method, TrainingConfig
 
 # How and where a run is made, and not what is learnt.
 _MANNER = ("out", "resume", "workers", "data", "trust_code")
@@ -24,7 +24,7 @@ _MANNER = ("out", "resume", "workers", "data", "trust_code")
 class Learning(Episodes):
     """What every method takes."""
 
-    method: ClassVar[str]
+    method: ClassVar[Method]
 
     out: PathName = None
     """The run's directory; runs/<method>-<date>-<time> if not given. Its policy is learned:DIRECTORY."""
@@ -96,7 +96,7 @@ class _FromExpert(Learning):
 class Bc(_FromExpert):
     """Copy an expert: its choice among the candidates."""
 
-    method: ClassVar[str] = "bc"
+    method: ClassVar[Method] = "bc"
 
     temperature: float = 0.04
     """How sharply its probabilities fall with the expert's score; what PPO begins from draws from them."""
@@ -106,14 +106,14 @@ class Bc(_FromExpert):
 class Rank(_FromExpert):
     """Learn the order of an expert's gains."""
 
-    method: ClassVar[str] = "rank"
+    method: ClassVar[Method] = "rank"
 
 
 @dataclass(frozen=True)
 class Ppo(Learning):
     """Learn from rewards, best from a checkpoint of bc."""
 
-    method: ClassVar[str] = "ppo"
+    method: ClassVar[Method] = "ppo"
 
     start: PathName = None
     """The checkpoint to begin from (a run's directory or a file)."""

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import directory_lock as holding
+from activestructure_gym.evaluation.archive import directory_lock
 from activestructure_gym.evaluation.archive.directory_lock import check_free, hold
 from activestructure_gym.evaluation.running.comparison import check_output
 
@@ -46,7 +46,7 @@ def holder(tmp_path):
 def test_the_second_is_told_who_the_first_is_and_leaves_all_as_it_is(holder, tmp_path):
     process, _ = holder
     place = tmp_path / "out"
-    before = (place / holding.LOCK).read_bytes()
+    before = (place / directory_lock.LOCK).read_bytes()
     for attempt in (
         lambda: hold(place).__enter__(),
         lambda: check_free(place),
@@ -54,17 +54,17 @@ def test_the_second_is_told_who_the_first_is_and_leaves_all_as_it_is(holder, tmp
     ):
         with pytest.raises(InputError, match=f"process {process.pid} is at work in '.*out'"):
             attempt()
-    assert (place / holding.LOCK).read_bytes() == before
+    assert (place / directory_lock.LOCK).read_bytes() == before
 
 
 def test_the_hold_of_a_killed_supervisor_ends_with_its_last_worker(holder, tmp_path, monkeypatch):
     process, worker = holder
     process.kill()
     process.wait()
-    monkeypatch.setattr(holding, "_PATIENCE", 0.3)
+    monkeypatch.setattr(directory_lock, "_PATIENCE", 0.3)
     with pytest.raises(InputError, match=f"runs that process {process.pid} began before it was killed"):
         check_free(tmp_path / "out")
-    monkeypatch.setattr(holding, "_PATIENCE", 30.0)
+    monkeypatch.setattr(directory_lock, "_PATIENCE", 30.0)
     began = time.monotonic()
     os.kill(worker, signal.SIGKILL)
     with hold(tmp_path / "out"):
@@ -81,7 +81,7 @@ def test_a_hold_ends_with_its_block(tmp_path):
 
 
 def test_another_machine_is_not_waited_for(holder, tmp_path):
-    (tmp_path / "out" / holding.LOCK).write_text("1 abcdef")
+    (tmp_path / "out" / directory_lock.LOCK).write_text("1 abcdef")
     with pytest.raises(InputError, match="a process of another machine is at work"):
         check_free(tmp_path / "out")
 

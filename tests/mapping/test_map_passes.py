@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.mapping.scans import CHUNK, fit_to_stay, larger_in_view
+from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay, larger_in_view
 
 CAPACITY, COUNT = 3072, 2500  # more than one block, and not a whole number of them
 

@@ -1,7 +1,7 @@
 """A few worker threads that run one compiled kernel together.
 
 Raw locks wake a worker in a few microseconds; a thread pool needs about 20, and OpenMP threads spin and break under
-fork. The kernels release the GIL and share their work by atomic tickets, so the crew only has to call the same function
+fork. The kernels release the GIL and share their work by atomic tickets, so the team only has to call the same function
 once per thread.
 """
 
@@ -63,7 +63,7 @@ class _Worker:
             self.done.release()
 
 
-class Crew:
+class ThreadTeam:
     """Calls a kernel on several threads at once; done when the caller's own call and all that began have returned.
 
     The kernel must do the whole work however few threads come.
@@ -77,7 +77,7 @@ class Crew:
     def run(self, kernel: Callable, arguments: tuple, threads: int) -> None:
         """``kernel(*arguments)`` on up to ``threads`` threads, this one included.
 
-        A second Python thread that comes while the crew is out works alone: tickets make that the same result.
+        A second Python thread that comes while the team is out works alone: tickets make that the same result.
         """
         if self._process != os.getpid():  # threads do not survive a fork, nor does the state of their locks
             self._workers, self._process, self._busy = [], os.getpid(), _thread.allocate_lock()
@@ -111,4 +111,4 @@ class Crew:
             self._busy.release()
 
 
-CREW = Crew()
+TEAM = ThreadTeam()

@@ -149,11 +149,11 @@ def scene_label(spec: str, parts: int = 1) -> str:
 def scene_labels(specs: Iterable[str]) -> dict[str, str]:
     """Short names that differ for different specs."""
     specs = list(dict.fromkeys(specs))
-    for parts in (1, 2, 3):
+    for parts in range(1, 1 + max((len(PurePath(spec).parts) for spec in specs), default=1)):
         labels = {spec: scene_label(spec, parts) for spec in specs}
         if len(set(labels.values())) == len(specs):
             return labels
-    return {spec: spec for spec in specs}
+    return {spec: f"{scene_label(spec)} ({number})" for number, spec in enumerate(specs, start=1)}
 
 
 def policy_label(spec: str) -> str:

@@ -40,8 +40,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import run_files
-from activestructure_gym.evaluation.archive import schema
+from activestructure_gym.evaluation.archive import run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, scene_label
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
 from activestructure_gym.npz import read_npz

@@ -13,6 +13,7 @@ import numpy as np
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import layout
 from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
+from activestructure_gym.evaluation.report.formats import spreadsheet_text
 from activestructure_gym.evaluation.report.layout import Heading, Table
 
 if TYPE_CHECKING:
@@ -128,11 +129,12 @@ def runs_csv(runs: Sequence[Run]) -> str:
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    titles = ["scene", "policy", "seed", "preset", "protocol", "job"]
+    titles = ["scene", "scene_hash", "policy", "seed", "preset", "protocol", "job"]
     writer.writerow([*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
     for run, numbers in zip(runs, scalars):
         job = run.job
-        identity = [job.scene, job.policy, job.seed, job.preset, job.protocol.name, job.hash]
+        scene, policy = (spreadsheet_text(name) for name in (run.scene, job.policy))
+        identity = [scene, job.scene_hash[:16], policy, job.seed, job.preset, job.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
         writer.writerow([*identity, *values, run.timing["total"], *seconds])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import run_files
+from activestructure_gym.evaluation.archive import run_files
 from activestructure_gym.evaluation.archive.jobs import refuse_code
 from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.archive.store import CONFIG, Run, plain

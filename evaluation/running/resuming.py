@@ -13,8 +13,7 @@ from typing import Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import run_files
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import run_files, store
 from activestructure_gym.evaluation.archive.jobs import Job
 
 _REMEDY = (

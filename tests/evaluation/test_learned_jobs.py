@@ -20,7 +20,7 @@ from activestructure_gym.policies.learned import learned_from
 from activestructure_gym.policies.learned.checkpoint import save_checkpoint
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork
-from tests.evaluation.archive import write_run
+from tests.evaluation.written_runs import write_run
 
 
 @pytest.fixture

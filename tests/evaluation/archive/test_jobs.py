@@ -80,6 +80,11 @@ def test_short_names_of_scenes(spec, label):
 def test_files_of_one_name_are_told_apart():
     labels = scene_labels(["a/scene.glb", "b/scene.glb", "room"])
     assert labels == {"a/scene.glb": "a/scene", "b/scene.glb": "b/scene", "room": "room"}
+    # However deep they lie, the place of neither is told; nor where only folders in options differ.
+    deep = [f"/home/me/{name}/1/2/3/4/scene.glb" for name in "ab"]
+    assert list(scene_labels(deep).values()) == ["a/1/2/3/4/scene", "b/1/2/3/4/scene"]
+    options = [f"room.glb?sequence=/home/{name}/views" for name in "ab"]
+    assert list(scene_labels(options).values()) == ["room?sequence=views (1)", "room?sequence=views (2)"]
 
 
 def test_files_are_found_from_any_directory(tmp_path, monkeypatch):

@@ -9,8 +9,8 @@ from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import machine_mark
 from activestructure_gym.evaluation.running.comparison import open_comparison
-from tests.evaluation.archive import JOB as ARCHIVED
-from tests.evaluation.archive import write_comparison, write_run
+from tests.evaluation.written_runs import JOB as ARCHIVED
+from tests.evaluation.written_runs import write_comparison, write_run
 
 JOB = Job("box", "random", 0)
 

@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.running import comparison, engines
 from activestructure_gym.evaluation.running.comparison import Comparison, check_output, jobs_to_resume, run_comparison
 from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome, run_directory
 from activestructure_gym.evaluation.running.resuming import conditions, recorded_jobs
-from tests.evaluation.archive import write_comparison, write_run
+from tests.evaluation.written_runs import write_comparison, write_run
 
 JOB = Job("box", "random", 0, scene_hash="a" * 64, preset="fast", frame_budget=9, overrides=(("sensor.width", 64),))
 

@@ -171,7 +171,7 @@ class GaussianMap:
         types = [content[name].dtype for name in ("parameters", "first_moment", "second_moment")]
         if any(dtype.kind != "f" for dtype in types):
             raise InputError(f"'{path}' should hold three arrays of floats, but their types are {types}")
-        if not all(np.isfinite(block).all() for block in blocks):
+        if not all(block is not None and np.isfinite(block).all() for block in blocks):
             raise InputError(f"'{path}' holds Gaussians with values that are not finite")
         loaded = cls(shapes[0][1])
         loaded.append(content["parameters"])

@@ -149,7 +149,7 @@ def _members(stream: IO[bytes], archive: zipfile.ZipFile) -> Iterator[tuple[str,
         stream.seek(start)
         checksum = zlib.crc32(stream.read(entry.file_size - array.nbytes))
         if array.size:
-            checksum = zlib.crc32(array.reshape(-1, order="A").view(np.uint8), checksum)
+            checksum = zlib.crc32(array.reshape(-1, order="A").view(np.uint8).data, checksum)
         if checksum != entry.CRC:
             raise ValueError("the checksum is another one")
         yield entry.filename, array

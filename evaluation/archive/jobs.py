@@ -140,12 +140,13 @@ def scene_label(spec: str, parts: int = 1) -> str:
 
 
 def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the content's hash, empty if unknown
-    """Short names by spec, which differ for different specs and never hold a whole path.
+    """Short names by spec, which differ for different specs and never hold a whole absolute path.
 
-    Where three names of folders tell two files apart no better than one, the first digits of their content do,
+    Where the names of folders tell two files apart no better than the file's own, the first digits of their content do,
     ``house@01234567``; of one content under several names, and of unknown content, their order.
     """
-    for parts in (1, 2, 3):
+    deepest = max((len(PurePath(_split_spec(spec)[1]).parts) for spec in hashes), default=1)
+    for parts in range(1, max(4, deepest - 1)):
         labels = {spec: scene_label(spec, parts) for spec in hashes}
         if len(set(labels.values())) == len(labels):
             return labels
@@ -156,7 +157,7 @@ def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the c
     for spec, label in by_content.items():
         taken.setdefault(label, []).append(spec)
     return {
-        spec: label if len(taken[label]) == 1 else f"{label}-{taken[label].index(spec) + 1}"
+        spec: label if len(taken[label]) == 1 else f"{label} ({taken[label].index(spec) + 1})"
         for spec, label in by_content.items()
     }
 

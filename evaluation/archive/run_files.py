@@ -24,6 +24,8 @@ from activestructure_gym.evaluation.archive.schema import (
 _FARTHEST = 1e6  # metres
 _WIDEST_IMAGE = 16384  # pixels
 _MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
+_MOST_POSES, _MOST_PICTURES = 200_000, 64
+_MOST_PLANES, _MOST_MARKS = 20_000, 500_000
 _RIGID = 1e-3  # how far a rotation matrix may be from one
 _UNIT = 1e-2  # how far a normal's length may be from 1
 
@@ -122,9 +124,14 @@ STEP: Check = table(
     },
 )  # fmt: skip
 
-_PLACE = {"low": -_FARTHEST, "high": _FARTHEST}
+
+def _places(*shape: int | str, least: int = 0) -> Array:
+    """Positions in the world, metres."""
+    return Array("f", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
+
+
 _TRAJECTORY = {
-    "world_from_camera": Array("f", ("T", 4, 4), **_PLACE, least=1),
+    "world_from_camera": _places("T", 4, 4, least=1),
     "keyframes": Array("iu", ("K",), low=0, least=1),
     "intrinsics": Array("f", (4,)),
     "image_size": Array("iu", (2,), low=1, high=_WIDEST_IMAGE),
@@ -134,7 +141,7 @@ _PICTURES = {
     "true": Array("u", ("views", "height", "width", 3), high=255, least=1),
     "psnr": Array("f", ("views",), least=1),
     "plan_state": Array("u", ("columns", "rows"), high=2, least=1),
-    "plan_corner": Array("f", (2,), **_PLACE),
+    "plan_corner": _places(2),
     "plan_extent": Array("f", (2,), low=1e-3, high=_FARTHEST),
     "above_rgb": Array("u", ("h", "w", 3), high=255, least=1),
     "above_alpha": Array("u", ("h", "w"), high=255, least=1),
@@ -143,19 +150,19 @@ _GRAPH = {
     "ids": Array("iu", ("planes",)),
     "normals": Array("f", ("planes", 3), low=-2, high=2),
     "offsets": Array("f", ("planes",)),
-    "centroids": Array("f", ("planes", 3), **_PLACE),
+    "centroids": _places("planes", 3),
     "areas": Array("f", ("planes",), low=0),
     "structural": Array("b", ("planes",)),
     "deficit": Array("f", ("planes",)),
     "edges": Array("iu", ("edges", 2), low=0),
     "edge_weights": Array("f", ("edges",)),
     "edge_in_tree": Array("b", ("edges",)),
-    "deficiency_centres": Array("f", ("holes", 3), **_PLACE),
+    "deficiency_centres": _places("holes", 3),
     "deficiency_normals": Array("f", ("holes", 3)),
     "deficiency_areas": Array("f", ("holes",), low=0),
     "deficiency_planes": Array("iu", ("holes",), low=0),
     "cell": Array("f", (), low=1e-4, high=1e3),
-    "patch_corners": Array("f", ("planes", 3), **_PLACE),
+    "patch_corners": _places("planes", 3),
     "patch_axes": Array("f", ("planes", 2, 3), low=-2, high=2),
     "patch_shapes": Array("iu", ("planes", 2), low=0, high=1e6),
     "patch_starts": Array("iu", ("starts",), low=0),
@@ -166,6 +173,8 @@ _GRAPH = {
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Poses are rigid, keyframes are among them, and the camera is one."""
     sizes = check_arrays(arrays, _TRAJECTORY)
+    if sizes["T"] > _MOST_POSES:
+        raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
     poses = arrays["world_from_camera"]
     rotations = poses[:, :3, :3]
     off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
@@ -182,13 +191,17 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
 
 def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
     """Views of one size, and the parts of a plan."""
-    check_arrays(arrays, _PICTURES)
+    sizes = check_arrays(arrays, _PICTURES)
+    if sizes["views"] > _MOST_PICTURES:
+        raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
 
 
 def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
     """Everything that refers to planes does so within them, and their patches are as large as their bits."""
     sizes = check_arrays(arrays, _GRAPH)
     planes = sizes["planes"]
+    if planes > _MOST_PLANES or sizes["edges"] + sizes["holes"] > _MOST_MARKS:
+        raise Mismatch(f"it holds {planes} planes, {sizes['edges']} edges and {sizes['holes']} holes: too many to draw")
     for name in ("edges", "deficiency_planes"):
         if arrays[name].size and int(arrays[name].max()) >= planes:
             raise Mismatch(f"{name} points behind the {planes} planes")
@@ -202,6 +215,8 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
 
 def check_steps(steps: list[Any]) -> None:
     """Decisions in their order."""
+    if len(steps) > _MOST_POSES:
+        raise Mismatch(f"it holds {len(steps)} decisions, at most {_MOST_POSES} are read")
     for number_, step in enumerate(steps, start=1):
         STEP(step, f"line {number_}")
     frames = [step["frames"] for step in steps]

@@ -174,7 +174,8 @@ def check_arrays(arrays: Mapping[str, np.ndarray], layout: Mapping[str, Array]) 
     sizes: dict[str, int] = {}
     for name, wanted in layout.items():
         found = arrays[name]
-        expected = " x ".join(map(str, (sizes.get(size, size) for size in wanted.shape))) or "a single number"
+        known = (sizes.get(size, size) if isinstance(size, str) else size for size in wanted.shape)
+        expected = " x ".join(map(str, known)) or "a single number"
         if found.ndim != len(wanted.shape) or found.dtype.kind not in wanted.kinds:
             raise Mismatch(f"{name}: expected {expected}, got {found.dtype} of the shape {found.shape}")
         for size, have in zip(wanted.shape, found.shape):

@@ -111,9 +111,7 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     else:
         folder = Path(os.path.expanduser(place))
         if not folder.exists():
-            raise InputError(
-                f"the LPIPS weights {shown(place)} do not exist; give a folder with both files, or one"
-            )
+            raise InputError(f"the LPIPS weights {shown(place)} do not exist; give a folder with both files, or one")
         folder = folder if folder.is_dir() else folder.parent
     present = {}
     for path in sorted(folder.glob("*.pth")) if folder.is_dir() else ():
@@ -122,7 +120,9 @@ def find_weights(place: str | None, expected: tuple[WeightFile, ...] = PUBLISHED
     missing = [file for file in expected if file.sha256 not in present]
     if missing:
         wanted = " and ".join(f"{file.what} ({file.usual_name}, sha256 {file.sha256[:8]}...)" for file in missing)
-        return [], f"weights not supplied: {folder} does not hold {wanted}; --lpips-weights FOLDER takes them"
+        # The reason stands in results, which must not differ from user to user: no path.
+        holder = "the cache of torch's hub" if place is None else f"the folder '{folder.name}'"
+        return [], f"weights not supplied: {holder} does not hold {wanted}; --lpips-weights FOLDER takes them"
     return [present[file.sha256] for file in expected], ""
 
 

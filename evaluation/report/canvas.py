@@ -17,6 +17,7 @@ from activestructure_gym.evaluation.report.style import HAIR, INK, PAPER
 Box = tuple[int, int, int, int]  # pixels: left, upper, right and lower edge
 
 _PANELS = "asg:panels-2"  # entry of a picture's file
+_MOST_PIXELS = 1 << 26  # of a stored picture
 GAP = 6  # pixels between tiles
 MARGIN = 14
 _TITLE, _LABELS = 30, 22  # pixels above the tiles
@@ -120,8 +121,31 @@ def save_with_panels(image: Image.Image, path: Path, panels: Sequence[Box]) -> N
 
 def stored_panels(path: Path) -> list[Image.Image] | None:
     """The panels of a page that `save_with_panels` saved; None where there is none."""
-    try:
-        with Image.open(path) as page:
-            return [page.crop(tuple(box)).convert("RGB") for box in json.loads(page.info[_PANELS])]
-    except (OSError, KeyError, TypeError, ValueError):
+    page = stored_picture(path)
+    if page is None:
         return None
+    try:
+        boxes = [tuple(int(side) for side in box) for box in json.loads(page.info[_PANELS])]
+    except (KeyError, TypeError, ValueError, RecursionError, OverflowError):
+        return None
+    if len(boxes) != 2 or not all(_lies_in(box, page) for box in boxes):
+        return None
+    return [page.crop((box[0], box[1], box[2], box[3])).convert("RGB") for box in boxes]
+
+
+def stored_picture(path: Path) -> Image.Image | None:
+    """A PNG file of the size of ours; None for everything else, which is drawn again."""
+    if not path.is_file():
+        return None
+    try:
+        with Image.open(path, formats=("PNG",)) as picture:
+            if picture.width * picture.height > _MOST_PIXELS:
+                return None
+            picture.load()
+            return picture
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's words for a damaged file
+        return None
+
+
+def _lies_in(box: Sequence[int], page: Image.Image) -> bool:
+    return len(box) == 4 and 0 <= box[0] < box[2] <= page.width and 0 <= box[1] < box[3] <= page.height

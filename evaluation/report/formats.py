@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from activestructure_gym.evaluation.report.layout import Cell, Table
 
 _RANK_MARKS = {1: "**{}** ¹", 2: "{} ²", 3: "{} ³"}
+# An underscore within a word is no emphasis.
+_MARKDOWN = re.compile(r"[\\`*|<]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
+_FORMULA = re.compile(r"[=@\t\r]|[+-](?![\d.])")
 _LATEX_RANKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", 3: r"\textit{{{}}}"}
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -26,11 +29,11 @@ def markdown(table: Table) -> str:
         spans = [text for text, span in table.groups for _ in range(span)]
         headings = [f"{group} {heading}".strip() for group, heading in zip(spans, headings)]
     lines = [
-        "| " + " | ".join(_piped(heading) for heading in headings) + " |",
+        "| " + " | ".join(escaped(heading) for heading in headings) + " |",
         "|" + "".join("---:|" if heading.numeric else "---|" for heading in table.headings),
     ]
     for index, row in enumerate(table.rows):
-        texts = [_marked(_piped(table.shown(index, k)), cell) for k, cell in enumerate(row)]
+        texts = [_marked(escaped(table.shown(index, k)), cell) for k, cell in enumerate(row)]
         lines.append("| " + " | ".join(texts) + " |")
     return "\n".join(lines) + "\n"
 
@@ -40,7 +43,9 @@ def to_csv(table: Table) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     spans = [text for text, span in table.groups for _ in range(span)] or [""] * len(table.headings)
-    writer.writerow([f"{group} {heading.text}".strip() for group, heading in zip(spans, table.headings)])
+    writer.writerow(
+        [spreadsheet_text(f"{group} {heading.text}".strip()) for group, heading in zip(spans, table.headings)]
+    )
     for row in table.rows:
         writer.writerow([_plain(cell) for cell in row])
     return text.getvalue()
@@ -86,17 +91,32 @@ def documents(tables: Sequence[Table]) -> dict[str, str]:
 def _plain(cell: Cell) -> str:
     """A number in full; an interval as it is printed, with a hyphen for its minus."""
     if cell.value is None or not cell.text.strip("+−").replace(",", "").replace(".", "").isdigit():
-        return cell.text.replace("−", "-")
+        return spreadsheet_text(cell.text.replace("−", "-"))
     return repr(cell.value)
 
 
 def _titled(table: Table) -> str:
-    return "\n".join(part for part in (f"**{table.title}.** {table.caption}".rstrip(), "", markdown(table)))
+    return "\n".join(
+        part for part in (f"**{escaped(table.title)}.** {escaped(table.caption)}".rstrip(), "", markdown(table))
+    )
 
 
 def _marked(text: str, cell: Cell) -> str:
     return _RANK_MARKS[cell.rank].format(text) if cell.rank and text else text
 
 
-def _piped(text: str) -> str:
-    return text.replace("|", "\\|")
+def escaped(text: str) -> str:
+    """``text`` as it is, in one line of Markdown: no cell ends in it, no tag, link or emphasis begins."""
+    return _MARKDOWN.sub(r"\\\g<0>", " ".join(text.split())).replace("](", "]\\(")
+
+
+def code(text: str) -> str:
+    """``text`` as code in one line of Markdown, whatever backticks it holds."""
+    text = " ".join(text.split())
+    fence = "`" * (1 + max((len(run) for run in re.findall("`+", text)), default=0))
+    return f"{fence} {text} {fence}" if "`" in text else f"{fence}{text}{fence}"
+
+
+def spreadsheet_text(text: str) -> str:
+    """``text`` that no spreadsheet takes for a formula (OWASP, "CSV Injection"): a quotation mark before those."""
+    return f"'{text}" if _FORMULA.match(text) else text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import stored_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,6 +85,13 @@ def plot_phases(
     Mean deficit and mean quality of structural and object planes, area of the deficiency centres; with ``gains`` also
     the terms and factors of the chosen views. Phases are bands, and the reasons of their changes stand below.
     """
+    from matplotlib import rc_context
+
+    with rc_context({"text.parse_math": False}):  # a dollar in a name is a dollar
+        _plot(episodes, path, title, gains)
+
+
+def _plot(episodes: Sequence[tuple[str, Steps]], path: Path | IO[bytes], title: str, gains: bool) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -124,12 +133,13 @@ def plot_phases(
 
 def stored_timeline(path: Path) -> Image.Image | None:
     """What `plot_phases` drew into a file, without its title; None where it did not."""
-    try:
-        with Image.open(path) as picture:
-            rows = int(picture.info[_TITLE_ROWS])
-            return picture.crop((0, rows, *picture.size))
-    except (OSError, KeyError, ValueError):
+    picture = stored_picture(path)
+    if picture is None:
         return None
+    rows = picture.info.get(_TITLE_ROWS)
+    if not isinstance(rows, str) or not re.fullmatch("[0-9]{1,5}", rows) or int(rows) >= picture.height:
+        return None
+    return picture.crop((0, int(rows), *picture.size))
 
 
 def _panels(steps: Steps, gains: bool) -> list[tuple[Any, float]]:  # what draws a panel, and its height in inches

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import slug
@@ -14,7 +15,7 @@ from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
 from activestructure_gym.evaluation.report.curves import chart_rows
-from activestructure_gym.evaluation.report.formats import documents, markdown
+from activestructure_gym.evaluation.report.formats import code, documents, escaped, markdown
 from activestructure_gym.evaluation.report.layout import Table
 from activestructure_gym.evaluation.report.method_text import (
     absences,
@@ -135,12 +136,12 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
     metrics = runs[0].metrics["metrics"]
     seen = f"{metrics['true_area_m2']:.1f} m2 of surface can be seen ({metrics['true_samples']:,} samples)"
     lines = [
-        f"## {scene}",
+        f"## {escaped(scene)}",
         "",
         f"{info['triangles']:,} triangles, {size} m, from {info['source']}; {seen}.",
     ]
     lines += [f"Note: {note}." for note in info["notes"]]
-    lines = [without_places(line) for line in lines]
+    lines = [lines[0], *(escaped(without_places(line)) for line in lines[1:])]
     for path in pictures:
         lines += ["", f"![{path.stem.partition('-')[0]}](./{path.name})"]
     return "\n".join([*lines, "", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""])
@@ -148,12 +149,12 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
 
 def _link(run: Run, directory: Path) -> str:
     place = os.path.relpath(run.directory, directory).replace(os.sep, "/")
-    return f"[{run.policy} seed {run.job.seed}](./{place}/)"
+    return f"[{escaped(run.policy)} seed {run.job.seed}](./{quote(place)}/)"
 
 
 def _summary(results: Results, sections: Sequence[str]) -> str:
     seeds = len(results.seeds)
-    missing = [f"- {without_places(name)}: {without_places(reason)}" for name, reason in results.missing.items()]
+    missing = [f"- {escaped(without_places(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
     meaning = [f"- {name}: {text}." for name, text in meanings(results).items()]
@@ -162,7 +163,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     parts = [
         "# Comparison",
         "",
-        *(f"`{without_places(source.command)}`\n" for source in results.sources if source.command),
+        *(f"{code(without_places(source.command))}\n" for source in results.sources if source.command),
         f"The same with curves, pictures and every decision: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
         f"[{TABLES}](./{TABLES}/).",
         "",

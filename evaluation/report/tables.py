@@ -13,12 +13,13 @@ import numpy as np
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import layout
 from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
+from activestructure_gym.evaluation.report.formats import spreadsheet_text
 from activestructure_gym.evaluation.report.layout import Heading, Table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_HASH_DIGITS = 12  # of a scene's content, as messages show it
+_HASH_DIGITS = 16  # of a scene's content
 AVERAGE = "average"  # the name of the last block: the mean over the scenes
 
 
@@ -133,8 +134,8 @@ def runs_csv(runs: Sequence[Run]) -> str:
     writer.writerow([*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
     for run, numbers in zip(runs, scalars):
         job = run.job
-        scene = [run.scene, job.scene_hash[:_HASH_DIGITS]]
-        identity = [*scene, run.policy, job.seed, job.preset, job.protocol.name, job.hash]
+        scene, policy = (spreadsheet_text(name) for name in (run.scene, run.policy))
+        identity = [scene, job.scene_hash[:_HASH_DIGITS], policy, job.seed, job.preset, job.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
         writer.writerow([*identity, *values, run.timing["total"], *seconds])

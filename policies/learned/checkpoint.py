@@ -127,9 +127,10 @@ def read_tensors(
     try:
         with safe_open(file, "pt") as stored:
             shapes = {name: tuple(stored.get_slice(name).get_shape()) for name in stored.keys()}
-            for name in [] if expected is None else sorted(expected.keys() | shapes.keys()):
-                if shapes.get(name) != expected.get(name):
-                    have, want = (which.get(name, "nothing") for which in (shapes, expected))
+            wanted = shapes if expected is None else expected
+            for name in sorted(wanted.keys() | shapes.keys()):
+                if shapes.get(name) != wanted.get(name):
+                    have, want = shapes.get(name, "nothing"), wanted.get(name, "nothing")
                     raise InputError(f"'{file}' holds {have} as '{name[:80]}', expected {want}")
             tensors = {name: stored.get_tensor(name) for name in shapes}
             notes = dict(stored.metadata() or {})

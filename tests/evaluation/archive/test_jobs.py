@@ -80,13 +80,19 @@ def test_short_names_of_scenes(spec, label):
 def test_files_of_one_name_are_told_apart():
     labels = scene_labels(dict.fromkeys(("a/scene.glb", "b/scene.glb", "room"), ""))
     assert labels == {"a/scene.glb": "a/scene", "b/scene.glb": "b/scene", "room": "room"}
+    # However deep they lie, the place of neither is told; nor where only folders in options differ.
+    deep = [f"/home/me/{name}/1/2/3/4/scene.glb" for name in "ab"]
+    assert list(scene_labels(dict.fromkeys(deep, "")).values()) == ["a/1/2/3/4/scene", "b/1/2/3/4/scene"]
+    options = [f"room.glb?sequence=/home/{name}/views" for name in "ab"]
+    labels = scene_labels(dict.fromkeys(options, ""))
+    assert list(labels.values()) == ["room?sequence=views (1)", "room?sequence=views (2)"]
 
 
 def test_a_label_never_holds_a_whole_path():
     assert scene_label("/scene.glb", parts=3) == "scene"
     files = [f"/{disk}/home/me/sets/scene.glb" for disk in "abc"]
     labels = scene_labels({spec: digit * 64 for spec, digit in zip(files, "122")})
-    assert labels == dict(zip(files, ["scene@11111111", "scene@22222222-1", "scene@22222222-2"]))
+    assert labels == dict(zip(files, ["scene@11111111", "scene@22222222 (1)", "scene@22222222 (2)"]))
 
 
 def test_files_are_found_from_any_directory(tmp_path, monkeypatch):

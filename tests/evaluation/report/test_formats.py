@@ -2,7 +2,18 @@ import csv
 import io
 import re
 
-from activestructure_gym.evaluation.report.formats import documents, latex, latex_text, markdown, to_csv
+import pytest
+
+from activestructure_gym.evaluation.report.formats import (
+    code,
+    documents,
+    escaped,
+    latex,
+    latex_text,
+    markdown,
+    spreadsheet_text,
+    to_csv,
+)
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table
 
 TABLE = Table(
@@ -50,3 +61,31 @@ def test_what_latex_would_take_for_a_command_is_written_out():
 
 def test_every_table_comes_in_three_forms():
     assert sorted(documents([TABLE])) == ["quality.csv", "quality.md", "quality.tex"]
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("pixel_only", "pixel_only"), ("box?seed=2", "box?seed=2"), ("0.1 [0.0, 0.2]", "0.1 [0.0, 0.2]"),
+        ("a|b", "a\\|b"), ("<b onclick=x>", "\\<b onclick=x>"), ("*loud*", "\\*loud\\*"), ("_soft_", "\\_soft\\_"),
+        ("`rm`", "\\`rm\\`"), ("[here](http://evil)", "[here]\\(http://evil)"), ("two\nlines", "two lines"),
+        ("a\\|b", "a\\\\\\|b"),
+    ],
+)  # fmt: skip
+def test_names_stay_names_in_markdown(text, expected):
+    assert escaped(text) == expected
+    cells = re.split(r"(?<!\\)(?:\\\\)*\|", markdown(Table("t", "T", [Heading("a")], [[Cell(text)]])).splitlines()[2])
+    assert len(cells) == 3  # one cell between two bars
+
+
+def test_code_holds_backticks():
+    assert code("asg compare") == "`asg compare`" and code("a `b`` c") == "``` a `b`` c ```"
+
+
+@pytest.mark.parametrize(
+    "text, kept", [("=1+1", False), ("@SUM(A1)", False), ("+cmd", False), ("-cmd", False), ("\tx", False),
+                   ("random", True), ("-1.5", True), ("+0.3 [-0.1, 0.7]", True)]
+)  # fmt: skip
+def test_no_name_is_a_formula(text, kept):
+    assert spreadsheet_text(text) == (text if kept else f"'{text}")
+    assert to_csv(Table("t", "T", [Heading("a")], [[Cell(text)]])).splitlines()[1].strip('"') == spreadsheet_text(text)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import phases
 from activestructure_gym.evaluation.report.phases import Band, bands, chosen_terms, plot_phases, stored_timeline
@@ -93,3 +94,18 @@ def test_runs_with_few_numbers_can_be_drawn(steps, tmp_path, changed):
     plot_phases([("", bare)], tmp_path / "x.png", title="title")
     plot_phases([("", [])], tmp_path / "x.png", title="title")
     assert len(pixels(tmp_path / "x.png"))
+
+
+def test_a_dollar_is_a_dollar(steps, tmp_path):
+    for step, phase in zip(steps, ("$\\frac{", "b", "b", "c", "c", "c")):
+        step["trace"] |= {"phase": phase, "changed": "it costs 3 $_"}
+    plot_phases([("", steps)], tmp_path / "phases.png", title="$\\nothing_")
+    assert (tmp_path / "phases.png").is_file()
+
+
+@pytest.mark.parametrize("rows", ["-5", "99999", "1e3", "9" * 5000, ""])
+def test_a_timeline_that_is_none_of_ours_is_drawn_again(rows, tmp_path):
+    about = PngInfo()
+    about.add_text("asg:title_rows", rows)
+    Image.new("RGB", (20, 10)).save(tmp_path / "phases.png", pnginfo=about)
+    assert stored_timeline(tmp_path / "phases.png") is None

@@ -1,4 +1,9 @@
+import json
+
 import numpy as np
+import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import save_with_panels, stored_panels
@@ -131,3 +136,36 @@ def test_the_panels_of_a_stored_page_are_the_drawings(wall_and_floor, make_run, 
     page[0].save(tmp_path / "of-an-older-version.png")
     assert stored_panels(tmp_path / "of-an-older-version.png") is None
     assert stored_panels(tmp_path / "missing.png") is None
+
+
+def test_a_large_plan_around_few_planes_is_drawn_smaller(wall_and_floor, make_run):
+    plan = {**make_run().pictures, "plan_extent": np.array([500.0, 400.0])}
+    view = view_from_above(wall_and_floor, plan)
+    assert view.rows[0, 0] * 500 <= 3000 * SMOOTH
+    draw_planes_plan(wall_and_floor, plan)
+
+
+def with_boxes(path, text):
+    about = PngInfo()
+    about.add_text("asg:panels-2", text)
+    Image.new("RGB", (20, 10)).save(path, "PNG", pnginfo=about)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: with_boxes(path, json.dumps([[0, 0, 10**6, 10**6], [0, 0, 2, 2]])),
+        lambda path: with_boxes(path, json.dumps([[5, 5, 2, 2], [0, 0, 2, 2]])),
+        lambda path: with_boxes(path, "[[0, 0, 1e999, 3]]"),
+        lambda path: with_boxes(path, "[" * 100_000),
+        lambda path: Image.new("1", (10_000, 10_000)).save(path, "PNG"),
+        lambda path: Image.new("RGB", (20, 10)).save(path, "EPS"),
+        lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(60)),
+        lambda path: path.mkdir(),
+    ],
+)
+def test_a_stored_page_that_is_none_of_ours_is_drawn_again(write, tmp_path):
+    write(tmp_path / "page.png")
+    assert stored_panels(tmp_path / "page.png") is None
+    with_boxes(tmp_path / "ours.png", json.dumps([[0, 0, 10, 10], [10, 0, 20, 10]]))
+    assert [panel.size for panel in stored_panels(tmp_path / "ours.png")] == [(10, 10), (10, 10)]

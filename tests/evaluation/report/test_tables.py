@@ -86,3 +86,9 @@ def test_a_narrow_terminal_cuts_no_number(make_run, width):
     rows = table_rows([make_run(policy="a[b]", seed=seed, psnr=20.0 + seed) for seed in range(2)])
     print_whole(Console(file=out, width=width), rich_table(rows, title="title"))
     assert "20.50 ± 0.71" in out.getvalue() and "a[b]" in out.getvalue() and "…" not in out.getvalue()
+
+
+def test_the_list_of_runs_names_scenes_without_their_places(make_run):
+    run = make_run("/home/somebody/house.glb?units=cm", "=evil()")
+    (row,) = csv.DictReader(io.StringIO(runs_csv([run])))
+    assert (row["scene"], row["policy"], row["scene_hash"]) == ("house?units=cm", "'=evil()", run.job.scene_hash[:16])

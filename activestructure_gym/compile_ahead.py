@@ -36,7 +36,7 @@ def compile_map() -> None:
 
 
 def map_a_wall() -> Any:
-    """What a first keyframe needs; gives the mapper."""
+    """Call the kernels that a first keyframe calls; returns the mapper, whose map is a flat wall."""
     from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.sensors import Frame
 
@@ -48,7 +48,7 @@ def map_a_wall() -> Any:
 
 
 def score_the_wall(mapper: Any) -> None:
-    """What a first decision needs of the rasteriser besides."""
+    """Call the kernels of the rasteriser that a first decision calls on top of those of a keyframe."""
     mapper.render_depth_alpha(_camera(), np.eye(4)[None])
 
 
@@ -101,7 +101,7 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
 
 
 def compile_views() -> None:
-    """What gains and visibility need besides the map's pictures."""
+    """Call the kernels of features and visibility that read more than pictures of the map."""
     from activestructure_gym.features.hole_area import hidden_distances
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.views.visibility import cosines_in_sight
@@ -119,7 +119,7 @@ Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of
 
 @lru_cache(1)
 def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
-    """What a first keyframe calls, in that order, and what a first decision calls besides; nothing is run."""
+    """The rasteriser's kernels of a first keyframe, in the order of their calls, then of a first decision; none is run."""
     from activestructure_gym.compiling.thread_team import TEAM
 
     calls = dict[Any, tuple[Any, ...]]()
@@ -139,13 +139,13 @@ def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
 
 
 def compile_rasteriser() -> None:
-    """What a first keyframe comes to, the last first: its own process begins with the first."""
+    """Compile the kernels of a first keyframe, the last one first, since the main process begins with the first one."""
     for kernel, arguments in reversed(calls_of_the_rasteriser()[0]):
         _compile(kernel, arguments)
 
 
 def compile_score() -> None:
-    """What a first decision needs and a first keyframe does not."""
+    """Compile the kernels that only a first decision calls."""
     for kernel, arguments in calls_of_the_rasteriser()[1]:
         _compile(kernel, arguments)
 

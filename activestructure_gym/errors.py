@@ -30,7 +30,7 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
 
 
 def shown(value: object) -> str:
-    """What came, as a message can hold it: in one line, and shortened where it is long."""
+    """A value as text for an error message: one line, shortened where it is long."""
     try:
         text = " ".join(repr(value).split())
     except Exception:  # whole numbers of thousands of digits, and whatever the objects of others raise

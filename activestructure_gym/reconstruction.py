@@ -32,7 +32,7 @@ from activestructure_gym.volume import VoxelVolume
 
 @dataclass(frozen=True)
 class Visit:
-    """What happened on the way to a chosen view."""
+    """The record of one step: frames, metres and keyframes of the way to a chosen view."""
 
     reached: bool  # False: unreachable, blocked on the way, or the budget ended first
     frames: int  # frames paid

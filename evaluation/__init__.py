@@ -1,4 +1,4 @@
-"""Who compares: protocols, metrics, the grid of jobs, the run directory, the report and the command line.
+"""Comparing policies: protocols, metrics, the grid of jobs, the run directory, the report and the command line.
 
 `compare` runs scenes x policies x seeds into a directory, `open_comparison` and `read_run` read what stands in one,
 metrics say what a number means, statistics what repeated runs say. Nothing of the package imports this room.

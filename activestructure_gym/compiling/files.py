@@ -104,7 +104,7 @@ def read(path: Path, stamp: bytes) -> bytes | None:
 
 
 def write(path: Path, stamp: bytes, content: bytes) -> None:
-    """All of it or nothing."""
+    """Write the file whole or not at all."""
     with replaced(path) as file:
         file.write(_head(stamp, content) + content)
 

@@ -1,4 +1,4 @@
-"""What is said about compiling, on standard error: something as long as something is compiled, and else nothing.
+"""Progress of compiling on standard error: lines while kernels are compiled, and nothing otherwise.
 
 A terminal gets one line that counts and goes away. A log gets a line at the beginning, one every half minute, and one
 at the end. Of several processes that compile together only the first one speaks.
@@ -41,7 +41,7 @@ def told_to(listener: Callable[[str], None]) -> Iterator[None]:
 
 
 def describe(compiled: int, seconds: float) -> str:
-    """How far it is, in one line."""
+    """The progress line: kernels compiled so far and seconds."""
     return f"{_heading()}: {compiled} so far, {seconds:.0f} s"
 
 

@@ -1,4 +1,4 @@
-"""What the machine code of a kernel was made from, as one number.
+"""Stamps of kernels: one number for all sources that a kernel's machine code was made from.
 
 numba builds into a kernel whatever its functions call and every constant that they read, from whichever file. So a
 stamp covers, however many calls away from the kernel,

@@ -1,4 +1,4 @@
-"""What ActiveSplat asks of the Voronoi nodes, and of the views at one."""
+"""ActiveSplat's features: information and volume missing around Voronoi nodes, and in the views at one."""
 
 from __future__ import annotations
 

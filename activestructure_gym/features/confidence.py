@@ -1,4 +1,4 @@
-"""What ActiveGS takes a view to be worth: unexplored space, and surface of which the map is not confident."""
+"""ActiveGS's utility of a view: unexplored space, and surface of which the map is not confident."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much unknown surface may hide behind the holes of a view."""
+"""The area of unknown surface that may hide behind the holes of a view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much the depth of a structured-light camera is off: what the sensor adds and what the planes reckon with."""
+"""Axial noise of a structured-light depth camera: added by the sensor, assumed by plane detection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is true of a scene and no planner may know: free space, start poses, the observable surface.
+"""Ground truth of a scene, which no planner may read: free space, start poses, the observable surface.
 
 `GroundTruth` holds all of it. Sensor noise apart, what the agent gets to know of a scene it gets from its camera.
 """

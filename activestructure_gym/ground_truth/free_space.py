@@ -1,4 +1,4 @@
-"""Where an agent could be in a scene: ground truth from the mesh, for start poses, rewards and tests.
+"""The space of a scene in which an agent fits: ground truth from the mesh, for start poses, rewards and tests.
 
 A mesh from the world is neither closed nor consistently oriented, so inside and outside are told apart by what one
 would see: a place is enclosed when most directions meet a surface, and the free space is the largest connected

@@ -1,4 +1,4 @@
-"""What is true of a scene and no planner may know, as a type of its own: who may know it says so in its signature."""
+"""`GroundTruth`: a scene with its free space, start poses and observable surface; who reads them takes this type."""
 
 from __future__ import annotations
 

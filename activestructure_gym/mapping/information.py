@@ -1,4 +1,4 @@
-"""What the keyframes together tell about every Gaussian: the sum of their Fisher blocks, kept between decisions.
+"""Fisher information of the keyframes about every Gaussian: the sum of their blocks, kept between decisions.
 
 FisherRF renders all keyframes at every planning step, so planning takes longer with every keyframe. Here the share of
 each keyframe is stored, and at every decision only the ones that have no share yet are rendered, and of the others the
@@ -34,7 +34,7 @@ BUDGET_MB = 256.0
 
 @dataclass
 class _Share:
-    """What one keyframe has added to the sum."""
+    """The blocks that one keyframe has added to the sum."""
 
     ids: np.ndarray  # [S] int64 names of Gaussians
     numbers: np.ndarray  # [S, 24] float32

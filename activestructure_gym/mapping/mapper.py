@@ -34,7 +34,7 @@ PSNR_RENDERS = 16
 
 @dataclass(frozen=True)
 class MappingReport:
-    """What one mapping event did."""
+    """Counts and losses of one mapping event."""
 
     added: int  # Gaussians seeded
     replaced: int  # Gaussians removed because the frame shows their surface from much closer
@@ -134,7 +134,7 @@ class Mapper:
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; prune as ever."""
+        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; then prune."""
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
@@ -147,7 +147,7 @@ class Mapper:
         return _report(self.map.count, views, losses, pruned)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> cpu.Rendering:
-        """What the map shows from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
+        """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
         unseen = MapParts(self.map).unseen(camera, world_from_camera)
         return cpu.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
 
@@ -307,7 +307,7 @@ class Mapper:
         return [k for k in poor if k != index]
 
     def _slack(self, iterations: int) -> dict[str, float]:
-        """How far a Gaussian can move, and grow, in so many steps."""
+        """Upper bounds of how far a Gaussian moves, and grows, in so many steps of the optimiser."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
         farthest = step * iterations * config.learning_rates(self.scene_radius)

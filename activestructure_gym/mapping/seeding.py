@@ -28,7 +28,7 @@ def missing_pixels(
     error_floor: float = 0.03,  # metres
     normalised: bool = True,
 ) -> np.ndarray:  # [H, W] bool
-    """Where the map needs new Gaussians: it is transparent there, or all it shows lies behind a measured surface.
+    """Pixels that need new Gaussians: the map is transparent there, or all it shows lies behind a measured surface.
 
     The test against the median error is SplaTAM's; the floor keeps a converged map, whose median error falls below
     a millimetre, from seeding sensor noise. ``normalised=False`` is SplaTAM to the letter: depth as accumulated, and

@@ -29,7 +29,7 @@ _CELLS = 64  # of each side of the table that finds the bin of a direction
 
 @dataclass(frozen=True)
 class Sightings:
-    """What N Gaussians have seen of the keyframes; v is the unit direction from a Gaussian to a camera."""
+    """The keyframes that N Gaussians were seen from, summed up; v is the unit direction from a Gaussian to a camera."""
 
     count: np.ndarray  # [N] int32 keyframes that saw it
     nearness: np.ndarray  # [N] float64, sum of (1 - distance / 5 m) max(0, n v), n its normal on the side seen more

@@ -106,7 +106,7 @@ class PlaneSegment:
 
 @dataclass(frozen=True)
 class PlaneDetection:
-    """What one frame shows."""
+    """The planes of one frame, with their pixels."""
 
     segments: tuple[PlaneSegment, ...]  # largest first; segments[k].label == k
     labels: np.ndarray  # [H, W] int32, -1 = no plane

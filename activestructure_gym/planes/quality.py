@@ -1,4 +1,4 @@
-"""How well each plane is reconstructed: the eight failure modes, the scalar quality, the deficiency centres (Sec. 3.3).
+"""Quality of each plane: the eight failure modes, the scalar quality, the deficiency centres (Sec. 3.3).
 
 The paper names the modes; the formulas are ours. They are kept apart on purpose: a hole inside a plane lowers mode
 viii only, a missing corner mode i only, an edge that nobody followed mode v only.

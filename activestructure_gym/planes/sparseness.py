@@ -1,4 +1,4 @@
-"""Where a plane was seen but the map is coarser than the plane's own grid.
+"""Sparse patches: cells of a plane that were seen, where the map is coarser than the plane's own grid.
 
 Eq. 6 asks which cells of a plane are occupied by reconstructed points. A wall seen from far away has depth in every
 cell and Gaussians in few of them; the pixels it fills look covered from wherever it was seen.

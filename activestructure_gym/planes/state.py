@@ -1,4 +1,4 @@
-"""What the Plane Scene Graph knew at its last assessment: arrays in one order, never written again."""
+"""State of the Plane Scene Graph at its last assessment: frozen arrays, one row per plane."""
 
 from __future__ import annotations
 

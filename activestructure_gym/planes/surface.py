@@ -26,7 +26,7 @@ _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 @dataclass(frozen=True)
 class Patch:
-    """What one image adds to one grid: arrays over a rectangle of cells."""
+    """The contribution of one image to one grid: arrays over a rectangle of cells."""
 
     low: np.ndarray  # [2] int64 cell index of the first row and column
     shown: np.ndarray  # [R, C] int32, how often a cell's centre was shown as this plane
@@ -206,7 +206,7 @@ class SurfaceGrid:
 
 @dataclass(frozen=True)
 class GridStack:
-    """Where the cells of several grids lie, for kernels that go through all of them; flat arrays hold them in a row."""
+    """Frames, shapes and flat offsets of several grids, for kernels that go through all of their cells."""
 
     frames: np.ndarray  # [N, 12], see `SurfaceGrid.frame`
     lows: np.ndarray  # [N, 2] int64 cell index of each array's first entry
@@ -249,7 +249,7 @@ def observe(
     *,
     reach: float,  # metres; see `surface_kernels.look_up_cells`
 ) -> tuple[list[Patch], np.ndarray]:
-    """What an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
+    """The patches that an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     labels, segments = detection.labels, detection.segments
     camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)

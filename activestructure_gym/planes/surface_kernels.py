@@ -168,7 +168,7 @@ def near_seen(points, grid, low, seen, cell, disc):
 
 @kernel
 def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
-    """What the arrays of another grid hold at the centres of a rectangle of cells, from ``low`` on; 0 beyond it."""
+    """Sample the arrays of another grid at the centres of a rectangle of cells, from ``low`` on; 0 beyond it."""
     shown, denied, hits, beside = asked
     for r in range(answers[0].shape[0]):
         a = (low[0] + r + 0.5) * cell

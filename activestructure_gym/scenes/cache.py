@@ -87,7 +87,7 @@ def clear_cache(limit: int = 0) -> tuple[int, int]:
 
 
 def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """What ``compute`` returns, from disk where it has been computed before.
+    """The arrays that ``compute`` returns, read from disk where they are stored.
 
     Kept uncompressed: unpacking the true views of a scene takes longer than measuring a map against some of them.
     Two processes may compute the same key at once; each writes a file of its own and moves it into place, so a

@@ -1,4 +1,4 @@
-"""What a scene is: a coloured triangle mesh with a name and a source, and how rays see it.
+"""`Scene`: a coloured triangle mesh with a name and a source, and its ray caster.
 
 What else is true of it (free space, start poses, observable surface) is `ground_truth.GroundTruth`.
 """

@@ -1,4 +1,4 @@
-"""What real depth cameras and trackers get wrong. Off by default: the paper has perfect depth and poses.
+"""Noise of depth cameras and of pose trackers. Off by default: the paper has perfect depth and poses.
 
 Lateral effects are stated by their sources in pixels of a 640-wide depth camera; here they keep their angle, so a
 small image is not blurred by pixels it does not have.

@@ -1,4 +1,4 @@
-"""What draws the sensor's images: one protocol, chosen by name."""
+"""Renderers of the sensor's images: one protocol, chosen by name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The kernel of the rasteriser's second pass: what one view tells about every Gaussian it shows.
 
-A tile is blended front to back as ever; then the pass goes back to front over the alphas that were kept, so that the
+A tile is blended front to back; then the pass goes back to front over the alphas that were kept, so that the
 transmittance after a Gaussian and the colour behind it are both known to the last digits. With t and s the whitened
 offsets (alpha = 2^(lo - t^2 - s^2)), every derivative of alpha by the projected mean, the conic and the opacity is
 alpha times a combination of b = (1, t, s, t^2, t s, s^2). So the 21 sums over pixels of q b_i b_j, with q the squared

@@ -1,4 +1,4 @@
-"""What a run keeps for its pictures: held-out views, true and rendered, and the plan of what was mapped."""
+"""Arrays that a run keeps for its pictures: held-out views, true and rendered, and the plan of what was mapped."""
 
 from __future__ import annotations
 

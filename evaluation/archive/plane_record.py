@@ -88,7 +88,7 @@ def seen_cells(arrays: GraphArrays, plane: int) -> np.ndarray:  # [R, C] uint8, 
 
 
 def graph_summary(graph: PlaneSceneGraph) -> dict[str, Any]:
-    """What a decision's record says about the graph; a mean over no planes is None."""
+    """Summary of the graph for a decision's record; a mean over no planes is None."""
     structural = np.asarray(graph.state.structural, dtype=bool)
     summary: dict[str, Any] = {}
     for kind, own in (("structural", structural), ("objects", ~structural)):

@@ -1,4 +1,4 @@
-"""What the supervisor costs: the same jobs through it and by hand, in turn."""
+"""Benchmark of the supervisor: the same jobs through it and by hand, in turn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mapping event and a decision cost while the map grows elsewhere: the same place in a larger and larger map.
+"""Benchmark of a mapping event and a decision while the map grows elsewhere: the same place in a larger and larger map.
 
 20 keyframes are made around one start of an apartment, 20 around the next, and so on; every such place is put
 on a storey of its own, so far above the last that no view of one reaches another. At certain numbers of keyframes,

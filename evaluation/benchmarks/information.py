@@ -1,4 +1,4 @@
-"""What a decision pays for the keyframes' information while their number grows: it should not depend on it.
+"""Benchmark of the keyframes' information while their number grows: its cost per decision should not depend on it.
 
 The map is that of the rasteriser's workload W4 (50k Gaussians seeded in a furnished room), the keyframes look around in
 it at the size candidates are scored at. Between two decisions some Gaussians go and as many come, as in an episode.

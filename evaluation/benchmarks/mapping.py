@@ -1,4 +1,4 @@
-"""How well a map shows views it was not made from: a fixed walk through a scene, mapped by several recipes.
+"""Benchmark of mapping: quality on held-out views of a fixed walk through a scene, mapped by several recipes.
 
 Frames and truth are supersampled 4 x 4 (aliasing alone would cap PSNR at about 30 dB), noise-free, 160 x 90. This
 module maps and renders; the report measures and draws.

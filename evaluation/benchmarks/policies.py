@@ -1,4 +1,4 @@
-"""What a decision costs by each policy: gains of all candidates and the choice, on one real state of an episode."""
+"""Benchmark of a decision by each policy: gains of all candidates and the choice, on one real state of an episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast the CPU rasteriser is here: real seeded inputs, warm, medians with spread.
+"""Benchmark of the CPU rasteriser: real seeded inputs, warm, medians with spread.
 
 Workloads (sizes of docs/notebook/groundwork.md): Gaussians seeded as disks from the RGB-D pixels of six views
 of a furnished box room, and one of those views as the target.

@@ -60,7 +60,7 @@ def sentence(box: str, part: str = "") -> str:
     given = said.partition(": ")[2].split(", ")
     parts = next((found[1].split(", ") for block in blocks[1:] if (found := _PARTS.fullmatch(" ".join(block)))), None)
     if parts:
-        return str(unknown_name("part", given[0].split()[0], parts))
+        return str(unknown_name("part", given[0], parts))
     if len(said) > 300:
         said = f"{said[:260]}... ({len(said)} characters)"
     return "; ".join([said[:1].lower() + said[1:], *_hints(blocks[1:], given, part)])

@@ -1,4 +1,4 @@
-"""What a result was made with: versions and hardware, for the archive and for ``asg doctor``."""
+"""Versions and hardware that a result was made with, for the archive and for ``asg doctor``."""
 
 from __future__ import annotations
 

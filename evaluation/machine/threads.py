@@ -1,4 +1,4 @@
-"""How many threads this process may use, and what to tell the processes it starts."""
+"""Numbers of threads: of this process, and in the environment of those it starts."""
 
 from __future__ import annotations
 

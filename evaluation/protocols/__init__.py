@@ -1,4 +1,4 @@
-"""What is measured, against what, with which constants. Every result file names its protocol and all parameters."""
+"""Protocols: what is measured, against what, with which constants. Result files name protocol and parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every protocol can do: name its constants, fetch the truth of a scene, measure a finished map."""
+"""The interface of protocols: name the constants, fetch the truth of a scene, measure a finished map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CameraPath:
-    """Where a map was made from: all that a measurement may know of an episode besides its map."""
+    """The camera and its poses that a map was made from: all that a protocol reads of an episode besides its map."""
 
     camera: PinholeCamera
     start: np.ndarray  # [4, 4] world_from_camera of the first frame

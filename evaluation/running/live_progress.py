@@ -1,4 +1,4 @@
-"""What a comparison looks like while it runs."""
+"""Progress of a comparison, in a terminal or a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What repeated runs say: aggregates, intervals, paired differences, curves. Pure functions of numbers.
+"""Statistics of repeated runs: aggregates, intervals, paired differences, curves. Pure functions of numbers.
 
 Everywhere a *stratum* is one scene, and its values are those of the scene's runs. Scenes are what is compared on and
 stay fixed; the runs on them are drawn again. Definitions: [rliable], with scenes for tasks and seeds

@@ -1,4 +1,4 @@
-"""How likely a run of one policy is better than a run of another."""
+"""Probability of improvement: that a run of one policy is better than a run of another."""
 
 from __future__ import annotations
 

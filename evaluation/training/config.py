@@ -1,4 +1,4 @@
-"""What decides a training run; equal configurations train equal networks on one machine."""
+"""Configuration of a training run; equal configurations train equal networks on one machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run took: ``timing.json``, beside the files that are equal after resuming and never in one of them."""
+"""Seconds of a training run: ``timing.json``, beside the files that are equal after resuming, never in one of them."""
 
 from __future__ import annotations
 

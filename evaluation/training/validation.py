@@ -1,4 +1,4 @@
-"""How good a network is on layouts it was never trained on, between random choice and the one-step oracle."""
+"""Validation of a network on layouts it was never trained on, between random choice and the one-step oracle."""
 
 from __future__ import annotations
 

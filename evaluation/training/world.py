@@ -86,7 +86,7 @@ def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def learning_reward(kind: str, *, share: float, frames: int, left: float, env_reward: float) -> float:
-    """What a step is worth to PPO.
+    """The reward of a step for PPO.
 
     ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left on average on the
     way (0..1).

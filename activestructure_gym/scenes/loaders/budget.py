@@ -1,4 +1,4 @@
-"""What one scene may take from files that anyone may have made.
+"""Limits on what one scene may read and allocate, since files may be made by anybody.
 
 A file of a few kilobytes can ask for gigabytes or hours: by the counts in its header, by placing one mesh a million
 times, by pictures of one colour, by naming a device. Whoever reads a scene asks its one budget before anything is

@@ -1,4 +1,4 @@
-"""What is wrong with a mesh file, in words that a user can act on."""
+"""Damage of mesh files, in words that a user can act on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every mesh reader hands over, and how the parts become one `SceneMesh`.
+"""The parts that every mesh reader returns, and their union as one `SceneMesh`.
 
 Readers (`gltf`, `collada`, `trimesh_reader`) return `MeshPart`s in the file's own units and axes; scaling, turning
 and all checks happen once, in `mesh_loader`.

@@ -1,4 +1,4 @@
-"""What hangs in a room: curtains, radiators under windows, the lamp, pictures on free stretches of wall."""
+"""Decoration of rooms: curtains, radiators under windows, the lamp, pictures on free stretches of wall."""
 
 from __future__ import annotations
 

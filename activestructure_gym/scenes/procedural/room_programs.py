@@ -1,4 +1,4 @@
-"""What stands in which kind of room, in the order in which it is placed."""
+"""Furniture by kind of room, in the order in which it is placed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What finishes the walls of every room: skirting boards, door casings, window frames and sills, the front door."""
+"""Trim of the walls of every room: skirting boards, door casings, window frames and sills, the front door."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a list of jobs is worked off: in this process, in processes of this machine, or on a cluster."""
+"""Engines, which run a list of jobs: in this process, in processes of this machine, or on a cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every engine takes, tells and returns."""
+"""The interface of engines: limits, listener, outcomes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _RANGES = {"workers": "[0, 4096]", "timeout": "[0, 525600]", "retries": "[0, 100
 
 @dataclass(frozen=True)
 class Limits:
-    """What jobs may take."""
+    """Limits of a comparison: jobs at a time, minutes per attempt, further attempts."""
 
     workers: int = 0  # jobs at a time; 0 = as many as there are cores
     timeout: float = 0.0  # minutes per attempt at a job; 0 = any time
@@ -29,7 +29,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended."""
+    """The end of a job: finished, or the error."""
 
     job: Job
     error: str | None = None  # None: finished, and its run directory is whole
@@ -42,7 +42,7 @@ class Outcome:
 
 
 class Listener(Protocol):
-    """Who is told what happens while jobs run. Called from one thread."""
+    """Callbacks while jobs run, all from one thread."""
 
     def begin(self, jobs: Sequence[Job], finished: int) -> None:
         """These jobs will run; so many more were finished before."""

@@ -28,7 +28,7 @@ Messages = queue.SimpleQueue[tuple[str, str | None]]
 
 @dataclass(frozen=True)
 class Ended:
-    """How an attempt ended."""
+    """The end of an attempt at a job."""
 
     error: str | None = None  # None: the run directory is whole
     lost: bool = False  # killed or out of time, which says nothing about the next attempt

@@ -94,6 +94,11 @@ def test_help_is_whole(name, capsys, monkeypatch):
     assert os.environ["COLUMNS"] == "70"
 
 
+def test_an_empty_word_is_no_part(capsys):
+    assert main(["train", ""]) == 2
+    assert capsys.readouterr().err.startswith("asg: unknown part ''. Known: bc, ppo, rank, score;")
+
+
 def test_help_of_an_unknown_command_names_the_nearest(capsys):
     assert main(["help", "compre"]) == 2
     assert "did you mean 'compare'" in capsys.readouterr().err

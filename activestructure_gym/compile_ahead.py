@@ -119,7 +119,7 @@ Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of
 
 @lru_cache(1)
 def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
-    """The rasteriser's kernels of a first keyframe, in the order of their calls, then of a first decision; none is run."""
+    """The rasteriser's kernels of a first keyframe, in order of their calls, then of a first decision; none is run."""
     from activestructure_gym.compiling.thread_team import TEAM
 
     calls = dict[Any, tuple[Any, ...]]()

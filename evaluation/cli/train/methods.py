@@ -6,15 +6,13 @@ import dataclasses
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Count, Names, PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
 from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
-
-if TYPE_CHECKING:
-    from activestructure_gym.evaluation.training.config import Method, TrainingConfig
+from activestructure_gym.evaluation.training.config import Method, Reward, TrainingConfig, WorldConfig
 
 # How and where a run is made, and not what is learnt.
 _MANNER = ("out", "resume", "workers", "data", "trust_code")
@@ -38,7 +36,7 @@ class Learning(Episodes):
     """What the policy is told about every candidate (see `asg features`)."""
     noise: bool = True
     """Another sensor noise in every training episode; validation is without."""
-    reward: Literal["rate", "auc", "env"] = "rate"
+    reward: Reward = "rate"
     """What the critic values: new surface per frame spent, the area under the coverage, or the environment's reward."""
     gamma: float = 0.3
     """Discount of the reward per decision."""
@@ -127,7 +125,6 @@ class Ppo(Learning):
 
 def training_config(options: Learning) -> TrainingConfig:
     """What the options ask for; what a method has no option for is as usual."""
-    from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
     from activestructure_gym.policies.learned import learned_from
 
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}

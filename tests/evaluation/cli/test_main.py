@@ -125,14 +125,14 @@ def test_bad_input_is_one_sentence_and_two_and_nothing_is_written(arguments, wor
 
 @pytest.mark.parametrize("errno, code", [(28, 1), (30, 1), (13, 2), (36, 2)])
 def test_what_the_file_system_says_is_one_sentence(errno, code, monkeypatch, capsys):
-    from activestructure_gym.evaluation.cli import commands
+    from activestructure_gym.evaluation.cli.doctor import Doctor
 
     def fail(self):
         raise OSError(errno, "as it says", "runs/a\nb")
 
-    monkeypatch.setattr(commands.Doctor, "run", fail)
+    monkeypatch.setattr(Doctor, "run", fail)
     assert main(["doctor"]) == code
-    assert capsys.readouterr().err .startswith("asg: 'runs/a\\nb'")
+    assert capsys.readouterr().err.startswith("asg: 'runs/a\\nb'")
 
 
 def test_an_output_that_is_a_file_is_one_sentence(tmp_path, capsys):

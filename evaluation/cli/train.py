@@ -61,9 +61,9 @@ def _train(options: Train, console: Console, workers: int) -> int:
     begun = (directory / CONFIG).is_file()
     if begun and not options.resume:
         raise InputError(f"'{directory}' holds a training run already; add --resume to go on, or choose another --out")
-    if not begun:
-        _check_empty(directory)
     bare = options.resume and options == Train(**{name: getattr(options, name) for name in _MANNER})
+    if not begun and not bare:
+        _check_empty(directory)
     config = read_config(directory) if bare else training_config(options)
     if config.method != options.what:
         raise InputError(f"'{directory}' holds a run of {config.method}, not of {options.what}")

@@ -133,18 +133,25 @@ def is_done(directory: Path, job: Job) -> bool:
     return _mark(directory)[0] == job.hash
 
 
-def read_done(directory: Path, job: Job, scene: str) -> Run | None:
+def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None:
     """The finished result of exactly this job, None where there is none; `InputError` where it is damaged."""
     mark = _mark(directory)[0]
     if mark != job.hash and (directory / DONE).exists():
         raise _damaged(directory / DONE, "it is not of the job that the directory is named after")
-    return read_run(directory, scene) if mark else None
+    if not mark:
+        return None
+    run = read_run(directory, scene)
+    if run.job.hash != job.hash:
+        raise _damaged(directory / CONFIG, "it is of another job than the directory is named after")
+    return run
 
 
-def damage_of(directory: Path) -> str | None:
-    """What is wrong with a finished run's files, None if all of them can be read; reads the map and all."""
+def damage_of(directory: Path, job: Job) -> str | None:
+    """What is wrong with the files of a finished job, None if all of them can be read; reads the map and all."""
     try:
-        run = read_run(directory)
+        run = read_done(directory, job)
+        if run is None:
+            return f"'{directory}' is not a finished run: it has no {DONE} file"
         _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
     except InputError as error:
         return str(error)

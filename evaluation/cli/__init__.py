@@ -60,11 +60,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"activestructure-gym {__version__}")
         return 0
     set_passive_waiting()
+    with _sigterm_as_ctrl_c() as terminated:
+        code = _exit_code(arguments)
+    return _TERMINATED if terminated and code == _STOPPED else code
+
+
+def _exit_code(arguments: Sequence[str]) -> int:
+    """What a command comes to, whatever it raises."""
     try:
         _find_in_working_directory()
-        with _doubts_as_lines(), _sigterm_as_ctrl_c() as terminated:
-            code = _run(arguments)
-            return _TERMINATED if terminated and code == _STOPPED else code
+        with _doubts_as_lines():
+            return _run(arguments)
     except InputError as error:
         print(f"asg: {_one_line(str(error))}", file=sys.stderr)
         return 2

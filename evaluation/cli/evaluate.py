@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -127,7 +128,7 @@ def _evaluate_map(options: Evaluate) -> int:
 
 
 def _open(names: tuple[str, ...]) -> list[Run]:
-    from activestructure_gym.evaluation.archive.comparison import open_comparison
+    from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
     from activestructure_gym.evaluation.archive.store import COMPARISON, read_run
 
     if not names:
@@ -135,7 +136,14 @@ def _open(names: tuple[str, ...]) -> list[Run]:
     runs: list[Run] = []
     for name in names:
         directory = Path(name)
-        runs += open_comparison(directory) if (directory / COMPARISON).is_file() else [read_run(directory)]
+        if not (directory / COMPARISON).is_file():
+            runs.append(read_run(directory))
+            continue
+        finished, asked = open_comparison(directory), len((read_record(directory) or {"jobs": ()})["jobs"])
+        runs += finished
+        if len(finished) < asked:
+            print(f"asg: note: {asked - len(finished)} of {asked} runs in '{directory}' are not finished, and are "
+                  "left out", file=sys.stderr)  # fmt: skip
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(names)}")
     return runs

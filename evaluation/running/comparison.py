@@ -242,7 +242,7 @@ def run_comparison(
         path.unlink(missing_ok=True)
     for job in everything:
         place = run_directory(directory, job)
-        if store.is_done(place, job) and (damage := store.damage_of(place)):
+        if store.is_done(place, job) and (damage := store.damage_of(place, job)):
             store.set_aside(place)
             tell(f"{job.title} counts as not finished: {damage}")
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]

@@ -62,9 +62,10 @@ class Learning(Episodes):
             raise InputError(
                 f"'{directory}' holds a training run already; add --resume to go on, or choose another --out"
             )
-        if not begun:
+        bare = self.resume and self._is_bare()
+        if not begun and not bare:
             check_empty(directory)
-        config = read_config(directory) if self.resume and self._is_bare() else training_config(self)
+        config = read_config(directory) if bare else training_config(self)
         if config.method != self.method:
             raise InputError(f"'{directory}' holds a run of {config.method}, not of {self.method}")
         check(config)

@@ -103,9 +103,9 @@ def test_a_finished_run_is_read(tmp_path):
     assert (run.scene, run.job) == ("the scene", ARCHIVED)
     assert run.metrics["metrics"]["psnr"] == 20.0 and len(run.steps) == 6 and run.gaussians.count == 0
     assert run.trajectory["world_from_camera"].shape == (20, 4, 4) and len(run.graph["ids"]) == 2
-    assert store.damage_of(tmp_path / "run") is None
+    assert store.damage_of(tmp_path / "run", ARCHIVED) is None
     assert len((tmp_path / "run" / store.DONE).read_text().splitlines()) == 1 + 8
-    assert store.damage_of(write_run(tmp_path / "older", sums=False)) is None  # of versions that kept no sums
+    assert store.damage_of(write_run(tmp_path / "older", sums=False), ARCHIVED) is None  # of versions that kept no sums
 
 
 READ_AGAIN = (
@@ -127,7 +127,7 @@ def test_damage_names_the_file_and_how_to_get_it_back(name, how, tmp_path):
         path.mkdir()
     elif how != "deleted":
         path.write_bytes({"flipped": content, "cut": content[: len(content) // 2], "emptied": b""}[how])
-    message = store.damage_of(path.parent)
+    message = store.damage_of(path.parent, ARCHIVED)
     assert message is not None and len(message.splitlines()) == 1
     assert message.startswith(f"'{path}' is {'missing' if how == 'deleted' else 'damaged'}")
     assert message.endswith(f"; `asg compare --out '{place}' --resume` repeats the run")
@@ -205,7 +205,7 @@ def test_arrays_that_do_not_fit(name, changes, words, tmp_path):
     with np.load(run / f"{name}.npz") as file:
         content = dict(file)
     np.savez(run / f"{name}.npz", **content | changes)
-    assert store.damage_of(run) is not None
+    assert store.damage_of(run, ARCHIVED) is not None
     with pytest.raises(InputError, match=f"{name}.npz' is damaged: .*{words}"):
         getattr(store.read_run(run), name)
 

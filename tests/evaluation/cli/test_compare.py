@@ -1,4 +1,8 @@
+import errno
 import json
+import os
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -69,6 +73,33 @@ def test_ctrl_c_says_how_to_go_on(asked, monkeypatch, capsys):
     monkeypatch.setattr(comparison, "run_comparison", interrupted)
     assert main(["compare", "--scenes", "box", "--out", "here"]) == 130
     assert "asg compare --out here --resume" in capsys.readouterr().err
+
+
+def test_sigterm_ends_as_ctrl_c_does(asked, monkeypatch, capsys):
+    def terminated(jobs, directory, listener, **options):
+        (directory / COMPARISON).touch()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(10)
+
+    monkeypatch.setattr(comparison, "run_comparison", terminated)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["compare", "--scenes", "box", "--out", "here"]) == 143
+    assert "finished runs are kept, go on with: asg compare --out here --resume" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_a_full_disk_says_what_could_not_be_written_and_how_to_go_on(asked, monkeypatch, capsys):
+    def full(jobs, directory, listener, **options):
+        (directory / COMPARISON).touch()
+        raise OSError(errno.ENOSPC, "No space left on device", "here/compare.json")
+
+    monkeypatch.setattr(comparison, "run_comparison", full)
+    assert main(["compare", "--scenes", "box", "--out", "here"]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "asg: stopped; finished runs are kept, go on with: asg compare --out here --resume",
+        "asg: 'here/compare.json' cannot be written: No space left on device",
+    ]
 
 
 def test_failed_runs_end_with_one(asked, monkeypatch, capsys):

@@ -58,7 +58,8 @@ def ran(monkeypatch):
     engine = Engine(run, slots=lambda jobs, limits: 2, check=lambda limits: None)
     monkeypatch.setitem(engines.ENGINES, "fake", engine)
     monkeypatch.setattr(store, "read_run", lambda place, scene: place.name)
-    monkeypatch.setattr(store, "damage_of", lambda place: None)
+    monkeypatch.setattr(store, "damage_of", lambda place, job: None)
+    monkeypatch.setattr(store, "read_done", lambda place, job, scene: place.name if place.exists() else None)
     return done
 
 
@@ -204,7 +205,9 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
     result, listener = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
     assert done == grid[:2] and listener.begun == ([job.title for job in grid[:2]], 0)
     assert len(heard) == 1 and "seed 0 counts as not finished: '" in heard[0] and "pictures.npz' is damaged" in heard[0]
-    assert [run.job for run in result.runs] == grid and all(store.damage_of(place) is None for place in places)
+    assert [run.job for run in result.runs] == grid and [store.damage_of(*pair) for pair in zip(places, grid)] == [
+        None
+    ] * 3
     assert (places[2] / store.DONE).stat().st_mtime_ns == stamp
     # One that is damaged and not asked for is told apart from those that failed.
     (places[2] / "map.npz").unlink()

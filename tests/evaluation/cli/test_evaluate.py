@@ -1,0 +1,69 @@
+"""Measuring again: what cannot be kept is measured all the same, and what is left out is said."""
+
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, JOBS
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.protocols import get_protocol
+from activestructure_gym.evaluation.running import remeasure
+from tests.evaluation.written_runs import write_comparison
+
+GRID = [Job("room", "random", seed, scene_hash="ab" * 32) for seed in range(2)]
+
+
+@pytest.fixture
+def measured(tmp_path, monkeypatch):
+    """Two runs whose maps nobody has to measure."""
+    place = write_comparison(tmp_path / "all", GRID)
+    new = [(get_protocol("standard"), None)]
+    monkeypatch.setattr(remeasure, "protocols_of", lambda run, names: new)
+    monkeypatch.setattr(remeasure, "measure_again", lambda run, protocol: run.metrics["metrics"])
+    return place
+
+
+def test_numbers_are_printed_where_they_cannot_be_kept(measured, monkeypatch, capsys):
+    def read_only(path, content):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(store, "write_json", read_only)
+    assert main(["evaluate", str(measured)]) == 1
+    told = "".join(capsys.readouterr().out.split())
+    assert "80" in told and told.count("standard.json'cannotbewritten:Read-onlyfilesystem") == 2
+
+
+def test_runs_that_are_left_out_are_said(measured, capsys):
+    assert main(["evaluate", str(measured)]) == 0
+    assert capsys.readouterr().err == ""
+    (measured / JOBS / GRID[1].name / DONE).unlink()
+    assert main(["evaluate", str(measured)]) == 0
+    assert "1 of 2 runs in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [COMPARISON, f"{JOBS}/{GRID[0].name}/metrics.json"])
+@pytest.mark.parametrize("command", ["evaluate {}", "report {}", "report {} --out report"])
+def test_damage_ends_with_two_and_leaves_nothing(measured, name, command, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (measured / name).write_bytes(b"\xff")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(command.format("all").split()) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1 and f"all/{name}' is damaged" in said[0]
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "command, place",
+    [("scenes box --picture /proc/x.png", "/proc/x.png"),
+     ("evaluate --map a.ply --scene box --out nowhere/x.json", "nowhere/x.json")],
+)  # fmt: skip
+def test_a_place_that_cannot_be_written_is_one_sentence(command, place, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(command.split()) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1 and f"'{place}' cannot be written" in said[0]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts import Line, line_chart, span
-from activestructure_gym.evaluation.report.html import Html
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
 
@@ -91,7 +91,7 @@ def convergence(
     return lines
 
 
-def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Html]]:
+def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
     """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
     rows = []
     for measure in MEASURES:

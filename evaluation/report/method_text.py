@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from activestructure_gym.evaluation.report.columns import QUALITY, aspects, measured, reason_of, value_of
-from activestructure_gym.evaluation.report.html import Html, element
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import resampling
@@ -112,12 +111,6 @@ def machine_text(results: Results) -> str:
     )
 
 
-def definitions(results: Results) -> list[Html]:
-    """All of it as paragraphs."""
-    texts = [*protocol_texts(results), *statistics_text(), machine_text(results)]
-    return [_paragraph(text) for text in texts]
-
-
-def _paragraph(text: str) -> Html:
-    parts = text.split("`")
-    return element("p", *(element("code", part) if k % 2 else part for k, part in enumerate(parts)))
+def definitions(results: Results) -> list[str]:
+    """All of it, a paragraph each; code stands between backticks."""
+    return [*protocol_texts(results), *statistics_text(), machine_text(results)]

@@ -14,6 +14,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
+from activestructure_gym.evaluation.report.curve_section import policy_panels
 from activestructure_gym.evaluation.report.curves import chart_rows
 from activestructure_gym.evaluation.report.formats import code, documents, escaped, markdown
 from activestructure_gym.evaluation.report.layout import Table
@@ -29,7 +30,6 @@ from activestructure_gym.evaluation.report.paper_tables import ablation_table, t
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results, source_of
-from activestructure_gym.evaluation.report.scene_section import policy_panels
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 
 PAGE = "report.html"

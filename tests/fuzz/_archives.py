@@ -38,7 +38,8 @@ def asg(*arguments: str) -> int:
 
     said = io.StringIO()
     # All kernels that are needed are compiled when the comparison is made.
-    nothing = mock.patch("activestructure_gym.evaluation.running.comparison.warming_up", lambda *_: contextlib.nullcontext())
+    warming_up = "activestructure_gym.evaluation.running.comparison.warming_up"
+    nothing = mock.patch(warming_up, lambda *_: contextlib.nullcontext())
     with nothing, contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         code = main(list(arguments))
     text = "".join(line for line in said.getvalue().splitlines(keepends=True) if not line.startswith("asg: note: "))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from activestructure_gym.envs import ENV_IDS, ReconstructionEnv, register_envs
     from activestructure_gym.errors import InputError, InputWarning
     from activestructure_gym.evaluation import compare, open_comparison
-    from activestructure_gym.features import GAINS, GainContext
+    from activestructure_gym.features import FEATURES, FeatureContext
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.geometry.frame import Frame
     from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
@@ -46,7 +46,7 @@ _PLACES = {
     "envs": ("ENV_IDS", "ReconstructionEnv", "register_envs"),
     "errors": ("InputError", "InputWarning"),
     "evaluation": ("compare", "open_comparison"),
-    "features": ("GAINS", "GainContext"),
+    "features": ("FEATURES", "FeatureContext"),
     "geometry": ("PinholeCamera",),
     "geometry.frame": ("Frame",),
     "ground_truth": ("GroundTruth", "ground_truth_of"),
@@ -61,11 +61,11 @@ _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() 
 
 __all__ = [
     "ENV_IDS",
-    "GAINS",
+    "FEATURES",
     "POLICIES",
     "SCENES",
+    "FeatureContext",
     "Frame",
-    "GainContext",
     "GaussianMap",
     "GroundTruth",
     "InputError",

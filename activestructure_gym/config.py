@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
-from activestructure_gym.features import GAINS
+from activestructure_gym.features import column_names
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
@@ -32,7 +32,7 @@ class ReconstructionConfig:
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
     revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (own choice)
-    gains: tuple[str, ...] = ("pixel",)  # evaluated for every candidate, in this order
+    gains: tuple[str, ...] = ("pixel",)  # features of every candidate; kept as the names of their columns
     sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
     mapper: MapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
     volume: VolumeConfig = field(default_factory=VolumeConfig)  # the voxel grid of free and occupied space
@@ -49,8 +49,7 @@ class ReconstructionConfig:
         if self.frame_budget > MOST_FRAMES:
             raise InputError(f"the frame budget must be at most {MOST_FRAMES}, got {shown(self.frame_budget)}")
         check_ranges(self, {"keyframe_every": f"[1, {MOST_FRAMES}]", "revisit_rounds": "[1, 1000]"})
-        for name in self.gains:
-            GAINS.get(name)
+        object.__setattr__(self, "gains", column_names(self.gains))
 
 
 # Overrides of the defaults above, by field.

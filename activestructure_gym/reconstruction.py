@@ -18,7 +18,7 @@ import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
@@ -255,7 +255,7 @@ class Reconstruction:
             points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
             self.planes.assess(space_state=self.volume.state_at, map_points=points)
         with self._timed("gains"):
-            context = GainContext(
+            context = FeatureContext(
                 mapper=self.mapper,
                 volume=self.volume,
                 planes=self.planes,
@@ -265,7 +265,7 @@ class Reconstruction:
                 max_range=config.sensor.max_range,
                 world_from_camera=self.candidates.world_from_camera,
             )
-            self.gains = evaluate_gains(config.gains, context)
+            self.gains = evaluate_features(config.gains, context)
             self.visible = context.visible
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]

@@ -30,6 +30,18 @@ LARGEST_BYTES = (
 )  # of one observation; its space, which holds both bounds of every number, takes three times that
 
 
+def candidate_columns(*names: str) -> list[int]:
+    """Columns of ``observation["candidates"]`` by name (`CANDIDATE_FEATURES`)."""
+    return [CANDIDATE_FEATURES.index(name) for name in names]
+
+
+def feature_columns(*names: str) -> tuple[str, ...]:
+    """Full names of the columns that features have; raises `InputError` for an unknown one."""
+    from activestructure_gym.features import column_names  # late, as below
+
+    return column_names(names)
+
+
 def plane_columns(*names: str) -> list[int]:
     """Columns of ``observation["plane_features"]`` by name (``activestructure_gym.planes.PLANE_FEATURES``)."""
     from activestructure_gym.planes import PLANE_FEATURES  # late: policies take names from here without the world
@@ -129,7 +141,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
             CANDIDATE_FEATURES,
         ),
         "candidate_gains": Key(
-            (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for", config.gains
+            (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "the features asked for, a column each or more", config.gains
         ),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
         "fidelity": Key(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from typing import Any
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.uncertain_surface import Surface, by_perturbing_all, by_proxy, clusters
 from activestructure_gym.volume import FREE
 
@@ -16,7 +17,7 @@ CEILING = 0.8  # metres from the top of the workspace: what is higher is left ou
 NEAREST = 1.0  # metres from the agent: a target nearer than this is none
 
 
-def assigned(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -> np.ndarray:  # [K, 4]
+def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 4]
     """Per candidate its cluster's share of the surface below the ceiling, and that cluster's target (metres, world).
 
     Only clusters whose target is free, not too near to the agent and inside the workspace count, each as far as any
@@ -53,16 +54,21 @@ def preferred(*wishes: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool
     return keep
 
 
-_TABLES: dict[Callable[[GainContext], Surface], Callable[[GainContext], np.ndarray]] = {
-    kind: partial(assigned, uncertainty=kind) for kind in (by_perturbing_all, by_proxy)
+_COLUMNS: dict[str, Any] = {
+    "columns": ("", "x", "y", "z"),
+    "unit": ("share of the uncertain surface", "m", "m", "m"),
+    "low": (0.0, -np.inf, -np.inf, -np.inf),
+    "high": (1.0, np.inf, np.inf, np.inf),
 }
 
 
-def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: int) -> np.ndarray:  # [K]
-    """Of the target that the view is assigned: its share of the uncertain surface, or its position (`assigned`)."""
-    return context.once(_TABLES[uncertainty])[:, which]
+@FEATURES.register("activeinr", **_COLUMNS)
+def activeinr(context: FeatureContext) -> np.ndarray:  # [K, 4]
+    """`assigned` with the uncertainty of ANM: 20 perturbed renderings."""
+    return assigned(context, by_perturbing_all)
 
 
-for _name, _kind in (("activeinr", by_perturbing_all), ("activeinr_proxy", by_proxy)):
-    for _which, _suffix in enumerate(("", "_x", "_y", "_z")):
-        GAINS.register(f"{_name}{_suffix}")(partial(column, uncertainty=_kind, which=_which))
+@FEATURES.register("activeinr_proxy", **_COLUMNS)
+def activeinr_proxy(context: FeatureContext) -> np.ndarray:  # [K, 4]
+    """`assigned` with the first order of that uncertainty, which needs no rendering."""
+    return assigned(context, by_proxy)

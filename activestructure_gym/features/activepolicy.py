@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import passes
@@ -18,8 +19,8 @@ LOG_WEIGHT = 10.0  # gamma: at 10 % between the two depths the confidence is one
 SHARE = 0.5  # omega_s, of the depths; the rest is that of their Laplacians
 
 
-@GAINS.register("activepolicy")
-def activepolicy(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("activepolicy", unit="share of the image", low=0.0, high=1.0)
+def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """g_geo = share of the pixels with U > tau_u; a pixel that the map does not cover has U = 1.
 
     U = omega tanh(eta s_d / 2) + (1 - omega) tanh(eta s_l / 2), s_d the variance of three readings of the depth and s_l
@@ -36,7 +37,7 @@ def activepolicy(context: GainContext) -> np.ndarray:  # [K] in 0..1
     return (~covered | (disagreement(mean, median, alpha) > THRESHOLD)).mean(axis=(1, 2))
 
 
-def median_depths(context: GainContext) -> np.ndarray:  # [K, h, w] metres, 0 where alpha stays below one half
+def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0 where alpha stays below one half
     """The depth of the Gaussian with which the transmittance first falls to one half."""
     camera, poses = context.camera, context.world_from_camera
     parameters, count = MapParts(context.mapper.map).in_view(camera, poses)

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import solid_angles
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voronoi_node import NODE_REACH, floor_graph, voronoi_node
 from activestructure_gym.motion import VoronoiGraph
 from activestructure_gym.sensors import Frame
@@ -21,26 +22,25 @@ VIEW_OPEN = 0.3  # 1 - opacity, for the views at a node
 VIEW_LEAST = 25.0  # square degrees: a smaller gap is no reason to look
 
 
-@GAINS.register("activesplat_information")
-def activesplat_information(context: GainContext) -> np.ndarray:  # [K] rad^2 m deg^2
-    """I of the view's Voronoi node: sum over clusters of (hull volume) x (sum of 1 - opacity); 0 without a node."""
-    return _of_node(context, context.once(_measured)[0])
+@FEATURES.register(
+    "activesplat",
+    columns=("information", "volume", "region", "view"),
+    unit=("rad^2 m deg^2", "rad^2 m", "index", "deg^2"),
+    low=(0.0, 0.0, -1.0, 0.0),
+)
+def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
+    """Of the view's Voronoi node I, V and its subregion, and of the view itself the gaps it would show.
+
+    I: sum over clusters of (hull volume) x (sum of 1 - opacity); V: sum of their hull volumes; both 0 without a node.
+    Numbers of subregions are of this step only, -1 without a node. The last column is `gaps_in_sight`.
+    """
+    information, volume = node_openings(context)
+    region = regions(context.once(floor_graph)).astype(np.float64)
+    of_node = [_of_node(context, information), _of_node(context, volume), _of_node(context, region, nothing=-1.0)]
+    return np.column_stack([*of_node, gaps_in_sight(context)])
 
 
-@GAINS.register("activesplat_volume")
-def activesplat_volume(context: GainContext) -> np.ndarray:  # [K] rad^2 m
-    """V of the view's Voronoi node: sum over clusters of their hull volumes; 0 without a node."""
-    return _of_node(context, context.once(_measured)[1])
-
-
-@GAINS.register("activesplat_region")
-def activesplat_region(context: GainContext) -> np.ndarray:  # [K] whole numbers
-    """Subregion of the view's Voronoi node, -1 without a node. Numbers are of this step only."""
-    return _of_node(context, regions(context.once(floor_graph)).astype(np.float64), nothing=-1.0)
-
-
-@GAINS.register("activesplat_view")
-def activesplat_view(context: GainContext) -> np.ndarray:  # [K] square degrees
+def gaps_in_sight(context: FeatureContext) -> np.ndarray:  # [K] square degrees
     """Sum of 1 - opacity over the gaps of more than VIEW_LEAST in the view's own image.
 
     The original looks for the gaps in the panorama of the node it stands at and turns to their centres; here the
@@ -79,7 +79,7 @@ def looked_around(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] met
     return bool(seen.all())
 
 
-def _measured(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
+def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
     """I and V of every node that some view stands for; 0 of those too near an obstacle or looked around at already."""
     graph, keyframes = context.once(floor_graph), context.mapper.keyframes
     information, volume = np.zeros(len(graph)), np.zeros(len(graph))
@@ -101,6 +101,6 @@ def _measured(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N
     return information, volume
 
 
-def _of_node(context: GainContext, values: np.ndarray, nothing: float = 0.0) -> np.ndarray:  # [N] -> [K]
+def _of_node(context: FeatureContext, values: np.ndarray, nothing: float = 0.0) -> np.ndarray:  # [N] -> [K]
     node = context.once(voronoi_node).astype(np.int64)
     return np.append(values, nothing)[np.where(node >= 0, node, -1)]

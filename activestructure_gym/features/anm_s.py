@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.uncertain_surface import (
     Clusters,
     Surface,
@@ -22,32 +22,38 @@ KEPT = 0.2  # of the surface, the most uncertain
 ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this take one look
 
 
-@dataclass(frozen=True)
-class Looks:
-    """What there is to look at from the candidates' nodes; all 0 for candidates without a node."""
-
-    clusters: np.ndarray  # [K] clusters that the node is the nearest one to
-    needed: np.ndarray  # [K] looks it takes to see these and the ends of the chains that hung from it
-    facing: np.ndarray  # [K] cosine between where the candidate looks and the nearest of all of these; -1 without any
-
-
-def column(context: GainContext, uncertainty: Callable[[GainContext], Surface], which: str) -> np.ndarray:  # [K]
-    """Of the view's Voronoi node: its clusters, the looks it takes to see them, or how the view faces the nearest."""
-    return getattr(context.once(_LOOKS[uncertainty]), which)
+_COLUMNS: dict[str, Any] = {
+    "columns": ("clusters", "looks", "facing"),
+    "unit": ("clusters", "views", "cosine"),
+    "low": (0.0, 0.0, -1.0),
+    "high": (np.inf, np.inf, 1.0),
+}
 
 
-for _name, _kind in (("anm_s", by_perturbing_means), ("anm_s_proxy", by_proxy)):
-    for _which, _column in (("clusters", "clusters"), ("looks", "needed"), ("facing", "facing")):
-        GAINS.register(f"{_name}_{_which}")(partial(column, uncertainty=_kind, which=_column))
+@FEATURES.register("anm_s", **_COLUMNS)
+def anm_s(context: FeatureContext) -> np.ndarray:  # [K, 3]
+    """`looks` with the uncertainty of ANM-S: 20 renderings of perturbed geometry."""
+    return looks(context, by_perturbing_means)
 
 
-def looks(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -> Looks:
-    """Clusters belong to the nearest node of `floor_graph`, as seen from above ([anm_s])."""
+@FEATURES.register("anm_s_proxy", **_COLUMNS)
+def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
+    """`looks` with the first order of that uncertainty, which needs no rendering."""
+    return looks(context, by_proxy)
+
+
+def looks(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 3]
+    """What there is to look at from the candidate's node; 0, 0, -1 for a candidate without a node.
+
+    Clusters that the node is the nearest one to, as seen from above ([anm_s]); how many looks it takes to see
+    these and the ends of the chains that hung from it; and the cosine between where the candidate looks and the nearest
+    of all of these, -1 without any. Nodes are those of `floor_graph`.
+    """
     found = clusters(context.once(uncertainty), KEPT)
     graph = context.once(floor_graph)
     node, poses = context.once(voronoi_node).astype(np.int64), context.world_from_camera
     anchors = anchored(found, graph.nodes)
-    result = Looks(np.zeros(len(poses)), np.zeros(len(poses)), np.full(len(poses), -1.0))
+    table = np.tile([0.0, 0.0, -1.0], (len(poses), 1))
     for n in np.unique(node[node >= 0]):
         centres, ends = found.centres[anchors == n], graph.chain_ends[graph.chain_nodes == n]
         for row in np.flatnonzero(node == n):
@@ -55,14 +61,8 @@ def looks(context: GainContext, uncertainty: Callable[[GainContext], Surface]) -
             level = np.concatenate([ends, np.full((len(ends), 1), here[2])], axis=1)
             ways = np.concatenate([centres, level]) - here
             ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
-            result.clusters[row], result.needed[row] = len(centres), count_looks(ways)
-            result.facing[row] = (ways @ poses[row, :3, 2]).max(initial=-1.0)
-    return result
-
-
-_LOOKS: dict[Callable[[GainContext], Surface], Callable[[GainContext], Looks]] = {
-    kind: partial(looks, uncertainty=kind) for kind in (by_perturbing_means, by_proxy)
-}
+            table[row] = len(centres), count_looks(ways), (ways @ poses[row, :3, 2]).max(initial=-1.0)
+    return table
 
 
 def anchored(found: Clusters, nodes: np.ndarray) -> np.ndarray:  # [C] int64 nodes; -1 without any node

@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from activestructure_gym.features.base import GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.mapping.gaussian_map import COLOR
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import cpu
 
 
 def blended(
-    context: GainContext,
+    context: FeatureContext,
     values: np.ndarray | None = None,  # [N] float32, one per Gaussian
     *,
     repaint: Callable[[np.ndarray, np.ndarray], None] | None = None,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
 from activestructure_gym.features.blending import blended
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import unexplored
 from activestructure_gym.mapping.sightings import REACH, Sightings, sightings
 
@@ -13,8 +14,8 @@ EXPLORATION = 1000.0  # lambda: what the whole workspace is worth beside an imag
 UNSEEN_DEPTH = 2.5  # metres, D of a pixel that the map does not cover
 
 
-@GAINS.register("confidence")
-def confidence(context: GainContext) -> np.ndarray:  # [K] >= 0
+@FEATURES.register("confidence", unit="weighted sum of shares", low=0.0)
+def confidence(context: FeatureContext) -> np.ndarray:  # [K] >= 0
     """U = 1000 #unexplored visible / #voxels + mean over pixels of (1 - C) D / 5 m (ActiveGS).
 
     C is the confidence blended like a colour, as a mean over what the pixel shows, and D the depth. A pixel without

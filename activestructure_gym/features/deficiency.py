@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import REACH, largest_area
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.views.visibility import cosines_in_sight
 
 
-@GAINS.register("deficiency")
-def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("deficiency", unit="as hole_area", low=0.0, high=1.0)
+def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Area of the deficiency centres C_def that a view would mend, in the unit of `hole_area`.
 
     A centre stands for a patch of known area. It counts where it is in sight and near enough for the surface there to
@@ -29,7 +30,7 @@ def deficiency(context: GainContext) -> np.ndarray:  # [K] in 0..1
     return area / largest_area(camera)
 
 
-def refining_distance(context: GainContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
+def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
     """From how far away a frame replaces Gaussians of these sizes by finer ones (`MapperConfig.coarse_ratio`)."""
     config, sensor = context.mapper.config, context.mapper.keyframes[-1].camera
     if config.coarse_ratio is None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.information import COLOR, LOG_SCALE, LOGIT, MEAN, diagonal_gain, register_both
 
 
 @register_both("fisherrf")
-def fisherrf(context: GainContext) -> np.ndarray:  # [K]
+def fisherrf(context: FeatureContext) -> np.ndarray:  # [K]
     """Sum over parameters of H_c / (H_train + lambda), per Gaussian of the map.
 
     Parameters are mean, log-scale, opacity logit and the three colours, which all have the same information; not the

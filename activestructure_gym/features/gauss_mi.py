@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.information import register_both
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.mapping.gaussian_map import COLOR
@@ -15,8 +15,8 @@ from activestructure_gym.splatting.cpu import render
 NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 5, 0.95
 
 
-@register_both("gauss_mi")
-def gauss_mi(context: GainContext) -> np.ndarray:  # [K]
+@register_both("gauss_mi", unit="nats, mean over pixels")
+def gauss_mi(context: FeatureContext) -> np.ndarray:  # [K]
     """Mean over pixels of sum_i w_i sum_dir c_dir (-log r_dir), then the discount of revisits.
 
     w_i is the weight of Gaussian i in the pixel, c_dir how much of the direction from the camera to it lies along each

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.features.base import GAINS, GainContext, grid_rays
+from activestructure_gym.features.context import FeatureContext, grid_rays
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.sensors import Frame
 
 STRIDE = 2  # pixels between rays
@@ -13,9 +14,16 @@ COLOUR_WEIGHT = 1.0  # lambda_C: metres of depth error that a full error of colo
 LOSS_KEYFRAMES = 16  # rendered per step, half of them the newest ones: the cost does not grow with the episode
 
 
-@GAINS.register("gs_planner_volume")
-def gs_planner_volume(context: GainContext) -> np.ndarray:  # [K] in 0..1
-    """Sum over pixels of sum_i V_i T(before i), over the unobserved intervals i of each ray; the completeness gain.
+@FEATURES.register(
+    "gs_planner",
+    columns=("volume", "loss"),
+    unit=("share of the frustum", "weighted error in m"),
+    low=0.0,
+    high=(1.0, np.inf),
+)
+def gs_planner(context: FeatureContext) -> np.ndarray:  # [K, 2]
+    """The completeness gain: sum over pixels of sum_i V_i T(before i), over the unobserved intervals i of each ray;
+    and the quality gain: mean over pixels of L = L1(D) + lambda_C L1(C) of the first occupied voxel on the ray.
 
     V_i = (d_out - d_in) (S_in + sqrt(S_in S_out) + S_out) / 3 with S = d^2 / f^2 is the volume of a pixel's frustum in
     the interval, T the transmittance of the map before it ([gs_planner]). Given as a share of the whole
@@ -23,21 +31,10 @@ def gs_planner_volume(context: GainContext) -> np.ndarray:  # [K] in 0..1
 
     T is 1 up to the depth that the map shows in the pixel and 1 - alpha behind it, where the original multiplies from
     splat to splat: candidates are rendered once, and per pixel one depth and one opacity is what that gives.
-    """
-    return context.once(_walked)[0]
-
-
-@GAINS.register("gs_planner_loss")
-def gs_planner_loss(context: GainContext) -> np.ndarray:  # [K] >= 0, metres
-    """Mean over pixels of L = L1(D) + lambda_C L1(C) of the first occupied voxel on the ray; the quality gain.
 
     L is measured where keyframes saw the voxel, with the map as it is. The original caches it in the voxels as it was
     when each image came; rendering some keyframes again needs no cache and is never out of date.
     """
-    return context.once(_walked)[1]
-
-
-def _walked(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
     volume = context.volume
     alpha = context.alpha[:, ::STRIDE, ::STRIDE]
     shown = context.depth[:, ::STRIDE, ::STRIDE] / np.maximum(alpha, 1e-6)
@@ -50,10 +47,10 @@ def _walked(context: GainContext) -> tuple[np.ndarray, np.ndarray]:  # [K], [K]
         np.ascontiguousarray(alpha, dtype=np.float32),
     )
     rays = alpha.shape[1] * alpha.shape[2]
-    return volumes / (rays * farthest**3), losses / rays
+    return np.column_stack([volumes / (rays * farthest**3), losses / rays])
 
 
-def voxel_losses(context: GainContext) -> np.ndarray:  # [X, Y, Z] float32 metres
+def voxel_losses(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] float32 metres
     """Mean L of what the chosen keyframes saw in each voxel; 0 where they saw nothing."""
     mapper, volume = context.mapper, context.volume
     points, losses = [np.zeros((0, 3))], [np.zeros(0)]

@@ -8,22 +8,23 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.features.base import GAINS, GainContext, grid_rays
+from activestructure_gym.features.context import FeatureContext, grid_rays
 from activestructure_gym.features.fisherrf import fisherrf
-from activestructure_gym.features.information import adaptive
+from activestructure_gym.features.information import ADAPTIVE, adaptive
+from activestructure_gym.features.registry import FEATURES
 
 RANGE = 5.0  # metres of depth that a view looks into (HGS-Planner's sensor)
 _STRIDE = 2  # pixels: neighbours look through the same voxels
 
 
-@GAINS.register("hgs_planner")
-def hgs_planner(context: GainContext) -> np.ndarray:  # [K]
+@FEATURES.register("hgs_planner", unit=ADAPTIVE, low=0.0)
+def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
     """G = G_cov + lambda_o G_Q: `hgs_coverage` and `fisherrf_pure`, the more of the latter the more is observed."""
-    return adaptive(context, context.once(hgs_coverage), fisherrf(context))
+    return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
 
 
-@GAINS.register("hgs_coverage")
-def hgs_coverage(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("hgs_coverage", unit="share of the rays", low=0.0, high=1.0)
+def hgs_coverage(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """G_cov: sum over pixels and the unobserved voxels on their rays of the transmittance in front of each, as a share.
 
     Every voxel has the same volume, so the sum is a mean over pixels of the transmitted length of ray in unobserved

@@ -7,7 +7,8 @@ from functools import lru_cache
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.features.base import GAINS, GainContext, grid_rays
+from activestructure_gym.features.context import FeatureContext, grid_rays
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
@@ -19,8 +20,8 @@ _STRIDE = 2
 REACH = 4.0
 
 
-@GAINS.register("hole_area")
-def hole_area(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("hole_area", unit="share of the largest possible", low=0.0, high=1.0)
+def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """Sum over pixels of T_final x (pixel's solid angle) x min(d_exit, reach)^2, as a share of the largest such sum.
 
     Area instead of pixels: a hole in a wall counts the same from near and from afar, so the gain has no liking for

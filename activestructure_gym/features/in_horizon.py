@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voronoi_node import places, voronoi_node
 from activestructure_gym.sensors import Frame
 
@@ -12,8 +13,8 @@ _MOVED = 0.05  # metres in the plane: half a step
 _CLEAR = 1e-3  # metres of clearance: every voxel on the way is free
 
 
-@GAINS.register("in_horizon")
-def in_horizon(context: GainContext) -> np.ndarray:  # [K] 0 or 1
+@FEATURES.register("in_horizon", unit="0 or 1", low=0.0, high=1.0)
+def in_horizon(context: FeatureContext) -> np.ndarray:  # [K] 0 or 1
     """1 where the straight way to the view's Voronoi node (or itself) is free and ends inside the last box.
 
     The box holds, in the plane, the camera and all returns of `last_on_the_way`. Where no node with a free way lies in

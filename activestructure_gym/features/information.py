@@ -11,27 +11,30 @@ Sources: [fisherrf], [popgs]; how large lambda may be: docs/notebook/groundwork.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import wraps
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, Gain, GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import hole_area
+from activestructure_gym.features.registry import FEATURES, Compute, Feature
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, view_information
 
 LAMBDA = 1e-2  # of the unit
 LITTLE = 0.05  # of a view of nothing but unseen space (own choice)
 WINDOW = 6.0  # metres, side of HGS-Planner's local window
+ADAPTIVE = "share of the best coverage, plus weighted information"  # unit of `adaptive`
 MEAN, LOG_SCALE, LOGIT, COLOR = range(4)  # kinds of parameters
 _COLUMNS = (DIAGONAL[:3], DIAGONAL[3:], np.array([21]), np.array([22]))  # of `ViewInformation.numbers`, by kind
 
 
-def trained(context: GainContext) -> np.ndarray:  # [N, 24] float64
+def trained(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
     """H_train, columns as in `ViewInformation.numbers`."""
     return context.mapper.keyframe_information(context.camera)
 
 
-def units(context: GainContext) -> np.ndarray:  # [4]
+def units(context: FeatureContext) -> np.ndarray:  # [4]
     """By kind of parameter, what is known about a Gaussian: median over those of which anything is; 1 without any.
 
     Of the mean over a Gaussian's entries of that kind: along the thin axis of a disk an entry is next to nothing.
@@ -41,14 +44,14 @@ def units(context: GainContext) -> np.ndarray:  # [4]
     return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
 
 
-def diagonal_units(context: GainContext, kinds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
+def diagonal_units(context: FeatureContext, kinds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
     """Columns of the diagonal entries of these kinds, and the unit of each."""
     of_kind = context.once(units)
     columns = np.concatenate([_COLUMNS[kind] for kind in kinds])
     return columns, np.concatenate([np.full(len(_COLUMNS[kind]), of_kind[kind]) for kind in kinds])
 
 
-def informed_views(context: GainContext) -> Iterator[ViewInformation]:
+def informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
     """The second pass over every candidate, one after the other."""
     gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
     for pose in context.world_from_camera:
@@ -57,7 +60,7 @@ def informed_views(context: GainContext) -> Iterator[ViewInformation]:
 
 
 def diagonal_gain(
-    context: GainContext,
+    context: FeatureContext,
     criterion: Callable[[np.ndarray, np.ndarray], np.ndarray],
     kinds: tuple[int, ...] = (MEAN, LOG_SCALE),
 ) -> np.ndarray:  # [K]
@@ -67,13 +70,11 @@ def diagonal_gain(
     """
     columns, unit = diagonal_units(context, kinds)
     prior = np.ascontiguousarray(trained(context)[:, columns] / unit + LAMBDA)
-    sums = [
-        criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in informed_views(context)
-    ]
+    sums = [criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in informed_views(context)]
     return np.array(sums) / max(1, len(prior))
 
 
-def observed_share(context: GainContext) -> float:  # 0..1
+def observed_share(context: FeatureContext) -> float:  # 0..1
     """lambda_o: how much of the local window around the agent has been looked into (`VoxelVolume.unobserved`)."""
     volume, eye = context.volume, context.mapper.keyframes[-1].world_from_camera[:3, 3]
     size = volume.config.voxel_size
@@ -85,7 +86,7 @@ def observed_share(context: GainContext) -> float:  # 0..1
     return 1.0 - float(window.mean()) if window.size else 0.0
 
 
-def adaptive(context: GainContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
+def adaptive(context: FeatureContext, coverage: np.ndarray, quality: np.ndarray) -> np.ndarray:  # [K], [K] -> [K]
     """G = G_cov + lambda_o G_Q (HGS-Planner): coverage as a share of the best candidate's, quality by its rank.
 
     The two have no common unit. Information spans many orders of magnitude, and of some criteria the best view has a
@@ -102,16 +103,18 @@ def share_below(values: np.ndarray) -> np.ndarray:  # [K] -> [K] in 0..1
     return np.where(values > 0, np.searchsorted(np.sort(values), values, side="right") / max(1, len(values)), 0.0)
 
 
-def register_both(name: str) -> Callable[[Gain], Gain]:
-    """Decorator of a gain that is blind to unseen space: as ``NAME_pure``, and with `hole_area` for it as ``NAME``."""
+def register_both(name: str, unit: str = "per Gaussian of the map") -> Callable[[Compute], Feature]:
+    """Decorator of a score that is blind to unseen space: as ``NAME_pure``, and with `hole_area` for it as ``NAME``."""
 
-    def register(pure: Gain) -> Gain:
-        def with_coverage(context: GainContext) -> np.ndarray:  # [K]
-            return adaptive(context, hole_area(context), pure(context))
+    def register(compute: Compute) -> Feature:
+        pure = FEATURES.register(f"{name}_pure", unit=unit, low=0.0)(compute)
+
+        @wraps(compute)
+        def with_coverage(context: FeatureContext) -> np.ndarray:  # [K]
+            return adaptive(context, hole_area(context), context.once(pure))
 
         with_coverage.__doc__ = f"G_cov + lambda_o G_Q with `hole_area` and `{name}_pure`; see `adaptive`."
-        GAINS.register(f"{name}_pure")(pure)
-        GAINS.register(name)(with_coverage)
+        FEATURES.register(name, unit=ADAPTIVE, low=0.0)(with_coverage)
         return pure
 
     return register

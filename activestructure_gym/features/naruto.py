@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.volume import FREE, VoxelVolume
 
 EPSILON = 1.0  # opacity times looks: one look at one opaque Gaussian halves the uncertainty
@@ -29,8 +29,8 @@ class Targets:
     seen: np.ndarray  # [K, T] bool, from every candidate's position
 
 
-@GAINS.register("naruto")
-def naruto(context: GainContext) -> np.ndarray:  # [K] >= 0
+@FEATURES.register("naruto", unit="sum of uncertainties", low=0.0)
+def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
     """S(g) = sum over t in T of sigma(t) [.5 < |g - t| < 2 m] [all 30 samples of g..t are free].
 
     g is the candidate's position; its direction plays no part. That g itself is safe is the candidate pool's business.
@@ -40,25 +40,21 @@ def naruto(context: GainContext) -> np.ndarray:  # [K] >= 0
     return targets.seen @ targets.sigma
 
 
-def look_at(context: GainContext, rank: int, axis: int) -> np.ndarray:  # [K] metres, world
-    """Coordinate of the target that is number ``rank`` on the look-at list of a goal at the candidate's position.
+@FEATURES.register("naruto_look", columns=[f"{rank}_{axis}" for rank in range(LISTED) for axis in "xyz"], unit="m")
+def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
+    """The look-at list of a goal at the candidate's position: LISTED places, x, y and z of each.
 
-    The list holds the most uncertain targets that are seen from there. Behind its end: the candidate's own coordinate.
+    The list holds the most uncertain targets that are seen from there. Behind its end: the candidate's own position.
     """
     targets = context.once(find_targets)
-    column = context.world_from_camera[:, axis, 3].copy()
-    ranks = np.cumsum(targets.seen, axis=1) * targets.seen  # the targets stand in their order
-    row, target = np.nonzero(ranks == rank + 1)
-    column[row] = targets.positions[target, axis]
-    return column
+    listed = np.repeat(context.world_from_camera[:, None, :3, 3], LISTED, axis=1)
+    rank = np.cumsum(targets.seen, axis=1) - 1  # the targets stand in their order
+    row, target = np.nonzero(targets.seen & (rank < LISTED))
+    listed[row, rank[row, target]] = targets.positions[target]
+    return listed.reshape(len(listed), 3 * LISTED)
 
 
-for _rank in range(LISTED):
-    for _axis, _name in enumerate("xyz"):
-        GAINS.register(f"naruto_look_{_rank}_{_name}")(partial(look_at, rank=_rank, axis=_axis))
-
-
-def find_targets(context: GainContext) -> Targets:
+def find_targets(context: FeatureContext) -> Targets:
     """T and its visibility; share it by ``context.once(find_targets)``."""
     gaussians, volume = context.mapper.map, context.volume
     voxels, sigma = uncertainty(volume, gaussians.means, gaussians.opacities)

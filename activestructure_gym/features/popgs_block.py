@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.features.base import GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.information import (
     LAMBDA,
     LOG_SCALE,
@@ -22,18 +22,18 @@ _ROW, _COLUMN = np.triu_indices(6)
 
 
 @register_both("popgs_logdet_block")
-def popgs_logdet_block(context: GainContext) -> np.ndarray:  # [K]
+def popgs_logdet_block(context: FeatureContext) -> np.ndarray:  # [K]
     """Sum over Gaussians of log det(H_train + lambda + H_c) - log det(H_train + lambda), per Gaussian of the map."""
     return _block_gains(context, 0, 1.0)
 
 
 @register_both("popgs_cov_trace_block")
-def popgs_cov_trace_block(context: GainContext) -> np.ndarray:  # [K]
+def popgs_cov_trace_block(context: FeatureContext) -> np.ndarray:  # [K]
     """Sum over Gaussians of tr (H_train + lambda)^-1 - tr (H_train + lambda + H_c)^-1, per Gaussian of the map."""
     return _block_gains(context, 1, -1.0)
 
 
-def _block_gains(context: GainContext, number: int, sign: float) -> np.ndarray:  # [K]
+def _block_gains(context: FeatureContext, number: int, sign: float) -> np.ndarray:  # [K]
     unit = context.once(units)
     root = np.sqrt(np.repeat(unit[[MEAN, LOG_SCALE]], 3))
     inverse_units = 1.0 / (root[_ROW] * root[_COLUMN])

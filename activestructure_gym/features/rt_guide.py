@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import count_in_front
 
 CUBOID_M = 2.5  # side of a region
@@ -14,8 +15,23 @@ _SPREAD = 0.5  # standard deviations from the mean to the sets H and L
 _LOW = 1.0  # weight of L
 
 
-@GAINS.register("rt_guide")
-def rt_guide(context: GainContext) -> np.ndarray:  # [K] in -1..1
+@FEATURES.register(
+    "rt_guide",
+    columns=("", "region", "cuboid"),
+    unit=("share of the Gaussians, net", "m", "index"),
+    low=(-1.0, 0.0, 0.0),
+    high=(1.0, np.inf, np.inf),
+)
+def rt_guide(context: FeatureContext) -> np.ndarray:  # [K, 3]
+    """xi of the view; Omega of the cuboid it stands in, 0 where no Gaussian is; and that cuboid's number.
+
+    xi is `moving_in_view`, Omega the mean uncertainty of the Gaussians in the cuboid.
+    """
+    regions = _regions(context)
+    return np.column_stack([moving_in_view(context), regions.uncertainty, regions.cuboid])
+
+
+def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
     """xi = (#H - 1.0 #L) / #Gaussians, of those in the frustum (RT-GuIDE, Tao et al. 2025).
 
     A Gaussian's uncertainty is |change of its mean| in the last mapping event that touched it; H is above the mean of
@@ -41,25 +57,13 @@ def rt_guide(context: GainContext) -> np.ndarray:  # [K] in -1..1
     return in_view / len(moved)
 
 
-@GAINS.register("rt_guide_region")
-def rt_guide_region(context: GainContext) -> np.ndarray:  # [K] >= 0 metres
-    """Omega of the cuboid in which the candidate stands: the mean uncertainty of the Gaussians there, 0 without any."""
-    return context.once(_regions).uncertainty
-
-
-@GAINS.register("rt_guide_cuboid")
-def rt_guide_cuboid(context: GainContext) -> np.ndarray:  # [K] >= 0
-    """The number of that cuboid, the same for all candidates in it."""
-    return context.once(_regions).cuboid
-
-
 @dataclass(frozen=True)
 class _Regions:
     uncertainty: np.ndarray  # [K] metres
     cuboid: np.ndarray  # [K] int64
 
 
-def _regions(context: GainContext) -> _Regions:
+def _regions(context: FeatureContext) -> _Regions:
     volume, moved = context.volume, context.mapper.movement().astype(np.float64)
     shape = np.ceil(np.array(volume.state.shape) * volume.config.voxel_size / CUBOID_M).astype(int)
 

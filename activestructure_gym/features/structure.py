@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 
 
-@GAINS.register("structure")
-def structure(context: GainContext) -> np.ndarray:  # [K]
+@FEATURES.register("structure", unit="sum of deficits, 0 to 1 each", low=0.0)
+def structure(context: FeatureContext) -> np.ndarray:  # [K]
     """Sum of the information deficits gamma_i (Eq. 10) of the planes the view sees: Eq. 13 with all alpha_i = 1.
 
     `activestructure_gym.policies.activestructure` needs the sum per type and phase, and takes visibility and deficits

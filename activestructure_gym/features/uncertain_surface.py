@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from activestructure_gym.features.base import GainContext
+from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import cpu
@@ -56,17 +56,17 @@ class Clusters:
     directions: np.ndarray  # [C, 3] unit (0 where the normals cancel): -mean n
 
 
-def by_perturbing_means(context: GainContext) -> Surface:
+def by_perturbing_means(context: FeatureContext) -> Surface:
     """ANM-S: the geometry alone is perturbed, there the head of the network that holds the distance."""
     return _perturbed(context, everything=False)
 
 
-def by_perturbing_all(context: GainContext) -> Surface:
+def by_perturbing_all(context: FeatureContext) -> Surface:
     """ANM: all parameters are perturbed (of which colours do not change a depth)."""
     return _perturbed(context, everything=True)
 
 
-def by_proxy(context: GainContext) -> Surface:
+def by_proxy(context: FeatureContext) -> Surface:
     """u = sqrt(sum o_k^2) / sum o_k over the Gaussians k of a voxel: the perturbation to first order, not rendered.
 
     The depth is a mean of the Gaussians' depths, weighted about as their opacities. Independent offsets of one size
@@ -86,7 +86,7 @@ def by_proxy(context: GainContext) -> Surface:
     )
 
 
-def _perturbed(context: GainContext, *, everything: bool) -> Surface:
+def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
     """u of every surface voxel: mean over M perturbations and the pixels it fills of |difference of the depths|."""
     volume, camera = context.volume, context.camera
     views = covering_views(context)
@@ -116,7 +116,7 @@ def _perturbed(context: GainContext, *, everything: bool) -> Surface:
     return _with_normals(volume, voxel_ids, means, np.bincount(place, weights=change) / pixels)
 
 
-def covering_views(context: GainContext) -> np.ndarray:  # [<= VIEWS] rows
+def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
     """Candidates chosen one after the other, each for the surface voxels it sees and those before it do not."""
     volume, at = context.volume, slice(_STRIDE // 2, None, _STRIDE)
     alpha, rays = context.alpha[:, at, at], context.camera.rays()[at, at]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 
 
-@GAINS.register("uncovered")
-def uncovered(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("uncovered", unit="share of the image", low=0.0, high=1.0)
+def uncovered(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """|{p : D_c(p) <= 0}| as a share of the image, D_c the accumulated depth of the map (ActiveGAMER, CVPR 2025).
 
     A pixel counts as covered as soon as any opacity reaches it, where `pixel` asks for ``coverage_alpha``. ActiveGAMER

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.volume import VoxelVolume
 
 _SIDE = 2  # voxels per side of the cells that are tested: 0.2 m at the default size, ActiveGS's voxels
 
 
-@GAINS.register("unexplored")
-def unexplored(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("unexplored", unit="share of the voxels", low=0.0, high=1.0)
+def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025).
 
     A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
@@ -23,7 +24,7 @@ def unexplored(context: GainContext) -> np.ndarray:  # [K] in 0..1
     return context.once(_shares)
 
 
-def _shares(context: GainContext) -> np.ndarray:  # [K]
+def _shares(context: FeatureContext) -> np.ndarray:  # [K]
     centres, unknown, total = unknown_cells(context.volume)
     camera, reach = context.camera, min(context.max_range, context.volume.config.max_range)
     alpha = context.alpha

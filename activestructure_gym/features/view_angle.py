@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.features.base import GAINS, GainContext
 from activestructure_gym.features.blending import blended
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.mapping.parts import BLOCK, block_boxes, may_be_seen
 from activestructure_gym.mapping.sightings import DIRECTIONS, sightings
 
 
-@GAINS.register("view_angle")
-def view_angle(context: GainContext) -> np.ndarray:  # [K] in 0..1
+@FEATURES.register("view_angle", unit="mean of 1 - coverage", low=0.0, high=1.0)
+def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     """1 - mean over pixels of the coverage of the viewing direction (COVER, Chen et al. 2026).
 
     A Gaussian covers a direction by (cos theta + 1) / 2, theta the angle to the nearest of the 128 bins from which a

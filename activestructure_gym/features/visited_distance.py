@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voronoi_node import places
 
 
-@GAINS.register("visited_distance")
-def visited_distance(context: GainContext) -> np.ndarray:  # [K] metres
+@FEATURES.register("visited_distance", unit="m", low=0.0)
+def visited_distance(context: FeatureContext) -> np.ndarray:  # [K] metres
     """Distance in the plane from the view's Voronoi node (or itself) to the nearest keyframe's position.
 
     Every fifth frame is a keyframe and a step is 0.1 m, so the way between them is known to a quarter of a metre.

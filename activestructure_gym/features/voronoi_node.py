@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features.base import GAINS, GainContext
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.motion import VoronoiGraph, planar_graph
 
 NODE_REACH = 0.5  # metres in the plane: views farther from every node stand for none; a step of the view lattice
 
 
-@GAINS.register("voronoi_node")
-def voronoi_node(context: GainContext) -> np.ndarray:  # [K] whole numbers
+@FEATURES.register("voronoi_node", unit="index", low=-1.0)
+def voronoi_node(context: FeatureContext) -> np.ndarray:  # [K] whole numbers
     """Index of the nearest node of `floor_graph`, -1 beyond `NODE_REACH`. Indices are of this step only."""
     positions, nodes = context.world_from_camera[:, :2, 3], context.once(floor_graph).nodes
     if not len(nodes):
@@ -20,12 +21,12 @@ def voronoi_node(context: GainContext) -> np.ndarray:  # [K] whole numbers
     return np.where(distance.min(axis=1) <= NODE_REACH, distance.argmin(axis=1), -1)
 
 
-def floor_graph(context: GainContext) -> VoronoiGraph:
+def floor_graph(context: FeatureContext) -> VoronoiGraph:
     """The Voronoi graph at the height where the agent started; share it by ``context.once(floor_graph)``."""
     return planar_graph(context.volume, context.mapper.keyframes[0].world_from_camera[:3, 3])
 
 
-def places(context: GainContext) -> np.ndarray:  # [K, 3] metres
+def places(context: FeatureContext) -> np.ndarray:  # [K, 3] metres
     """Where each view counts as standing: at its node, or where it is if it has none; at its own height."""
     positions = context.world_from_camera[:, :3, 3].copy()
     node = context.once(voronoi_node).astype(np.int64)

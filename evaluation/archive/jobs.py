@@ -106,12 +106,12 @@ def check_in_one_line(kind: str, name: str) -> None:
 
 
 def refuse_code(jobs: Iterable[Job], file: object) -> None:
-    """Raise `InputError` where jobs that were read from ``file`` name scenes, policies or gains that are code.
+    """Raise `InputError` where jobs that were read from ``file`` name scenes, policies or features that are code.
 
     They may name what is registered, and files; see `registry.refuse_code`.
     """
     from activestructure_gym import registry
-    from activestructure_gym.features import GAINS
+    from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes.library import imports_code
 
@@ -122,8 +122,8 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
             registry.refuse_code("policy", job.policy, file)
         gains = dict(job.overrides).get("gains", ())
         for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
-            if isinstance(name, str) and GAINS.imports(name):
-                registry.refuse_code("gain", name, file)
+            if isinstance(name, str) and FEATURES.imports(name):
+                registry.refuse_code("feature", name, file)
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

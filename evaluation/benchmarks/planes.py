@@ -262,12 +262,12 @@ def graph_rows(
     over the third of the keyframes after which the graph had most nearly 60 planes.
 
     Detection stands apart. ``sum`` is the update of the graph with its quality, surprise and deficits, the visibility
-    of its planes from all candidates, and the gains `structure` and `deficiency`; with its quartiles.
+    of its planes from all candidates, and the features `structure` and `deficiency`; with its quartiles.
 
     Views are drawn as in `detection_rows`; sensor, map and volume are those of the preset ``default``.
     """
     from activestructure_gym.config import configure
-    from activestructure_gym.features import GAINS, GainContext
+    from activestructure_gym.features import FEATURES, FeatureContext
     from activestructure_gym.mapping import Mapper
     from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
     from activestructure_gym.sensors import RGBDSensor
@@ -285,7 +285,7 @@ def graph_rows(
         frame = sensor.capture(pose)
         volume.integrate(frame, sensor_range=config.sensor.max_range)
         mapper.observe(frame)
-        context = GainContext(
+        context = FeatureContext(
             mapper=mapper,
             volume=volume,
             planes=graph,
@@ -306,10 +306,10 @@ def graph_rows(
         graph.integrate(frame, detection)
         graph.assess(space_state=volume.state_at, map_points=points)
         marks.append(time.perf_counter())
-        _ = context.visible  # kept for the gains
+        _ = context.visible  # kept for the features
         marks.append(time.perf_counter())
-        for gain in ("structure", "deficiency"):
-            GAINS.get(gain)(context)
+        for feature in ("structure", "deficiency"):
+            FEATURES.get(feature)(context)
             marks.append(time.perf_counter())
         for name, taken in zip(seconds, np.diff(marks)):
             seconds[name].append(1000.0 * taken)

@@ -95,11 +95,11 @@ def _names() -> dict[str, Sequence[str]]:
     """Per option the names it takes."""
     from activestructure_gym.config import PRESETS, ReconstructionConfig
     from activestructure_gym.evaluation.cli.config import leaves
-    from activestructure_gym.features import GAINS
+    from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes import SCENES
 
-    scenes, gains = list(SCENES), list(GAINS)
+    scenes, features = list(SCENES), list(FEATURES)
     return {
         "Policies.name": list(POLICIES),
         "Scenes.spec": scenes,
@@ -109,8 +109,8 @@ def _names() -> dict[str, Sequence[str]]:
         "scenes": scenes,
         "scene": scenes,
         "preset": list(PRESETS),
-        "gains": gains,
-        "teacher": ["oracle", *gains],
+        "gains": features,
+        "teacher": ["oracle", *features],
         "engine": ["local", "inline", "ray"],
         "protocols": ["standard", "activegamer"],
         "protocol": ["standard", "activegamer"],

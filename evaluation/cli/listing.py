@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import re
-from collections.abc import Iterable
 from typing import Any
 
 from rich.table import Table
@@ -14,16 +12,8 @@ from activestructure_gym.evaluation.cli.output import make_console, print_whole
 
 
 def first_line(thing: Any) -> str:
-    """Of a function or class, also of one with some of its arguments given."""
-    return (inspect.getdoc(getattr(thing, "func", thing)) or "").partition("\n")[0]
-
-
-def grouped(names: Iterable[str]) -> list[str]:
-    """Names, those that differ in nothing but a number and an axis as one: ``look_0_x .. look_9_z``."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        groups.setdefault(re.sub(r"(_\d+)?_[xyz]$", " by axis", name), []).append(name)
-    return [members[0] if len(members) == 1 else f"{members[0]} .. {members[-1]}" for members in groups.values()]
+    """Of the docstring of a class or function."""
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
 def print_listed(table: Table, hint: str) -> None:

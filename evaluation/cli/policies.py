@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Switch, option
-from activestructure_gym.evaluation.cli.listing import first_line, grouped, print_json, print_listed
+from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 
@@ -34,7 +34,7 @@ class Policies:
                 return print_json(rows)
             table = plain_table("Policies", "name", "decides by", "source", "gains it needs")
             for row in rows:
-                gains = ", ".join(grouped(row["gains"]))
+                gains = ", ".join(row["gains"])
                 table.add_row(*map(escape, (row["name"], row["decides_by"], row["source"], gains)))
             print_listed(table, "One of them with its options: asg policies NAME")
             return 0
@@ -44,7 +44,7 @@ class Policies:
         console = make_console()
         console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
         console.print(escape(facts["about"]), soft_wrap=True)
-        console.print(f"\nGains it needs: {escape(', '.join(grouped(facts['gains'])) or 'none')}", soft_wrap=True)
+        console.print(f"\nGains it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
         if not facts["options"]:
             console.print("It takes no options.")
             return 0

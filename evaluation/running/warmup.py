@@ -43,7 +43,7 @@ def warming_up(
 ) -> Iterator[None]:
     """Run the smallest possible job in another process while the block runs, and wait for it at the end.
 
-    Then every gain of the policies is evaluated there.
+    Then every feature that the policies ask for is evaluated there.
 
     Compiled kernels are kept on disk, so the first run of a comparison need not compile again, and no run's time
     contains a compilation. Half of the compiling is the rasteriser's: it gets a process of its own. Results are
@@ -89,13 +89,12 @@ class WarmMark:
     def of(cls, job: Job, gains: Sequence[str] = ()) -> WarmMark | None:
         """None where kernels cannot be kept, or where what is compiled may lie outside of this package."""
         from activestructure_gym.compiling import cache_place
-        from activestructure_gym.features import GAINS
+        from activestructure_gym.features import FEATURES
         from activestructure_gym.policies import make_policy
 
         ours = f"{__name__.partition('.')[0]}."
-        origins = [type(make_policy(job.policy)), *map(GAINS.get, gains)]
-        # A gain may be a partial, which has no module of its own: those are ours.
-        if not all(getattr(origin, "__module__", ours).startswith(ours) for origin in origins):
+        origins = [type(make_policy(job.policy)), *(FEATURES.get(FEATURES.owner(name)) for name in gains)]
+        if not all(origin.__module__.startswith(ours) for origin in origins):
             return None
         if ":" in str(job.overrides):
             return None

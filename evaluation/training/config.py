@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
+from activestructure_gym.envs.observation import feature_columns
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
@@ -46,7 +47,7 @@ class WorldConfig:
     preset: str = "fast"
     frames: int | None = None  # frame budget; None = the preset's
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields
-    gains: tuple[str, ...] = ("pixel", "hole_area")  # what the policy is told about every candidate
+    gains: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the policy is told
     max_planes: int = 64
     noise: bool = True  # sensor noise, another one in every episode
     episodes_per_layout: int = 2  # of the expert, in a row; PPO keeps a layout for one iteration of one env
@@ -114,11 +115,14 @@ class TrainingConfig:
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
             raise InputError(f"ppo_batch {self.ppo_batch} leaves a batch of one step over: choose another")
-        self.network()
+        self._network(self.world.gains)
 
     def network(self) -> NetworkConfig:
-        """The shape of the network."""
-        return NetworkConfig(self.world.gains, planes=self.planes, candidates=self.candidates, rounds=self.rounds)
+        """The shape of the network, with an input for every column of the features it is told."""
+        return self._network(feature_columns(*self.world.gains))
+
+    def _network(self, gains: tuple[str, ...]) -> NetworkConfig:
+        return NetworkConfig(gains, planes=self.planes, candidates=self.candidates, rounds=self.rounds)
 
     @property
     def rate(self) -> float:

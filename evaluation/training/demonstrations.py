@@ -142,7 +142,7 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     """The content of file ``number``: the episodes of the expert on one layout."""
     world = config.world
-    extra = () if config.teacher == ORACLE or config.teacher in world.gains else (config.teacher,)
+    extra = () if config.teacher == ORACLE else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.gains, *extra))
     rng = np.random.default_rng([config.seed, number])
     truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
@@ -164,6 +164,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
 
 def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     observation, info = env.reset(seed=int(rng.integers(2**31)))
+    told = len(config.network().gains)
     for _ in range(STARTS):
         if observation["action_mask"].any():
             break
@@ -176,7 +177,7 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
         action = drawn if explores else expert_choice(gain, observation)
         state = {key: observation[key] for key in USED_KEYS}
-        state["candidate_gains"] = state["candidate_gains"][:, : len(config.world.gains)]
+        state["candidate_gains"] = state["candidate_gains"][:, :told]
         before, left = info["frames"], float(observation["budget"][0])
         observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated

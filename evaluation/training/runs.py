@@ -30,7 +30,7 @@ from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing
-from activestructure_gym.features import GAINS
+from activestructure_gym.features import FEATURES
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.policies.learned.checkpoint import LARGEST_WEIGHTS
 from activestructure_gym.registry import refuse_code
@@ -67,8 +67,8 @@ def read_config(directory: Path) -> TrainingConfig:
         raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
     overrides = dict(config.world.overrides).get("gains", ())
     for name in (*config.world.gains, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
-        if isinstance(name, str) and GAINS.imports(name):
-            refuse_code("gain", name, file)
+        if isinstance(name, str) and FEATURES.imports(name):
+            refuse_code("feature", name, file)
     return config
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext
+from activestructure_gym.features import FeatureContext
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
 from activestructure_gym.sensors import Frame
@@ -42,7 +42,7 @@ class TwoWalls:
         self.volume.state[:] = state
         self.volume.weight[:] = 0
 
-    def context(self, *poses: np.ndarray, **changes: Any) -> GainContext:
+    def context(self, *poses: np.ndarray, **changes: Any) -> FeatureContext:
         options: dict[str, Any] = {
             "mapper": self.mapper,
             "volume": self.volume,
@@ -53,7 +53,7 @@ class TwoWalls:
             "max_range": 10.0,
             "world_from_camera": np.array(poses),
         }
-        return GainContext(**{**options, **changes})
+        return FeatureContext(**{**options, **changes})
 
 
 @pytest.fixture

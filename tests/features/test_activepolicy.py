@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.activepolicy import (
     LOG_WEIGHT,
     SENSITIVITY,
@@ -22,7 +22,7 @@ from activestructure_gym.splatting import cpu
 CAMERA = PinholeCamera.from_size(40, 24)
 
 
-def context(disks: list[tuple[float, float, float]]) -> GainContext:
+def context(disks: list[tuple[float, float, float]]) -> FeatureContext:
     """Disks (depth, opacity, sigma) on the axis of a camera at the origin that looks along x."""
     gaussians = GaussianMap(16)
     block = np.zeros((14, len(disks)), np.float32)
@@ -36,7 +36,7 @@ def context(disks: list[tuple[float, float, float]]) -> GainContext:
             gaussians.parameters, gaussians.count, camera, poses
         ),
     )
-    return GainContext(
+    return FeatureContext(
         mapper=mapper, volume=None, planes=None, camera=CAMERA, bounds=np.zeros((2, 3)), coverage_alpha=0.5,
         max_range=10.0, world_from_camera=look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))[None],
     )  # fmt: skip
@@ -73,10 +73,10 @@ def test_median_depth_is_the_one_at_which_half_is_seen() -> None:
 
 def test_what_is_not_covered_or_veiled_counts_and_a_wall_does_not() -> None:
     nothing, wall, veil = context([(1.0, 0.01, 0.01)]), context([(3.0, 0.99, 5.0)]), context([])
-    assert evaluate_gains(("activepolicy",), nothing)[0, 0] == 1.0
-    assert evaluate_gains(("activepolicy",), veil)[0, 0] == 1.0
-    assert evaluate_gains(("activepolicy",), wall)[0, 0] == 0.0
+    assert evaluate_features(("activepolicy",), nothing)[0, 0] == 1.0
+    assert evaluate_features(("activepolicy",), veil)[0, 0] == 1.0
+    assert evaluate_features(("activepolicy",), wall)[0, 0] == 0.0
     # Two layers 2 m apart, each of about half the weight.
     veil = context([(1.0, 0.45, 5.0), (3.0, 0.99, 5.0)])
     assert disagreement(np.array(1.9).reshape(1, 1, 1), np.array(3.0).reshape(1, 1, 1), np.ones((1, 1, 1))) > THRESHOLD
-    assert evaluate_gains(("activepolicy",), veil)[0, 0] > 0.9
+    assert evaluate_features(("activepolicy",), veil)[0, 0] > 0.9

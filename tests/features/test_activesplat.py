@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.activesplat import VIEW_LEAST, looked_around, regions
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.motion import VoronoiGraph
@@ -32,7 +32,7 @@ def context(
     is_open: Callable[[np.ndarray], np.ndarray],  # [..., 3] unit directions, world -> [...] bool
     places: tuple[np.ndarray, ...] = (LEFT, RIGHT, np.array([3.0, 0.5, 1.25])),
     keyframes: list[Frame] | None = None,
-) -> GainContext:
+) -> FeatureContext:
     """A map that is opaque in all directions but some, two metres away to the west and three to the east."""
 
     def render(camera: PinholeCamera, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -44,7 +44,7 @@ def context(
     volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]]))
     volume.state[1:-1, 1:-1, 1:-1] = FREE
     frames = [frame(START, 0.0)] if keyframes is None else keyframes
-    return GainContext(
+    return FeatureContext(
         mapper=SimpleNamespace(render_depth_alpha=render, keyframes=frames), volume=volume, planes=None, camera=CAMERA,
         bounds=np.zeros((2, 3)), coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(p, np.array([0.0, 1.0, 0.0])) for p in places]),
@@ -56,7 +56,7 @@ def north(directions: np.ndarray) -> np.ndarray:
 
 
 def test_nodes_with_an_opening_count_and_views_without_a_node_do_not() -> None:
-    information, volume, region, view = evaluate_gains(NAMES, context(north)).T
+    information, volume, region, view = evaluate_features(NAMES, context(north)).T
     assert information[0] == pytest.approx(information[1])  # the same panorama
     assert volume[0] > 0.1  # the outline lies at two depths
     rays = panorama.camera().rays() / np.linalg.norm(panorama.camera().rays(), axis=-1, keepdims=True)
@@ -68,21 +68,21 @@ def test_nodes_with_an_opening_count_and_views_without_a_node_do_not() -> None:
 
 
 def test_a_covered_map_leaves_nothing() -> None:
-    closed = evaluate_gains(NAMES, context(lambda d: np.zeros(d.shape[:-1], bool)))
+    closed = evaluate_features(NAMES, context(lambda d: np.zeros(d.shape[:-1], bool)))
     assert not closed[:, [0, 1, 3]].any()
 
 
 def test_pathology_what_lies_above_or_below_the_panorama_is_ignored() -> None:
     """The panorama ends 75 degrees above and below the horizon: the ceiling overhead may stay open for ever."""
-    steep = evaluate_gains(NAMES, context(lambda d: np.abs(d[..., 2]) > np.sin(np.radians(76.0))))
+    steep = evaluate_features(NAMES, context(lambda d: np.abs(d[..., 2]) > np.sin(np.radians(76.0))))
     assert not steep[:, :2].any()
-    within = evaluate_gains(NAMES, context(lambda d: np.abs(d[..., 2]) > np.sin(np.radians(60.0))))
+    within = evaluate_features(NAMES, context(lambda d: np.abs(d[..., 2]) > np.sin(np.radians(60.0))))
     assert within[0, 0] > 0
 
 
 def test_nodes_where_all_was_looked_at_or_near_an_obstacle_count_nothing() -> None:
     turn = [frame(LEFT + [0.2, 0.0, 0.0], yaw) for yaw in np.radians([0.0, 80.0, 160.0, 240.0, 300.0])]
-    information = evaluate_gains(NAMES, context(north, keyframes=turn))[:, 0]
+    information = evaluate_features(NAMES, context(north, keyframes=turn))[:, 0]
     assert information[0] == 0.0
     assert information[1] > 0.0
     # The same three frames of five leave a gap.
@@ -92,10 +92,10 @@ def test_nodes_where_all_was_looked_at_or_near_an_obstacle_count_nothing() -> No
     narrow.volume.state[:, 24:] = 0
     narrow.volume.state[:, :18] = 0  # a corridor 0.6 m wide: 0.3 m to either side
     # The only node of a corridor is somewhere in its middle.
-    middle = GainContext(**{**{f: getattr(narrow, f) for f in narrow.__dataclass_fields__},
+    middle = FeatureContext(**{**{f: getattr(narrow, f) for f in narrow.__dataclass_fields__},
                             "world_from_camera": np.stack([look_along(np.array([x, 2.1, 1.25]), START)
                                                            for x in np.arange(0.5, 6.0, 0.5)])})  # fmt: skip
-    columns = evaluate_gains(("voronoi_node", *NAMES), middle)
+    columns = evaluate_features(("voronoi_node", *NAMES), middle)
     assert (columns[:, 0] >= 0).any()
     assert not columns[:, 1].any()
 
@@ -118,7 +118,7 @@ def test_subregions_by_hand() -> None:
 def test_a_view_counts_gaps_in_square_degrees_and_no_small_ones() -> None:
     def show(half: float, above: float = -1.0) -> float:
         cone = np.cos(np.radians(half))
-        return float(evaluate_gains(NAMES, context(lambda d: (d[..., 1] > cone) & (d[..., 2] > above)))[0, 3])
+        return float(evaluate_features(NAMES, context(lambda d: (d[..., 1] > cone) & (d[..., 2] > above)))[0, 3])
 
     # A cone of 20 degrees around the axis holds 2 pi (1 - cos 20) steradian = 1243 square degrees.
     assert show(20.0) == pytest.approx(2 * np.pi * (1 - np.cos(np.radians(20.0))) * np.degrees(1) ** 2, rel=0.03)

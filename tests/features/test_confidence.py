@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.confidence import gaussian_confidence
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
@@ -37,10 +37,10 @@ def wall() -> Mapper:
     return mapper
 
 
-def context(mapper: Mapper, poses: list, *, state: int = FREE) -> GainContext:
+def context(mapper: Mapper, poses: list, *, state: int = FREE) -> FeatureContext:
     volume = VoxelVolume(np.array([[-3.0, -3, -2], [3, 3, 2]]))
     volume.state[:] = state
-    return GainContext(
+    return FeatureContext(
         mapper=mapper, volume=volume, planes=None, camera=CAMERA.resized(32, 18), bounds=np.zeros((2, 3)),
         coverage_alpha=0.5, max_range=10.0, world_from_camera=np.stack(poses),
     )  # fmt: skip
@@ -49,7 +49,7 @@ def context(mapper: Mapper, poses: list, *, state: int = FREE) -> GainContext:
 def test_doubt_of_a_wall_falls_with_every_look(wall: Mapper) -> None:
     straight = look_along(np.zeros(3), FORWARD)
     away = look_along(np.zeros(3), -FORWARD)
-    first, nothing = evaluate_gains(("confidence",), context(wall, [straight, away]))[:, 0]
+    first, nothing = evaluate_features(("confidence",), context(wall, [straight, away]))[:, 0]
     # Away from the map every pixel is unseen: 2.5 m of 5.
     assert nothing == pytest.approx(0.5)
     # In the middle of the wall C = 0.6, towards the corners less: between 0.4 and 1 of 2 m of 5.
@@ -58,14 +58,14 @@ def test_doubt_of_a_wall_falls_with_every_look(wall: Mapper) -> None:
     looks = [first]
     for _ in range(2):
         wall._store.append(again, new_share=0.0)
-        looks.append(evaluate_gains(("confidence",), context(wall, [straight]))[0, 0])
+        looks.append(evaluate_features(("confidence",), context(wall, [straight]))[0, 0])
     assert looks[0] > looks[1] > looks[2]
 
 
 def test_unexplored_space_outweighs_doubt(wall: Mapper) -> None:
     poses = [look_along(np.zeros(3), FORWARD), look_along(np.zeros(3), -FORWARD)]
     known, unknown = (
-        evaluate_gains(("confidence", "unexplored"), context(wall, poses, state=s)) for s in (FREE, UNKNOWN)
+        evaluate_features(("confidence", "unexplored"), context(wall, poses, state=s)) for s in (FREE, UNKNOWN)
     )
     assert not known[:, 1].any()
     np.testing.assert_allclose(unknown[:, 0], known[:, 0] + 1000 * unknown[:, 1], rtol=1e-5)

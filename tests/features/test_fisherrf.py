@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.features import evaluate_gains
+from activestructure_gym.features import evaluate_features
 from activestructure_gym.features.fisherrf import fisherrf
 from activestructure_gym.splatting.fisher import DIAGONAL, view_information
 
@@ -32,11 +32,11 @@ def test_against_the_sum_over_all_parameters(two_walls, looks) -> None:
             ratios = view.numbers[:, columns] / (entries[view.indices] + 0.01 * unit)
             total += times * ratios.sum()
         expected.append(total / gaussians.count)
-    assert evaluate_gains(("fisherrf_pure",), context)[:, 0] == pytest.approx(expected, rel=1e-5)
+    assert evaluate_features(("fisherrf_pure",), context)[:, 0] == pytest.approx(expected, rel=1e-5)
 
 
 def test_blind_to_unseen_space_alone_but_not_with_coverage(two_walls, looks) -> None:
-    pure, whole, holes = evaluate_gains(("fisherrf_pure", "fisherrf", "hole_area"), two_walls.context(*looks)).T
+    pure, whole, holes = evaluate_features(("fisherrf_pure", "fisherrf", "hole_area"), two_walls.context(*looks)).T
     assert pure[2] == 0.0 < pure[0] < pure[1]  # north has no Gaussians; the east wall is known better
     assert whole[2] == pytest.approx(1.0) and holes.argmax() == 2
     assert whole.argmax() == 2
@@ -51,7 +51,7 @@ def test_the_same_view_a_second_time_tells_less(two_walls, looks, frame_of) -> N
 
 def test_who_else_asks_changes_nothing(two_walls, looks) -> None:
     names = ("fisherrf_pure", "popgs_logdet", "popgs_logdet_block_pure", "fisherrf")
-    first = evaluate_gains(names, two_walls.context(*looks))
+    first = evaluate_features(names, two_walls.context(*looks))
     for column, name in enumerate(names):
-        assert np.array_equal(evaluate_gains((name,), two_walls.context(*looks))[:, 0], first[:, column])
-    assert evaluate_gains(names, two_walls.context()).shape == (0, 4)
+        assert np.array_equal(evaluate_features((name,), two_walls.context(*looks))[:, 0], first[:, column])
+    assert evaluate_features(names, two_walls.context()).shape == (0, 4)

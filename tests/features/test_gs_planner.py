@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.gs_planner import (
     COLOUR_WEIGHT,
     LOSS_KEYFRAMES,
@@ -37,11 +37,11 @@ def slab(volume: VoxelVolume, near: float, far: float, state: int) -> None:
     volume.state[:, :, (z > near) & (z < far)] = state
 
 
-def context(volume: VoxelVolume, depth: float, alpha: float, mapper: Any = None) -> GainContext:
+def context(volume: VoxelVolume, depth: float, alpha: float, mapper: Any = None) -> FeatureContext:
     image = np.full((1, CAMERA.height, CAMERA.width), alpha, np.float32)
     frames = SimpleNamespace(keyframes=[]) if mapper is None else mapper
     frames.render_depth_alpha = lambda camera, poses: (image * np.float32(depth), image)
-    return GainContext(
+    return FeatureContext(
         mapper=frames, volume=volume, planes=None, camera=CAMERA, bounds=np.zeros((2, 3)), coverage_alpha=0.5,
         max_range=10.0, world_from_camera=np.eye(4)[None],
     )  # fmt: skip
@@ -58,21 +58,21 @@ def test_volumes_against_the_formula_and_the_transmittance_before_them() -> None
     slab(volume, 1.0, 2.0, UNKNOWN)
     slab(volume, 3.0, 4.0, UNKNOWN)
     whole = frustum(0.0, 5.0)
-    open_way = evaluate_gains(NAMES, context(volume, 0.0, 0.0))[0]
+    open_way = evaluate_features(NAMES, context(volume, 0.0, 0.0))[0]
     assert open_way[0] == pytest.approx((frustum(1.0, 2.0) + frustum(3.0, 4.0)) / whole, rel=0.04)
     assert open_way[1] == 0.0
     # A veil at 2.5 m hides three quarters of the second interval, a wall there all of it.
-    veiled = evaluate_gains(NAMES, context(volume, 2.5, 0.75))[0]
+    veiled = evaluate_features(NAMES, context(volume, 2.5, 0.75))[0]
     assert veiled[0] == pytest.approx((frustum(1.0, 2.0) + 0.25 * frustum(3.0, 4.0)) / whole, rel=0.04)
-    walled = evaluate_gains(NAMES, context(volume, 2.5, 1.0))[0]
+    walled = evaluate_features(NAMES, context(volume, 2.5, 1.0))[0]
     assert walled[0] == pytest.approx(frustum(1.0, 2.0) / whole, rel=0.04)
 
 
 def test_the_unknown_all_over_is_the_whole_and_the_free_is_nothing() -> None:
     volume = space()
-    assert evaluate_gains(NAMES, context(volume, 0.0, 0.0))[0, 0] == 0.0
+    assert evaluate_features(NAMES, context(volume, 0.0, 0.0))[0, 0] == 0.0
     volume.state[:] = UNKNOWN
-    assert evaluate_gains(NAMES, context(volume, 0.0, 0.0))[0, 0] == pytest.approx(1.0, rel=1e-3)
+    assert evaluate_features(NAMES, context(volume, 0.0, 0.0))[0, 0] == pytest.approx(1.0, rel=1e-3)
 
 
 def test_pathology_a_hole_in_the_map_shows_what_lies_behind_a_known_wall() -> None:
@@ -80,8 +80,8 @@ def test_pathology_a_hole_in_the_map_shows_what_lies_behind_a_known_wall() -> No
     volume = space()
     slab(volume, 2.0, 2.2, OCCUPIED)
     slab(volume, 2.2, 6.1, UNKNOWN)
-    assert evaluate_gains(NAMES, context(volume, 0.0, 0.0))[0, 0] > 0.9
-    assert evaluate_gains(NAMES, context(volume, 2.1, 1.0))[0, 0] == 0.0
+    assert evaluate_features(NAMES, context(volume, 0.0, 0.0))[0, 0] > 0.9
+    assert evaluate_features(NAMES, context(volume, 2.1, 1.0))[0, 0] == 0.0
 
 
 def test_the_loss_by_hand_and_in_the_first_occupied_voxel() -> None:
@@ -109,7 +109,7 @@ def test_the_loss_by_hand_and_in_the_first_occupied_voxel() -> None:
     assert (volume.state[table > 0] == OCCUPIED).all()
     rows = CAMERA.height // STRIDE
     # The rays of the row without a return meet voxels of which nothing is known, or those that others measured.
-    assert (rows - 1) / rows * expected <= evaluate_gains(NAMES, step)[0, 1] * (1 + 1e-6) <= expected * (1 + 1e-5)
+    assert (rows - 1) / rows * expected <= evaluate_features(NAMES, step)[0, 1] * (1 + 1e-6) <= expected * (1 + 1e-5)
 
 
 def test_keyframes_with_the_loss_are_the_newest_and_some_of_all_others() -> None:
@@ -120,6 +120,6 @@ def test_keyframes_with_the_loss_are_the_newest_and_some_of_all_others() -> None
 
 
 def test_the_shell_in_front_of_a_wall_that_was_seen_holds_nothing_unseen(two_walls, looks) -> None:
-    east, _, north = evaluate_gains(("gs_planner_volume",), two_walls.context(*looks))[:, 0]
+    east, _, north = evaluate_features(("gs_planner_volume",), two_walls.context(*looks))[:, 0]
     assert (two_walls.volume.state == UNKNOWN).any()
     assert east < 0.02 < 0.2 < north

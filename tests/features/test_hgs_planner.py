@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.hgs_planner import hgs_coverage
 from activestructure_gym.features.information import share_below
 from activestructure_gym.geometry import PinholeCamera
@@ -23,7 +23,7 @@ def coverage(depth: float, alpha: float, unknown: tuple[float, float] = (0.0, 9.
     volume.state[:, :, (centres > unknown[0]) & (centres < unknown[1])] = UNKNOWN
     image = np.full((1, 8, 16), alpha, np.float32)
     mapper = SimpleNamespace(render_depth_alpha=lambda camera, poses: (np.float32(depth) * image, image))
-    context = GainContext(
+    context = FeatureContext(
         mapper=mapper, volume=volume, planes=None, camera=CAMERA, bounds=np.zeros((2, 3)), coverage_alpha=0.5,
         max_range=10.0, world_from_camera=np.eye(4)[None],
     )  # fmt: skip
@@ -42,10 +42,10 @@ def test_transmitted_length_in_the_unknown_by_hand() -> None:
 def test_the_more_is_observed_the_more_the_fisher_term_decides(two_walls, looks) -> None:
     names = ("hgs_planner", "hgs_coverage", "fisherrf_pure")
     two_walls.know(UNKNOWN)
-    gain, unseen, _ = evaluate_gains(names, two_walls.context(*looks)).T
+    gain, unseen, _ = evaluate_features(names, two_walls.context(*looks)).T
     assert gain == pytest.approx(unseen / unseen.max()) and gain.argmax() == 2
     two_walls.know(FREE)
-    gain, unseen, fisher = evaluate_gains(names, two_walls.context(*looks)).T
+    gain, unseen, fisher = evaluate_features(names, two_walls.context(*looks)).T
     assert unseen.max() == 0.0 and gain == pytest.approx(share_below(fisher)) and gain.argmax() == fisher.argmax() == 1
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.naruto import LISTED, POOL, TARGETS, chosen, find_targets, uncertainty, visible
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
@@ -28,8 +28,8 @@ def gaussians(means: np.ndarray, opacities: np.ndarray) -> SimpleNamespace:
     return SimpleNamespace(means=np.reshape(means, (-1, 3)), opacities=np.asarray(opacities, float))
 
 
-def context(volume: VoxelVolume, positions: list, cloud: SimpleNamespace) -> GainContext:
-    return GainContext(
+def context(volume: VoxelVolume, positions: list, cloud: SimpleNamespace) -> FeatureContext:
+    return FeatureContext(
         mapper=SimpleNamespace(map=cloud), volume=volume, planes=None, camera=PinholeCamera.from_size(40, 24),
         bounds=np.array([[0.0, 0, 0], [4.0, 4, 4]]), coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(np.array(p, float), X) for p in positions]),
@@ -132,10 +132,10 @@ def test_goal_score_and_list_by_hand() -> None:
             if 0.5 < distance < 2.0:  # a convex room: nothing is in the way
                 expected[k] += sigma
                 lists[k].append(t)
-    np.testing.assert_allclose(evaluate_gains(("naruto",), ctx)[:, 0], expected, rtol=1e-6)
+    np.testing.assert_allclose(evaluate_features(("naruto",), ctx)[:, 0], expected, rtol=1e-6)
     assert expected[0] == expected[1] > 0  # the direction plays no part
     names = tuple(f"naruto_look_{rank}_{axis}" for rank in range(LISTED) for axis in "xyz")
-    columns = evaluate_gains(names, ctx).reshape(3, LISTED, 3)
+    columns = evaluate_features(names, ctx).reshape(3, LISTED, 3)
     for k in range(3):
         np.testing.assert_allclose(columns[k], targets.positions[lists[k][:LISTED]], rtol=1e-6)
 
@@ -148,7 +148,7 @@ def test_behind_the_end_of_the_list_stands_the_candidate_itself() -> None:
     seen = ctx.once(find_targets).seen.sum(axis=1)
     assert seen.tolist() == [3, 0]
     names = tuple(f"naruto_look_{rank}_{axis}" for rank in range(LISTED) for axis in "xyz")
-    columns = evaluate_gains(names, ctx).reshape(2, LISTED, 3)
+    columns = evaluate_features(names, ctx).reshape(2, LISTED, 3)
     own = np.abs(columns - ctx.world_from_camera[:, None, :3, 3]).max(axis=2) < 1e-6
     assert (~own).sum(axis=1).tolist() == [3, 0]
     assert not own[0, :3].any()
@@ -161,9 +161,9 @@ def test_targets_far_from_reach_make_every_goal_worthless() -> None:
     cloud = gaussians(walls, np.full(len(walls), 0.5))
     near = [[1.05, 2.05, 2.05], [2.05, 2.05, 2.05]]
     # The walls nearby, of one look, are worth going to.
-    assert (evaluate_gains(("naruto",), context(volume, near, cloud))[:, 0] > 0).all()
+    assert (evaluate_features(("naruto",), context(volume, near, cloud))[:, 0] > 0).all()
     volume.state[50:-1, 1:-1, 1:-1] = UNKNOWN
     volume.state[50:-1:2, 1:-1:2, 1:-1:2] = FREE  # thousands of uncertain voxels, all enclosed
     ctx = context(volume, near, cloud)
     assert ctx.once(find_targets).sigma.min() == 1.0
-    np.testing.assert_array_equal(evaluate_gains(("naruto",), ctx)[:, 0], 0.0)
+    np.testing.assert_array_equal(evaluate_features(("naruto",), ctx)[:, 0], 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from activestructure_gym.features import GainContext
+from activestructure_gym.features import FeatureContext
 from activestructure_gym.features.uncertain_surface import (
     PERTURBATIONS,
     STAND_OFF,
@@ -48,7 +48,7 @@ def wall(points: np.ndarray, sigma: np.ndarray | float, opacity: float = 0.9) ->
     return block
 
 
-def context(block: np.ndarray, poses: list | None = None, volume: VoxelVolume | None = None) -> GainContext:
+def context(block: np.ndarray, poses: list | None = None, volume: VoxelVolume | None = None) -> FeatureContext:
     gaussians = GaussianMap(16)
     gaussians.append(block)
     mapper = SimpleNamespace(
@@ -58,7 +58,7 @@ def context(block: np.ndarray, poses: list | None = None, volume: VoxelVolume | 
         ),
     )
     poses = [look_along(np.array([1.0, 2.0, 1.5]), X)] if poses is None else poses
-    return GainContext(
+    return FeatureContext(
         mapper=mapper, volume=volume or room(), planes=None, camera=CAMERA, bounds=BOUNDS, coverage_alpha=0.5,
         max_range=10.0, world_from_camera=np.stack(poses),
     )  # fmt: skip

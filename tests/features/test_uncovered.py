@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera
 
 
@@ -15,7 +15,7 @@ def test_a_pixel_is_covered_by_however_little_opacity() -> None:
     alpha = np.zeros_like(depth)
     depth[1, :3], alpha[1, :3] = 0.02, 0.01  # a veil at 2 m over three of four rows
     depth[2], alpha[2] = 2.0, 1.0
-    context = GainContext(
+    context = FeatureContext(
         mapper=SimpleNamespace(render_depth_alpha=lambda camera, poses: (depth, alpha)),
         volume=None,
         planes=None,
@@ -26,4 +26,5 @@ def test_a_pixel_is_covered_by_however_little_opacity() -> None:
         world_from_camera=np.tile(np.eye(4), (3, 1, 1)),
     )  # fmt: skip
     # The confident coverage of `pixel` does not count the veil.
-    np.testing.assert_allclose(evaluate_gains(("uncovered", "pixel"), context), [[1.0, 1.0], [0.25, 1.0], [0.0, 0.0]])
+    table = evaluate_features(("uncovered", "pixel"), context)
+    np.testing.assert_allclose(table, [[1.0, 1.0], [0.25, 1.0], [0.0, 0.0]])

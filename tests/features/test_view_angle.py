@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.view_angle import cover
 from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
 from activestructure_gym.mapping import Mapper, MapperConfig
@@ -41,11 +41,11 @@ def test_the_newest_side_of_a_wall_and_what_is_not_mapped_at_all() -> None:
         direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees)), 0.0])
         poses.append(look_along(middle - 0.6 * direction, direction))  # so near that the wall fills the image
     poses.append(look_along(np.zeros(3), np.array([-1.0, 0.0, 0.0])))
-    step = GainContext(
+    step = FeatureContext(
         mapper=mapper, volume=None, planes=None, camera=CAMERA.resized(32, 18), bounds=np.zeros((2, 3)),
         coverage_alpha=0.5, max_range=10.0, world_from_camera=np.stack(poses),
     )  # fmt: skip
-    same, turned, steep, nothing = evaluate_gains(("view_angle",), step)[:, 0]
+    same, turned, steep, nothing = evaluate_features(("view_angle",), step)[:, 0]
     assert same < turned < steep < nothing
     assert nothing == 1.0
     # Of what is mapped: straight on it is known up to the bin and the wider fan of so near a camera, and under an angle

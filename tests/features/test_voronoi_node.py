@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from activestructure_gym.features import GainContext, evaluate_gains, floor_graph
+from activestructure_gym.features import FeatureContext, evaluate_features, floor_graph
 from activestructure_gym.features.in_horizon import last_on_the_way
 from activestructure_gym.features.voronoi_node import NODE_REACH
 from activestructure_gym.geometry import PinholeCamera, look_along
@@ -23,22 +23,22 @@ def frame(position: np.ndarray, direction: np.ndarray = X, depth: float = 2.0) -
     return SimpleNamespace(world_from_camera=look_along(position, direction), camera=CAMERA, depth=image)
 
 
-def context(positions: list, frames: list | None = None, *, door: bool = True) -> GainContext:
+def context(positions: list, frames: list | None = None, *, door: bool = True) -> FeatureContext:
     volume = VoxelVolume(BOUNDS, VolumeConfig())
     volume.state[:] = OCCUPIED
     volume.state[1:41, 1:41, 1:26] = volume.state[43:83, 1:41, 1:26] = FREE
     if door:
         volume.state[41:43, 17:25, 1:21] = FREE
     volume._changed()
-    return GainContext(
+    return FeatureContext(
         mapper=SimpleNamespace(keyframes=frames or [frame(START)]),
         volume=volume, planes=None, camera=CAMERA, bounds=BOUNDS, coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(np.array(p, float), X) for p in positions]),
     )  # fmt: skip
 
 
-def column(name: str, ctx: GainContext) -> np.ndarray:  # [K]
-    return evaluate_gains((name,), ctx)[:, 0]
+def column(name: str, ctx: FeatureContext) -> np.ndarray:  # [K]
+    return evaluate_features((name,), ctx)[:, 0]
 
 
 def test_views_stand_for_the_node_they_are_near_at_any_height() -> None:

@@ -94,8 +94,8 @@ def test_scenes_and_envs_as_everywhere(tmp_path: Path) -> None:
         (dict, {}, "a policy is given by its name, as a class derived from Policy"),
         (None, {}, "a policy is given by its name, as a class derived from Policy"),
         ("pixel_only", {"gains": "hole_area"}, "gains must be a list of names, got 'hole_area'"),
-        ("pixel_only", {"gains": ["hole_aera"]}, "unknown gain 'hole_aera'"),
-        ("pixel_only", {"gains": [["pixel"]]}, "a gain is given by its name"),
+        ("pixel_only", {"gains": ["hole_aera"]}, "unknown feature 'hole_aera'"),
+        ("pixel_only", {"gains": [["pixel"]]}, "a feature is given by its name"),
         ("pixel_only", {"preset": "fsat"}, "unknown preset 'fsat'"),
     ],
 )

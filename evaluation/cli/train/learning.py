@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check(config: TrainingConfig) -> None:
-    """What would fail later: names of gains, fields of the configuration."""
+    """What would fail later: names of features, fields of the configuration."""
     from activestructure_gym.evaluation.training.config import ORACLE
     from activestructure_gym.evaluation.training.world import world_config
 

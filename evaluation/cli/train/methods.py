@@ -126,13 +126,14 @@ class Ppo(Learning):
 
 def training_config(options: Learning) -> TrainingConfig:
     """What the options ask for; what a method has no option for is as usual."""
+    from activestructure_gym.envs.observation import feature_columns
     from activestructure_gym.policies.learned import learned_from
 
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     given["gains"] = split_list(options.gains)
     if given.get("start") is not None:
         chosen = learned_from(given["start"].removeprefix("learned:"))
-        if options.gains != type(options)().gains and given["gains"] != chosen.required_gains:
+        if options.gains != type(options)().gains and feature_columns(*given["gains"]) != chosen.required_gains:
             told = ", ".join(chosen.required_gains)
             raise InputError(
                 f"the checkpoint to begin from is told {told}, not {', '.join(given['gains'])}: leave --gains out"

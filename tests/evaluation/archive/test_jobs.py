@@ -129,8 +129,8 @@ def test_a_run_directory_s_name_fits_into_a_file_system():
         ({"scene": "subprocess:getoutput?cmd=touch hacked"}, "scene"),
         ({"scene": "room:getoutput"}, "scene"),  # a generated scene's name is no reader's
         ({"policy": "os:system?command=touch hacked"}, "policy"),
-        ({"overrides": (("gains", ["pixel", "os:system"]),)}, "gain"),
-        ({"overrides": (("gains", "os:system"),)}, "gain"),
+        ({"overrides": (("gains", ["pixel", "os:system"]),)}, "feature"),
+        ({"overrides": (("gains", "os:system"),)}, "feature"),
     ],
 )
 def test_what_a_record_names_is_not_imported(change, what, monkeypatch):

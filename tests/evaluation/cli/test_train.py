@@ -44,8 +44,8 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["bc", "--teacher", "deep"], ["unknown gain 'deep'"]),
-        (["bc", "--gains", "pixle"], ["unknown gain 'pixle'", "did you mean 'pixel'"]),
+        (["bc", "--teacher", "deep"], ["unknown feature 'deep'"]),
+        (["bc", "--gains", "pixle"], ["unknown feature 'pixle'", "did you mean 'pixel'"]),
         (["ppo", "--start", "nowhere"], ["no checkpoint", "nowhere"]),
         (["ppo", "--gamma", "2"], ["gamma", "2"]),
         (["bc", "--episodes", "0"], ["episodes", "from 1 to"]),

@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.activesplat_nodes import Nodes, choose_node, node_scores
-from activestructure_gym.policies.base import POLICIES, REVISIT, Observation, best_valid
+from activestructure_gym.policies.activesplat.nodes import Nodes, choose_node, node_scores
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.naruto import forward
-
-_LENGTH = CANDIDATE_FEATURES.index("path_length")
 
 UNARRIVED_M = 0.65  # metres from the way driven: 10 steps of 6.5 cm
 AT_NODE = 0.5  # metres: what stands for a node is no farther from it
@@ -32,14 +30,12 @@ LATE_AFTER = 3  # node decisions without a node that is neither arrived at nor f
 class ActiveSplat(Planner):
     """The node with the highest `node_scores`, the view there that shows most gaps, then up to LOCAL_VIEWS around it.
 
-    I and V come from panoramas of the map at the node (`activesplat_information`, `activesplat_volume`). Source:
-    [activesplat, code].
+    I and V come from panoramas of the map at the node (feature `activesplat`). Source: [activesplat, code].
     """
 
     decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"
     source = "Li et al., ActiveSplat, RA-L 2025"
-    required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat_information",
-                      "activesplat_volume", "activesplat_region", "activesplat_view")  # fmt: skip
+    required_gains = ("voronoi_node", "visited_distance", "in_horizon", "activesplat")
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
@@ -57,25 +53,25 @@ class ActiveSplat(Planner):
 
     def act(self, observation: Observation) -> int:
         """A local view while the stop lasts, else a view at the best node."""
-        table = observation["candidates"].astype(np.float64)
+        candidates = self.candidates(observation)
         here = observation["pose"][:3].astype(np.float64)
         if self._goal is not None and np.linalg.norm(here - self._goal) > ARRIVED_M:
             self._failed = np.vstack([self._failed, self._goal])
         if not len(self._stop) or _apart(self._stop[None], here)[0] > LOCAL_M:  # at first, or on a way not finished
             self._stop = here
-        choice = self._decide(observation, table, self.gain(observation, "activesplat_view").astype(np.float64))
-        self._goal = table[choice, :3]
+        choice = self._decide(observation, candidates, candidates["activesplat_view"].astype(np.float64))
+        self._goal = candidates.xyz[choice].astype(np.float64)
         return choice
 
-    def _decide(self, observation: Observation, table: np.ndarray, show: np.ndarray) -> int:
-        valid = observation["action_mask"].astype(bool)
-        new = valid & (table[:, REVISIT] == 0)
-        valid = new if new.any() else valid
-        nodes = self._nodes(observation, table, valid)
+    def _decide(self, observation: Observation, candidates: Candidates, show: np.ndarray) -> int:
+        xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        new = candidates.valid & ~candidates.revisit
+        valid = new if new.any() else candidates.valid
+        nodes = self._nodes(candidates, valid)
         self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
         if not nodes.rows:  # nothing of the plan is known yet, or no view on offer stands at a node
             choice = best_valid(np.where(valid, self.scores(show, observation), -1.0), observation)
-            self._stop, self._looks = table[choice, :3], 0
+            self._stop, self._looks = xyz[choice], 0
             return choice
         if self.travel == "shared":
             nodes = self._aged(nodes)
@@ -84,8 +80,9 @@ class ActiveSplat(Planner):
                 # What a view shows decides between those of a node.
                 gain[rows] = max(int(score), 0) + show[rows] / max(float(show[rows].max()), 1e-12)
             return best_valid(self.scores(gain, observation), observation)
-        local = valid & (show > LOCAL_DEG2) & (table[:, 3:6] @ forward(observation["pose"][3:]) < LOCAL_TURN)
-        local &= (_apart(table[:, :3], self._stop) <= LOCAL_M) & (table[:, _LENGTH] <= 2.0 * LOCAL_M)  # no wall between
+        turn = candidates.look.astype(np.float64) @ forward(observation["pose"][3:])
+        local = valid & (show > LOCAL_DEG2) & (turn < LOCAL_TURN)
+        local &= (_apart(xyz, self._stop) <= LOCAL_M) & (length <= 2.0 * LOCAL_M)  # no wall between
         repeated = (_apart(self._stops, self._stop) <= STOP_M).any()
         if self._looks < LOCAL_VIEWS and local.any() and not repeated:
             self._looks += 1
@@ -96,10 +93,10 @@ class ActiveSplat(Planner):
         node = choose_node(nodes, scores, self.rng if self._late else None)
         rows = nodes.rows[node]
         self._trace |= {"score": int(scores[node]), "region": int(nodes.region[node]), "late": self._late}
-        choice = int(rows[np.lexsort((table[rows, _LENGTH], -show[rows]))[0]])
+        choice = int(rows[np.lexsort((length[rows], -show[rows]))[0]])
         if not repeated:
             self._stops = np.vstack([self._stops, self._stop])
-        self._stop, self._looks = table[choice, :3], 0
+        self._stop, self._looks = xyz[choice], 0
         return choice
 
     def _aged(self, nodes: Nodes) -> Nodes:
@@ -110,24 +107,24 @@ class ActiveSplat(Planner):
         self._late, self._failed = True, self._failed[:0]
         return replace(nodes, failed=np.zeros(len(nodes.rows), dtype=bool))
 
-    def _nodes(self, observation: Observation, table: np.ndarray, valid: np.ndarray) -> Nodes:
-        number, visited, horizon, information, volume, region = (
-            self.gain(observation, name).astype(np.float64) for name in self.required_gains[:-1]
-        )
-        number = np.where(valid, np.round(number), -1)
+    def _nodes(self, candidates: Candidates, valid: np.ndarray) -> Nodes:
+        xyz, length = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        visited, horizon = candidates["visited_distance"].astype(np.float64), candidates["in_horizon"]
+        information, volume, region, _ = candidates.feature("activesplat").astype(np.float64).T
+        number = np.where(valid, np.round(candidates["voronoi_node"]), -1)
         rows = tuple(np.flatnonzero(number == n) for n in np.unique(number[number >= 0]))
         first = np.array([r[0] for r in rows], dtype=np.int64)
-        from_stop = _apart(table[:, :2], self._stop[:2])
+        from_stop = _apart(xyz[:, :2], self._stop[:2])
         return Nodes(
             rows=rows,
             information=information[first],
             volume=volume[first],
             unarrived=visited[first] > UNARRIVED_M,
             horizon=np.array([horizon[r].any() for r in rows], dtype=bool),
-            failed=np.array([self._has_failed(table[r, :3]) for r in rows], dtype=bool),
+            failed=np.array([self._has_failed(xyz[r]) for r in rows], dtype=bool),
             region=region[first],
-            length=np.array([table[r, _LENGTH].min() for r in rows]),
-            here=np.array([np.minimum(table[r, _LENGTH], from_stop[r]).min() <= AT_NODE for r in rows], dtype=bool),
+            length=np.array([length[r].min() for r in rows]),
+            here=np.array([np.minimum(length[r], from_stop[r]).min() <= AT_NODE for r in rows], dtype=bool),
         )
 
     def _has_failed(self, positions: np.ndarray) -> bool:  # [n, 3]

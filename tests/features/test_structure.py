@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.features import GainContext, evaluate_gains
+from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.deficiency import refining_distance
 from activestructure_gym.features.hole_area import REACH, largest_area, solid_angles
 from activestructure_gym.geometry import PinholeCamera, look_along
@@ -40,7 +40,7 @@ def holes(
 def context(
     poses: list, found: Deficiencies | None = None, alpha: np.ndarray | float = 0.0, state: np.ndarray | None = None,
     coarse_ratio: float | None = 3.0, **changes: Any,
-) -> GainContext:  # fmt: skip
+) -> FeatureContext:  # fmt: skip
     volume = VoxelVolume(BOUNDS, VolumeConfig())
     volume.state[:] = FREE
     if state is not None:
@@ -63,11 +63,11 @@ def context(
         "max_range": 10.0,
         "world_from_camera": np.stack(poses),
     }
-    return GainContext(**{**options, **changes})
+    return FeatureContext(**{**options, **changes})
 
 
-def column(name: str, ctx: GainContext) -> np.ndarray:  # [K]
-    return evaluate_gains((name,), ctx)[:, 0]
+def column(name: str, ctx: FeatureContext) -> np.ndarray:  # [K]
+    return evaluate_features((name,), ctx)[:, 0]
 
 
 def slab(low: float, high: float) -> np.ndarray:  # [X, Y, Z] bool, between two values of x

@@ -1,4 +1,4 @@
-"""What a gain may look at, and the registry of gains."""
+"""What a feature may look at."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import Mapper
 from activestructure_gym.planes import PlaneSceneGraph
-from activestructure_gym.registry import Registry
 from activestructure_gym.views.visibility import visible_planes
 from activestructure_gym.volume import VoxelVolume
 
@@ -21,8 +19,8 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class GainContext:
-    """The reconstruction and the candidates of one step. There is no scene in here: no gain can reach ground truth."""
+class FeatureContext:
+    """The reconstruction and the candidates of one step. No scene is in here: no feature can reach ground truth."""
 
     mapper: Mapper  # the Gaussian map and its keyframes
     volume: VoxelVolume  # known free, occupied and unknown space
@@ -39,7 +37,7 @@ class GainContext:
 
     @property
     def depth(self) -> np.ndarray:  # [K, h, w] metres, accumulated (sum of weight x depth)
-        """The map's depth from every candidate; rendered once, shared by all gains."""
+        """The map's depth from every candidate; rendered once, shared by all features."""
         return self._rendered[0]
 
     @property
@@ -58,14 +56,14 @@ class GainContext:
         known = np.array([frame.world_from_camera for frame in self.mapper.keyframes]).reshape(-1, 1, 4, 4)
         return (np.abs(known - self.world_from_camera) < 1e-6).all(axis=(2, 3)).any(axis=0)
 
-    def once(self, compute: Callable[[GainContext], T]) -> T:
-        """``compute(self)``, called at most once per step: what several gains have in common."""
+    def once(self, compute: Callable[[FeatureContext], T]) -> T:
+        """``compute(self)``, called at most once per step: what several features have in common."""
         if compute not in self._results:
             self._results[compute] = compute(self)
         return self._results[compute]
 
     @cached_property
-    def _results(self) -> dict[Callable[[GainContext], Any], Any]:
+    def _results(self) -> dict[Callable[[FeatureContext], Any], Any]:
         return {}
 
 
@@ -83,29 +81,3 @@ def grid_rays(
     poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
     rays = camera.rays()[::stride, ::stride].astype(np.float64)
     return volume.origin.astype(np.float64), float(volume.config.voxel_size), poses, rays
-
-
-Gain = Callable[[GainContext], np.ndarray]
-GAINS: Registry[Gain] = Registry("gain", "gains", fits=callable, wanted="a function of a GainContext")
-
-
-def evaluate_gains(names: tuple[str, ...], context: GainContext) -> np.ndarray:  # [K, len(names)] float32
-    """The columns named by ``names``, in that order. Raises `InputError` if a gain returns anything but [K] finite."""
-    count = len(context.world_from_camera)
-    columns = np.zeros((count, len(names)), dtype=np.float32)
-    if not count:
-        return columns
-    for column, name in enumerate(names):
-        returned = GAINS.get(name)(context)
-        wanted = f"gain '{name}' must return {count} finite numbers, one for each candidate, got"
-        try:
-            values = np.asarray(returned, dtype=np.float32)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{wanted} {shown(returned)}") from error
-        if returned is None or values.shape != (count,):
-            came = "nothing" if returned is None else f"an array of the shape {values.shape}"
-            raise InputError(f"{wanted} {came}")
-        if not np.isfinite(values).all():
-            raise InputError(f"{wanted} {int((~np.isfinite(values)).sum())} not finite")
-        columns[:, column] = values
-    return columns

@@ -33,6 +33,7 @@ from activestructure_gym.evaluation.training.world import (
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 from activestructure_gym.planes import PLANE_FEATURES
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
@@ -129,7 +130,7 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
     """Every array of a file: N states, K rows of candidates, of planes as many as the world has."""
-    planes, gains, columns = config.world.max_planes, len(config.world.gains), len(PLANE_FEATURES)
+    planes, gains, columns = config.world.max_planes, len(config.network().gains), len(PLANE_FEATURES)
     shapes: dict[str, tuple[int | str, ...]] = {
         "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_FEATURES)), "candidate_gains": ("K", gains),
         "action_mask": ("K",), "plane_features": (planes, columns), "plane_mask": (planes,),
@@ -164,7 +165,7 @@ def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
 
 def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     observation, info = env.reset(seed=int(rng.integers(2**31)))
-    told = len(config.network().gains)
+    told = config.network().gains
     for _ in range(STARTS):
         if observation["action_mask"].any():
             break
@@ -177,7 +178,8 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
         action = drawn if explores else expert_choice(gain, observation)
         state = {key: observation[key] for key in USED_KEYS}
-        state["candidate_gains"] = state["candidate_gains"][:, :told]
+        candidates = Candidates(observation, env.config.gains)
+        state["candidate_gains"] = np.stack([candidates[name] for name in told], axis=1)
         before, left = info["frames"], float(observation["budget"][0])
         observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated

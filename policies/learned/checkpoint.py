@@ -68,7 +68,7 @@ def check_size(file: Path, most: int = LARGEST_WEIGHTS) -> None:
 def read_network_config(weights: Path) -> NetworkConfig:
     """The shape of the network, from the description beside the weights.
 
-    Raises `InputError`, also for gains that are code, see `registry.refuse_code`.
+    Raises `InputError`, also for features that are code, see `registry.refuse_code`.
     """
     file = weights.with_suffix(".json")
     content = _described(weights)["network"]
@@ -77,8 +77,8 @@ def read_network_config(weights: Path) -> NetworkConfig:
     except InputError as error:
         raise InputError(f"'{file}' describes no policy of ours: {error}") from error
     for name in config.gains:
-        if ":" in name:  # no registered gain's name has a colon
-            refuse_code("gain", name, file)
+        if ":" in name:  # no registered feature has a colon in its name
+            refuse_code("feature", name, file)
     return config
 
 

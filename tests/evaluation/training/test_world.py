@@ -283,6 +283,14 @@ def test_a_greedy_expert_s_labels_are_its_gain(tiny_layouts: None, tmp_path: Pat
     assert data.scores.max() > 0
 
 
+def test_a_feature_of_several_columns_is_told_with_all_of_them(tiny_layouts: None, tmp_path: Path) -> None:
+    config = TrainingConfig(world=replace(SMALL, layouts=1, gains=("gs_planner", "pixel")), episodes=1, teacher="pixel")
+    assert config.network().gains == ("gs_planner_volume", "gs_planner_loss", "pixel")
+    demonstrations.collect(config, tmp_path)
+    told = demonstrations.load(config, tmp_path).observations["candidate_gains"]
+    assert told.shape[-1] == 3 and told.any(axis=(0, 1))[[0, 2]].all()
+
+
 def test_the_table_is_between_random_and_the_oracle(tiny_layouts: None, tmp_path: Path) -> None:
     played = scoring.cells(2, (1,), ["box"], [0, 1])
     assert [(cell.scene, cell.seed, cell.start) for cell in played] == [

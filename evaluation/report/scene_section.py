@@ -88,7 +88,9 @@ def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> list[dict[str, 
     """Rows of the same held-out views: the truth, and what every run renders there, with its PSNR."""
     true = runs[0].pictures["true"]
     telling = telling_views(true)
-    views: list[dict[str, Any]] = [{"picture": picture(to_image(true[i]), f"true view {i + 1}"), "psnr": None} for i in telling]
+    views: list[dict[str, Any]] = [
+        {"picture": picture(to_image(true[i]), f"true view {i + 1}"), "psnr": None} for i in telling
+    ]
     rows: list[dict[str, Any]] = [{"name": "true view", "index": None, "result": "", "views": views}]
     best = {i: max(float(run.pictures["psnr"][i]) for run in runs) for i in telling}
     for run in runs:

@@ -225,7 +225,8 @@ def test_damage_names_the_file(change: Any, words: str, tmp_path: Path) -> None:
     [
         ({"method": []}, "unknown method"), ({"more": 1}, "no description of a training run"),
         ({"world": {"gains": 3}}, "gains of a training world is a list"),
-        ({"world": {"gains": ["os:system"]}}, "names the feature 'os:system', and to load it would run code"),
+        ({"world": {"gains": ["os:system"]}},
+         "config.json' names the feature 'os:system', and to load it would run code"),
         ({"teacher": "os:system"}, "config.json' names the feature 'os:system', and to load it would run code"),
         ({"world": {"overrides": {"gains": ["os:system"]}}}, "names the feature 'os:system'"),
         ({"world": {"overrides": 3}}, "overrides of a training world are names with values"),

@@ -1,4 +1,4 @@
-"""Compiling the kernels that a first use will ask for later, in a second process while the first one is at the start.
+"""Compile, in a second process, the kernels that an episode needs later, while the first process starts up.
 
 `compiling.helper` starts it with the first kernel that has to be compiled, as ``python -P -m
 activestructure_gym.compile_ahead PARENT PART...``. It is silent, ends when all is compiled or its parent has ended, and
@@ -26,7 +26,7 @@ _GLANCE = 0.5  # seconds between looks at the parent
 
 
 def compile_map() -> None:
-    """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
+    """Call the kernels of the rasteriser and the mapper, on two frames of a flat wall."""
     from activestructure_gym.mapping.parts import block_boxes
 
     mapper = map_a_wall()
@@ -36,7 +36,7 @@ def compile_map() -> None:
 
 
 def map_a_wall() -> Any:
-    """What a first keyframe needs; gives the mapper."""
+    """Call the kernels that a first keyframe calls; returns the mapper, whose map is a flat wall."""
     from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.sensors import Frame
 
@@ -48,7 +48,7 @@ def map_a_wall() -> Any:
 
 
 def score_the_wall(mapper: Any) -> None:
-    """What a first decision needs of the rasteriser besides."""
+    """Call the kernels of the rasteriser that a first decision calls on top of those of a keyframe."""
     mapper.render_depth_alpha(_camera(), np.eye(4)[None])
 
 
@@ -59,7 +59,8 @@ def _camera() -> Any:
 
 
 def compile_sensing() -> None:
-    """Everything of the sensor, the volume and the planes."""
+    """Call the kernels of the sensor, the volume and the planes."""
+    from activestructure_gym.ground_truth import free_space_of
     from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
     from activestructure_gym.scenes import load_scene
     from activestructure_gym.sensors import RGBDSensor, SensorConfig
@@ -68,14 +69,14 @@ def compile_sensing() -> None:
     scene = load_scene("box")
     sensor = RGBDSensor(scene, SensorConfig(width=64, height=36), np.random.default_rng(0))
     volume, planes = VoxelVolume(scene.bounds, VolumeConfig()), PlaneSceneGraph(PlaneGraphConfig())
-    for pose in scene.free_space.start_poses[:3]:
+    for pose in free_space_of(scene).start_poses[:3]:
         frame = sensor.capture(pose)
         volume.integrate(frame)
         planes.update(frame)
 
 
 def compile_motion() -> None:
-    """Everything of the motion, in a volume whose free space is made by hand."""
+    """Call the kernels of motion, in a volume whose free space is made by hand."""
     from activestructure_gym.motion import first_blocked, path_lengths
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
@@ -88,7 +89,7 @@ def compile_motion() -> None:
 
 
 def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
-    """A path for which the straight line is not enough: in the empty box room none ever is needed."""
+    """Call the kernels of RRT: plan a path around a corner, which the empty box room never needs."""
     from activestructure_gym.motion import plan_path
 
     corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]
@@ -100,9 +101,9 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
 
 
 def compile_views() -> None:
-    """What gains and visibility need besides the map's pictures."""
+    """Call the kernels of features and visibility that read more than pictures of the map."""
+    from activestructure_gym.features.hole_area import hidden_distances
     from activestructure_gym.geometry import PinholeCamera
-    from activestructure_gym.views.gains.hole_area import hidden_distances
     from activestructure_gym.views.visibility import cosines_in_sight
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
@@ -118,8 +119,8 @@ Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of
 
 @lru_cache(1)
 def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
-    """What a first keyframe calls, in that order, and what a first decision calls besides; nothing is run."""
-    from activestructure_gym.compiling.crew import CREW
+    """The rasteriser's kernels of a first keyframe, in order of their calls, then of a first decision; none is run."""
+    from activestructure_gym.compiling.thread_team import TEAM
 
     calls = dict[Any, tuple[Any, ...]]()
 
@@ -127,24 +128,24 @@ def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
         calls.setdefault(kernel, arguments)
         arguments[0][:] = 1 << 10  # tickets: all units of work of this tiny map count as done
 
-    run, CREW.run = CREW.run, note  # type: ignore[method-assign]
+    run, TEAM.run = TEAM.run, note  # type: ignore[method-assign]
     try:
         mapper = map_a_wall()
         of_keyframe = len(calls)
         score_the_wall(mapper)
     finally:
-        CREW.run = run  # type: ignore[method-assign]
+        TEAM.run = run  # type: ignore[method-assign]
     return list(calls.items())[:of_keyframe], list(calls.items())[of_keyframe:]
 
 
 def compile_rasteriser() -> None:
-    """What a first keyframe comes to, the last first: its own process begins with the first."""
+    """Compile the kernels of a first keyframe, the last one first, since the main process begins with the first one."""
     for kernel, arguments in reversed(calls_of_the_rasteriser()[0]):
         _compile(kernel, arguments)
 
 
 def compile_score() -> None:
-    """What a first decision needs and a first keyframe does not."""
+    """Compile the kernels that only a first decision calls."""
     for kernel, arguments in calls_of_the_rasteriser()[1]:
         _compile(kernel, arguments)
 

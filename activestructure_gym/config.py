@@ -8,15 +8,16 @@ import numbers
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.features import column_names
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sensors import SensorConfig
-from activestructure_gym.views import GAINS, ViewConfig
+from activestructure_gym.views import ViewConfig
 from activestructure_gym.volume import VolumeConfig
 
 T = TypeVar("T")
@@ -26,18 +27,18 @@ MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept
 
 @dataclass(frozen=True)
 class ReconstructionConfig:
-    """Everything that decides an episode besides the scene, the seed and the policy."""
+    """Configuration of an episode: everything that decides it besides scene, seed and policy."""
 
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
-    revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (method.md, section 6)
-    gains: tuple[str, ...] = ("pixel",)  # evaluated for every candidate, in this order
-    sensor: SensorConfig = field(default_factory=SensorConfig)
-    mapper: MapperConfig = field(default_factory=MapperConfig)
-    volume: VolumeConfig = field(default_factory=VolumeConfig)
-    planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)
-    motion: MotionConfig = field(default_factory=MotionConfig)
-    views: ViewConfig = field(default_factory=ViewConfig)
+    revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (own choice)
+    gains: tuple[str, ...] = ("pixel",)  # features of every candidate; kept as the names of their columns
+    sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
+    mapper: MapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
+    volume: VolumeConfig = field(default_factory=VolumeConfig)  # the voxel grid of free and occupied space
+    planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)  # the Plane Scene Graph
+    motion: MotionConfig = field(default_factory=MotionConfig)  # the agent's body and its steps
+    views: ViewConfig = field(default_factory=ViewConfig)  # which candidates are offered
 
     def __post_init__(self) -> None:
         _check_kind("frame_budget", self.frame_budget, int)
@@ -48,14 +49,14 @@ class ReconstructionConfig:
         if self.frame_budget > MOST_FRAMES:
             raise InputError(f"the frame budget must be at most {MOST_FRAMES}, got {shown(self.frame_budget)}")
         check_ranges(self, {"keyframe_every": f"[1, {MOST_FRAMES}]", "revisit_rounds": "[1, 1000]"})
-        for name in self.gains:
-            GAINS.get(name)
+        object.__setattr__(self, "gains", column_names(self.gains))
 
 
+Preset = Literal["fast", "default", "paper"]
 # Overrides of the defaults above, by field.
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: dict[Preset, dict[str, Any]] = {
     # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
-    # depth and stay as they are (docs/performance.md, "Learning-sized environment").
+    # depth and stay as they are (docs/notebook/performance.md, "Learning-sized environment").
     "fast": {
         "frame_budget": 100,
         "keyframe_every": 20,
@@ -74,17 +75,46 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def configure(preset: str = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
+def known_preset(name: str) -> Preset:
+    """The name, if it is that of a preset; raises `InputError` naming the nearest one."""
+    for preset in PRESETS:
+        if name == preset:
+            return preset
+    raise unknown_name("preset", name, PRESETS)
+
+
+def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
     """The preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
 
     ``{"mapper.name": "splatam"}`` starts from that recipe of `MAPPERS`; the preset's and the given fields then replace
-    the recipe's. Raises `InputError` naming the nearest valid preset or field, and for values a config refuses.
+    the recipe's.
+
+    Parameters
+    ----------
+    preset
+        ``"fast"`` (learning and tests), ``"default"`` or ``"paper"`` (the paper's sizes).
+    overrides
+        Fields to replace, nested or with dots.
+
+    Returns
+    -------
+    ReconstructionConfig
+        Checked, frozen, hashable.
+
+    Raises
+    ------
+    InputError
+        An unknown preset or field, with the nearest known one, or a value that a field cannot have.
+
+    Examples
+    --------
+    >>> configure("fast", {"sensor.width": 96, "mapper": {"iterations": 4}}).sensor.width
+    96
     """
-    if preset not in PRESETS:
-        raise unknown_name("preset", preset, PRESETS)
+    overridden = PRESETS[known_preset(preset)]
     try:
         changes = _nested(overrides or {})
-        config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), PRESETS[preset])
+        config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), overridden)
         return replaced(config, changes)
     except InputError:
         raise

@@ -1,4 +1,4 @@
-"""What the numbers of a configuration may be, written as in mathematics: ``[0, 1)``."""
+"""Ranges that numbers of a configuration must lie in, written as in mathematics: ``[0, 1)``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The conductor: one episode of active reconstruction, from the first frame to the last. No Gymnasium in here.
+"""`Reconstruction`: one episode of active reconstruction, from the first frame to the last, without Gymnasium.
 
-Scene -> sensor -> map, volume, planes -> candidate views -> gains; then a view is chosen from outside, and the agent
+Scene -> sensor -> map, volume, planes -> candidate views -> features; then a view is chosen from outside, and the agent
 walks there (`Reconstruction.visit`). Every frame costs 1 of the budget; every fifth frame and the last of a path is a
-keyframe, which is rendered, integrated and mapped (method.md, section 1).
+keyframe, which is rendered, integrated and mapped.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ import numpy as np
 
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
+from activestructure_gym.features import FeatureContext, evaluate_features
+from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
-from activestructure_gym.scenes import Scene, check_start_pose
+from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
-from activestructure_gym.views import CandidatePool, CandidateTable, GainContext, evaluate_gains
+from activestructure_gym.views import CandidatePool, CandidateTable
 from activestructure_gym.volume import VoxelVolume
 
 
 @dataclass(frozen=True)
 class Visit:
-    """What happened on the way to a chosen view."""
+    """The record of one step: frames, metres and keyframes of the way to a chosen view."""
 
     reached: bool  # False: unreachable, blocked on the way, or the budget ended first
     frames: int  # frames paid
@@ -39,7 +41,22 @@ class Visit:
 
 
 class Reconstruction:
-    """State of one episode. `start` begins it, `visit` moves it on; everything else is there to be read."""
+    """State of one episode. `start` begins it, `visit` moves it on; everything else is there to be read.
+
+    Parameters
+    ----------
+    config
+        Everything that decides an episode besides the scene, the seed and the policy.
+
+    Examples
+    --------
+    >>> from activestructure_gym import configure, ground_truth_of, load_scene
+    >>> episode = Reconstruction(configure("fast", {"frame_budget": 30}))
+    >>> frame = episode.start(ground_truth_of(load_scene("box")), seed=0)
+    >>> visit = episode.visit(0)  # walk to the first candidate
+    >>> visit.reached, episode.frames > 1
+    (True, True)
+    """
 
     scene: Scene
     sensor: RGBDSensor
@@ -58,22 +75,24 @@ class Reconstruction:
             max(1, round(config.sensor.height * config.views.scoring_scale)),
         )
 
-    def start(self, scene: Scene, seed: int, start_pose: np.ndarray | None = None) -> Frame:
-        """Begin an episode and return its first keyframe.
+    def start(self, truth: GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
+        """Begin an episode in ``truth.scene`` and return its first keyframe.
+
+        The truth gives the start pose and how much room is around it, and is not kept.
 
         ``start_pose`` is ``world_from_camera`` [4, 4]; without one, one of the scene's own is drawn from the seed.
         Raises `InputError` if the pose stands inside something or outside the scene.
         """
-        config = self.config
+        config, scene = self.config, truth.scene
         # One child per consumer: a policy's choices cannot shift the noise, nor the noise the paths.
         choice, noise, mapping, planning, pool = np.random.SeedSequence(seed).spawn(5)
         if start_pose is None:
-            poses = scene.free_space.start_poses
+            poses = truth.free_space.start_poses
             start_pose = poses[np.random.default_rng(choice).integers(len(poses))]
         start_pose = np.array(start_pose, dtype=np.float64)
         if start_pose.shape != (4, 4):
             raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
-        check_start_pose(scene, start_pose, config.motion.body_radius)
+        check_start_pose(truth.free_space, scene.bounds, start_pose, config.motion.body_radius)
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
@@ -105,7 +124,7 @@ class Reconstruction:
         self.seconds: defaultdict[str, float] = defaultdict(float)  # wall-clock by stage; never observed
 
         # The agent was put down there, so the place around it is known to be free, as far as it is.
-        clearance = float(scene.free_space.clearance_at(start_pose[:3, 3])[0])
+        clearance = float(truth.free_space.clearance_at(start_pose[:3, 3])[0])
         self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, clearance))
         frame = self._keyframe()
         self.frames = 1
@@ -224,7 +243,7 @@ class Reconstruction:
         ).world_from_camera
 
     def _refresh(self) -> None:
-        """Offer the candidates of the next decision and evaluate their gains."""
+        """Offer the candidates of the next decision and evaluate their features."""
         config = self.config
         with self._timed("planning"):
             self.distances: DistanceMap = path_lengths(
@@ -236,7 +255,7 @@ class Reconstruction:
             points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
             self.planes.assess(space_state=self.volume.state_at, map_points=points)
         with self._timed("gains"):
-            context = GainContext(
+            context = FeatureContext(
                 mapper=self.mapper,
                 volume=self.volume,
                 planes=self.planes,
@@ -246,7 +265,7 @@ class Reconstruction:
                 max_range=config.sensor.max_range,
                 world_from_camera=self.candidates.world_from_camera,
             )
-            self.gains = evaluate_gains(config.gains, context)
+            self.gains = evaluate_features(config.gains, context)
             self.visible = context.visible
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]

@@ -1,18 +1,48 @@
 """The Gymnasium face of the reconstruction: spaces, observation, reward, rendering, registration.
 
 Light to import: `ReconstructionEnv` and the tasks load what they need (numba, embree, torch) on first use.
+
+>>> import gymnasium as gym
+>>> from activestructure_gym.envs import ENV_IDS
+>>> ENV_IDS[0]
+'ActiveStructure/Room-v0'
+>>> env = gym.make(ENV_IDS[0], scene="box", preset="fast", render_mode="rgb_array")
+>>> env.action_space, env.observation_space["candidates"].shape
+(Discrete(64), (64, 9))
+>>> env.close()
 """
 
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.envs.registration import ENV_IDS, register_envs
 
-__all__ = ["ENV_IDS", "ReconstructionEnv", "register_envs"]
+if TYPE_CHECKING:
+    from activestructure_gym.envs.reconstruction_env import ReconstructionEnv
+    from activestructure_gym.envs.reward import RewardConfig
+    from activestructure_gym.envs.tasks import ApartmentEnv, Matterport3DEnv, MeshEnv, ReplicaEnv, RoomEnv
+
+_PLACES = {
+    "reconstruction_env": ("ReconstructionEnv",),
+    "reward": ("RewardConfig",),
+    "tasks": ("ApartmentEnv", "Matterport3DEnv", "MeshEnv", "ReplicaEnv", "RoomEnv"),
+}
+_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}
+
+__all__ = [
+    "ENV_IDS",
+    "ApartmentEnv",
+    "Matterport3DEnv",
+    "MeshEnv",
+    "ReconstructionEnv",
+    "ReplicaEnv",
+    "RewardConfig",
+    "RoomEnv",
+    "register_envs",
+]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "ReconstructionEnv":
-        from activestructure_gym.envs.reconstruction_env import ReconstructionEnv
-
-        return ReconstructionEnv
+    if name in _MODULE_OF:
+        return getattr(import_module(_MODULE_OF[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -24,10 +24,22 @@ if TYPE_CHECKING:
 
 CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
 FARTHEST_M = 1000.0  # bound of every position and length in the observation
-LARGEST_GAIN = 1e6  # bound of every gain
+LARGEST_GAIN = 1e6  # bound of every feature
 LARGEST_BYTES = (
     1 << 27
 )  # of one observation; its space, which holds both bounds of every number, takes three times that
+
+
+def candidate_columns(*names: str) -> list[int]:
+    """Columns of ``observation["candidates"]`` by name (`CANDIDATE_FEATURES`)."""
+    return [CANDIDATE_FEATURES.index(name) for name in names]
+
+
+def feature_columns(*names: str) -> tuple[str, ...]:
+    """Full names of the columns that features have; raises `InputError` for an unknown one."""
+    from activestructure_gym.features import column_names  # late, as below
+
+    return column_names(names)
 
 
 def plane_columns(*names: str) -> list[int]:
@@ -56,7 +68,7 @@ class Table(spaces.Box):
 
 
 def gain_names(source: Any) -> tuple[str, ...]:
-    """What stands in the columns of ``observation["candidate_gains"]``, in order, as ``source`` tells.
+    """Names of the columns of ``observation["candidate_gains"]``, in order, as ``source`` tells.
 
     ``source``: an env, wrapped or not; a vector env of Gymnasium or stable-baselines3; an observation space; or the
     names themselves, such as ``info["gains"]``. Raises `InputError` if it does not say.
@@ -69,11 +81,11 @@ def gain_names(source: Any) -> tuple[str, ...]:
         return table.names
     if isinstance(table, spaces.Space):
         raise InputError(
-            "this observation space does not say which gains stand in the columns of candidate_gains, as one that a "
+            "this observation space does not say which features stand in the columns of candidate_gains, as one that a "
             "wrapper made anew; give the names instead, as in info['gains']"
         )
     raise InputError(
-        f"which gains stand in which column is told by an env, by its observation space or by a list of their names "
+        f"which features stand in which column is told by an env, by its observation space or by a list of their names "
         f"as in info['gains'], got {shown(source)}"
     )
 
@@ -105,7 +117,7 @@ class Key:
 
 
 def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str, Key]:
-    """All entries for one configuration. K candidates, G gains, P planes, F plane features."""
+    """All entries for one configuration. K candidates, G columns of features, P planes, F plane features."""
     from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW, PLANE_FEATURES
 
     height, width = config.sensor.height, config.sensor.width
@@ -129,7 +141,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
             CANDIDATE_FEATURES,
         ),
         "candidate_gains": Key(
-            (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "one column per gain asked for", config.gains
+            (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "the features asked for, a column each or more", config.gains
         ),
         "action_mask": Key((K,), i8, 0, 1, "-", "1 where the row holds a candidate"),
         "fidelity": Key(
@@ -186,7 +198,7 @@ def _quantile(values: np.ndarray, share: float) -> float:
 
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
     """The observation of the current state. Every array is new: nothing is shared with another observation."""
-    from activestructure_gym.geometry.quaternions import quaternions  # policies take names from here without scipy
+    from activestructure_gym.geometry.rotations import quaternions  # policies take names from here without scipy
 
     config, table = reconstruction.config, reconstruction.candidates
     size, count = config.views.max_candidates, len(table)

@@ -4,23 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal, TypedDict, get_args
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.config import ReconstructionConfig, configure, replaced
+from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import look_along
+from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 
-SceneSpec = str | PathLike[str] | Scene
+SceneSpec = str | PathLike[str] | Scene | GroundTruth
+Scenes = SceneSpec | Sequence[SceneSpec]
+RenderMode = Literal["rgb_array"]
+
+
+class EnvOptions(TypedDict, total=False):
+    """The keywords that every task shares; see the manual of `ReconstructionEnv`."""
+
+    preset: Preset
+    frame_budget: int | None
+    gains: Sequence[str] | None
+    config: ReconstructionConfig | Mapping[str, Any] | None
+    reward: RewardConfig | Mapping[str, Any] | None
+    coverage_target: float | None
+    max_planes: int
+    start_pose: Sequence[float] | np.ndarray | None
+    render_mode: RenderMode | None
 
 
 class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
@@ -36,7 +53,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     ## Observation Space
     One flat `Dict` of arrays, listed in `activestructure_gym.envs.observation`: the last
-    keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their gains and mask, the Plane Scene Graph
+    keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their features and mask, the Plane Scene Graph
     (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
     arrays are zero where no plane exists yet. Nothing in it comes from ground truth. The space says by name what stands
     in the columns: `observation_space["candidate_gains"].names`; `policy.bind(env)` reads them there.
@@ -60,7 +77,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `scene` | str, Scene, or a sequence of them | per task | what to explore; of a sequence one is drawn per episode |
     | `preset` | str | `"default"` | `fast`, `default` or `paper` |
     | `frame_budget` | int | from the preset | frames per episode |
-    | `gains` | tuple of str | `("pixel",)` | gains to evaluate for every candidate |
+    | `gains` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
     | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done; None = never |
@@ -84,7 +101,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     """
 
     metadata: dict[str, Any] = {
-        "render_modes": ["rgb_array"],
+        "render_modes": list(get_args(RenderMode)),
         "render_fps": 2,
     }
 
@@ -93,9 +110,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     def __init__(
         self,
-        scene: SceneSpec | Sequence[SceneSpec],
+        scene: Scenes,
         *,
-        preset: str = "default",
+        preset: Preset = "default",
         frame_budget: int | None = None,
         gains: Sequence[str] | None = None,
         config: ReconstructionConfig | Mapping[str, Any] | None = None,
@@ -103,7 +120,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         coverage_target: float | None = 0.99,
         max_planes: int = 64,
         start_pose: Sequence[float] | np.ndarray | None = None,
-        render_mode: str | None = None,
+        render_mode: RenderMode | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             modes = self.metadata["render_modes"]
@@ -140,10 +157,10 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
         if not self._scenes:
             raise InputError("scene must name at least one scene, got an empty sequence")
-        if not all(isinstance(one, str | PathLike | Scene) for one in self._scenes):
+        if not all(isinstance(one, str | PathLike | Scene | GroundTruth) for one in self._scenes):
             raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {shown(scene)}")
         self._start_pose = None if start_pose is None else as_pose(start_pose)
-        self._loaded: dict[int, Scene] = {}
+        self._loaded: dict[int, GroundTruth] = {}
         self._frame: Frame | None = None
         self._ended = True
 
@@ -156,11 +173,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:
             raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
-        scene = load_scene(options["scene"]) if "scene" in options else self._draw_scene()
+        truth = as_truth(options["scene"]) if "scene" in options else self._draw_scene()
         start_pose = as_pose(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
-        self._frame = self.reconstruction.start(scene, episode_seed, start_pose)
-        self._coverage = SurfaceCoverage(scene.observable_surface.points, self.reward_config)
+        self._frame = self.reconstruction.start(truth, episode_seed, start_pose)
+        self._coverage = SurfaceCoverage(truth.observable_surface.points, self.reward_config)
         self._count(self._frame, self.reconstruction.pose)
         self._ended = False
         terms = reward_terms(self.reward_config, share_gained=0.0, metres=0.0, invalid=False)
@@ -201,13 +218,13 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     @property
     def coverage(self) -> SurfaceCoverage:
-        """What the reward counts. Ground truth: for scores and labels, never for a policy."""
+        """The observed surface as the reward counts it. Ground truth: for scores and labels, never for a policy."""
         if self._frame is None:
             raise gym.error.ResetNeeded("nothing is counted before reset()")
         return self._coverage
 
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
-        """What the camera sees, what the map renders there, and the plan with the path so far."""
+        """One image: the camera's view, the map from the same pose, and the plan with the path so far."""
         if self.render_mode is None:
             gym.logger.warn('render() shows nothing without a render mode: make the env with render_mode="rgb_array"')
             return None
@@ -229,11 +246,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     def _covered(self) -> bool:
         return self.coverage_target is not None and self._coverage.share >= self.coverage_target
 
-    def _draw_scene(self) -> Scene:
+    def _draw_scene(self) -> GroundTruth:
         index = int(self.np_random.integers(len(self._scenes))) if len(self._scenes) > 1 else 0
         if index not in self._loaded:
             # One scene is kept: a long list of layouts must not fill the memory of every worker.
-            self._loaded = {index: load_scene(self._scenes[index])}
+            self._loaded = {index: as_truth(self._scenes[index])}
         return self._loaded[index]
 
     def _observe(self) -> dict[str, np.ndarray]:
@@ -257,6 +274,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         }
 
 
+def as_truth(scene: SceneSpec) -> GroundTruth:
+    """The truth of whatever names or is a scene."""
+    return scene if isinstance(scene, GroundTruth) else ground_truth_of(load_scene(scene))
+
+
 def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
     """A ``world_from_camera`` matrix from one, or from (x, y, z, yaw in degrees) looking horizontally (0 = +x)."""
     try:
@@ -274,7 +296,7 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
 
 
 def _fields(what: str, value: Any) -> Mapping[str, Any]:
-    """A mapping by names, or nothing."""
+    """A mapping with names as keys, {} for None; raises `InputError` for anything else."""
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):

@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry.camera import Lens
 
 LARGEST = 1e9  # of a weight: sums of rewards stay far from the end of the numbers
 
@@ -63,10 +64,7 @@ class SurfaceCoverage:
             self.seen,
             self._points,
             np.ascontiguousarray(invert_rigid(world_from_camera), dtype=np.float64),
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
+            camera.lens,
             np.ascontiguousarray(depth, dtype=np.float32),
             self._config.tolerance_m,
             self._config.tolerance_share,
@@ -78,17 +76,14 @@ def _mark_seen(
     seen: np.ndarray,  # [S] bool, changed in place
     points: np.ndarray,  # [S, 3] world
     camera_from_world: np.ndarray,  # [4, 4]
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
+    lens: Lens,
     depth: np.ndarray,  # [H, W] metres
     tolerance_m: float,
     tolerance_share: float,
 ) -> None:
-    """Every keyframe of every step asks this of all samples: in numpy it took as long as the volume's integration."""
+    """Mark the samples that a keyframe sees; compiled, since every keyframe tests all samples."""
     height, width = depth.shape
-    m = camera_from_world
+    m, (fx, fy, cx, cy) = camera_from_world, lens
     for n in range(len(points)):
         if seen[n]:
             continue

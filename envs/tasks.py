@@ -2,56 +2,94 @@
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 
-from activestructure_gym.envs.reconstruction_env import ReconstructionEnv
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv, Scenes
+from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.scenes.library import with_options
 
-
-def _page(task: str) -> str:
-    """The environment's manual with the task's own sentence on top."""
-    head = "## Description\n"
-    return (ReconstructionEnv.__doc__ or "").replace(head, f"{head}    {task}\n\n", 1)
+E = TypeVar("E", bound=type[ReconstructionEnv])
 
 
+def task(sentence: str, **arguments: str) -> Callable[[E], E]:
+    """Decorator of a task: the environment's manual with the task's own ``sentence`` and arguments, and its signature.
+
+    ``arguments`` are rows of the manual's table: type, default and meaning. What ``**options`` stands for is written
+    out in the signature, as ``help`` and editors show it.
+    """
+
+    def make(kind: E) -> E:
+        head, first = "## Description\n", "    | `preset` |"
+        page = (ReconstructionEnv.__doc__ or "").replace(head, f"{head}    {sentence}\n\n", 1)
+        rows = "".join(f"    | `{name}` | {row} |\n" for name, row in arguments.items())
+        kind.__doc__ = page.replace(first, rows + first, 1)
+        own = [p for p in inspect.signature(kind).parameters.values() if p.kind is p.KEYWORD_ONLY]
+        shared = [p for name, p in inspect.signature(ReconstructionEnv).parameters.items() if name != "scene"]
+        kind.__signature__ = inspect.Signature([*own, *shared])  # type: ignore[attr-defined]
+        return kind
+
+    return make
+
+
+@task(
+    "**Room-v0**: one furnished procedural room; `scene_seed` picks the layout.",
+    scene_seed="int | 0 | which layout, from 0 on",
+)
 class RoomEnv(ReconstructionEnv):
-    __doc__ = _page("**Room-v0**: one furnished procedural room; `scene_seed` picks the layout.")
-
-    def __init__(self, *, scene: Any = "room", scene_seed: int | None = None, **options: Any) -> None:
+    def __init__(self, *, scene: Scenes = "room", scene_seed: int | None = None, **options: Unpack[EnvOptions]) -> None:
+        _check_names("Room-v0", options, "scene", "scene_seed")
         super().__init__(_with_numbers(scene, scene_seed=scene_seed), **options)
 
 
+@task(
+    "**Apartment-v0**: a furnished procedural apartment of `rooms` (1 to 7); `scene_seed` picks it.",
+    rooms="int | 3 | how many, 1 to 7",
+    scene_seed="int | 0 | which layout, from 0 on",
+)
 class ApartmentEnv(ReconstructionEnv):
-    __doc__ = _page("**Apartment-v0**: a furnished procedural apartment of `rooms` (1 to 7); `scene_seed` picks it.")
-
     def __init__(
-        self, *, scene: Any = "apartment", rooms: int | None = None, scene_seed: int | None = None, **options: Any
+        self,
+        *,
+        scene: Scenes = "apartment",
+        rooms: int | None = None,
+        scene_seed: int | None = None,
+        **options: Unpack[EnvOptions],
     ) -> None:
+        _check_names("Apartment-v0", options, "scene", "rooms", "scene_seed")
         super().__init__(_with_numbers(scene, rooms=rooms, scene_seed=scene_seed), **options)
 
 
+@task('**Mesh-v0**: any mesh file, `scene="file.glb"` or `scene="file.obj?units=mm&up=y"`.')
 class MeshEnv(ReconstructionEnv):
-    __doc__ = _page('**Mesh-v0**: any mesh file, `scene="file.glb"` or `scene="file.obj?units=mm&up=y"`.')
-
-    def __init__(self, *, scene: Any = None, **options: Any) -> None:
+    def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
+        _check_names("Mesh-v0", options, "scene")
         super().__init__(_with_loader(scene, "mesh", "Mesh-v0", "file.glb"), **options)
 
 
+@task('**Replica-v0**: a scene of the Replica dataset, `scene="replica_v1/room_0"`.')
 class ReplicaEnv(ReconstructionEnv):
-    __doc__ = _page('**Replica-v0**: a scene of the Replica dataset, `scene="replica_v1/room_0"`.')
-
-    def __init__(self, *, scene: Any = None, **options: Any) -> None:
+    def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
+        _check_names("Replica-v0", options, "scene")
         super().__init__(_with_loader(scene, "replica", "Replica-v0", "replica_v1/room_0"), **options)
 
 
+@task('**Matterport3D-v0**: a scene of Matterport3D, `scene="mp3d/GdvgFV5R1Z5"`.')
 class Matterport3DEnv(ReconstructionEnv):
-    __doc__ = _page('**Matterport3D-v0**: a scene of Matterport3D, `scene="mp3d/GdvgFV5R1Z5"`.')
-
-    def __init__(self, *, scene: Any = None, **options: Any) -> None:
+    def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
+        _check_names("Matterport3D-v0", options, "scene")
         super().__init__(_with_loader(scene, "matterport3d", "Matterport3D-v0", "mp3d/GdvgFV5R1Z5"), **options)
+
+
+def _check_names(task: str, options: Mapping[str, Any], *own: str) -> None:
+    """Raise `InputError` for a keyword that no environment has."""
+    known = EnvOptions.__annotations__.keys() | set(own)
+    for name in options:
+        if name not in known:
+            raise unknown_name(f"keyword of {task}", name, known)
 
 
 def _with_loader(scene: Any, loader: str, task: str, example: str) -> Any:

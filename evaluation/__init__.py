@@ -1,7 +1,86 @@
-"""Who compares: protocols, metrics, the grid of jobs, the run directory, the report and the command line.
+"""Comparing policies: protocols, metrics, the grid of jobs, the run directory, the report and the command line.
 
-`comparison.Comparison` describes scenes x policies x seeds, `jobs.Job` one episode of it, `episode.run_job` runs one,
-`engines` run many, `store` reads what they wrote, `report` draws it. Nothing imports this room.
+`compare` runs scenes x policies x seeds into a directory, `open_comparison` and `read_run` read what stands in one,
+metrics say what a number means, statistics what repeated runs say. Nothing of the package imports this room.
 
-Nothing is imported here, so that ``asg --help`` answers at once.
+Nothing is loaded before it is used, so that ``asg --help`` answers at once.
+
+>>> import numpy as np
+>>> from activestructure_gym.evaluation import psnr
+>>> round(psnr(np.full((2, 2, 3), 0.5), np.full((2, 2, 3), 0.6)), 2)
+20.0
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.comparison import open_comparison
+    from activestructure_gym.evaluation.archive.jobs import Job
+    from activestructure_gym.evaluation.archive.store import Run, read_run
+    from activestructure_gym.evaluation.metrics import (
+        SurfaceSamples,
+        depth_l1,
+        geometry_scores,
+        ms_ssim,
+        psnr,
+        ssim,
+    )
+    from activestructure_gym.evaluation.protocols import (
+        PROTOCOLS,
+        ActiveGamerProtocol,
+        StandardProtocol,
+        get_protocol,
+    )
+    from activestructure_gym.evaluation.running.comparison import Comparison, Result, run_comparison
+    from activestructure_gym.evaluation.running.engines import Limits
+    from activestructure_gym.evaluation.running.one_call import compare
+    from activestructure_gym.evaluation.statistics import estimate, paired_difference, probability_of_improvement
+
+_PLACES = {
+    "archive.comparison": ("open_comparison",),
+    "archive.jobs": ("Job",),
+    "archive.store": ("Run", "read_run"),
+    "metrics": ("SurfaceSamples", "depth_l1", "geometry_scores", "ms_ssim", "psnr", "ssim"),
+    "protocols": ("PROTOCOLS", "ActiveGamerProtocol", "StandardProtocol", "get_protocol"),
+    "running.comparison": ("Comparison", "Result", "run_comparison"),
+    "running.engines": ("Limits",),
+    "running.one_call": ("compare",),
+    "statistics": ("estimate", "paired_difference", "probability_of_improvement"),
+}
+_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}
+
+__all__ = [
+    "PROTOCOLS",
+    "ActiveGamerProtocol",
+    "Comparison",
+    "Job",
+    "Limits",
+    "Result",
+    "Run",
+    "StandardProtocol",
+    "SurfaceSamples",
+    "compare",
+    "depth_l1",
+    "estimate",
+    "geometry_scores",
+    "get_protocol",
+    "ms_ssim",
+    "open_comparison",
+    "paired_difference",
+    "probability_of_improvement",
+    "psnr",
+    "read_run",
+    "run_comparison",
+    "ssim",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        return getattr(import_module(_MODULE_OF[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,4 +1,4 @@
-"""ActiveGS (Jin et al. 2025): unexplored space and unsure surface, less the share of the way."""
+"""ActiveGS ([active_gs]): unexplored space and unsure surface, less the share of the way."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, only_new
 from activestructure_gym.policies.greedy import Greedy
-
-LENGTH = CANDIDATE_FEATURES.index("path_length")
 
 
 @POLICIES.register("active_gs")
@@ -31,13 +28,13 @@ class ActiveGS(Greedy):
         choice = super().act(only_new(observation))
         if self.travel == "native":
             gain = self.required_gains[0]
-            length = float(observation["candidates"][choice, LENGTH])
+            length = float(self.candidates(observation).path_length[choice])
             self._trace = {gain: self._trace[gain], "path_length": length}
         return choice
 
     def native(self, gain: np.ndarray, observation: Observation) -> np.ndarray:
         """The difference of the two shares."""
-        valid = observation["action_mask"].astype(bool)
-        length = observation["candidates"][:, LENGTH].astype(np.float64)
+        candidates = self.candidates(observation)
+        valid, length = candidates.valid, candidates.path_length.astype(np.float64)
         sums = max(float(gain[valid].sum()), 1e-300), max(float(length[valid].sum()), 1e-12)
         return gain.astype(np.float64) / sums[0] - self.way * length / sums[1]

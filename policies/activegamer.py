@@ -6,11 +6,9 @@ from collections import Counter
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
-from activestructure_gym.policies.greedy import Planner
-
-REVISIT = CANDIDATE_FEATURES.index("revisit")
+from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.greedy import Planner, Travel
 
 STAGES = ("coarse", "fine", "post-refinement")
 COARSE_STEP = 1.0  # m between the positions of the coarse lattice
@@ -49,17 +47,17 @@ def coarse_views(offset: np.ndarray, look: np.ndarray) -> tuple[np.ndarray, np.n
 
 @POLICIES.register("activegamer")
 class ActiveGAMER(Planner):
-    """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage (CVPR 2025).
+    """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice; a stage ends when its pool is empty.
+    pool after the choice; a stage ends when its pool is empty. Source: [activegamer, code].
     """
 
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_gains = ("uncovered",)
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 
@@ -78,18 +76,19 @@ class ActiveGAMER(Planner):
 
     def act(self, observation: Observation) -> int:
         """The best view of the stage's pool; in post-refinement the keyframe that renders worst."""
-        valid = observation["action_mask"].astype(bool)
+        candidates = self.candidates(observation)
+        valid = candidates.valid
         if not len(self._start):
             self._start = observation["pose"][:3].astype(np.float64)
-        gain = self.gain(observation, "uncovered").astype(np.float64)
-        keys, pool = self._pool(observation, valid)
+        gain = candidates["uncovered"].astype(np.float64)
+        keys, pool = self._pool(candidates)
         ended = self._ended(gain[pool]) if STAGES[self._stage] != STAGES[-1] else None
         if ended:
             self._stage += 1
             self._begin_stage()
-            keys, pool = self._pool(observation, valid)
+            keys, pool = self._pool(candidates)
         self._trace = {"stage": STAGES[self._stage], "pool": int(pool.sum()), "changed": ended}
-        revisits = valid & (observation["candidates"][:, REVISIT] > 0)
+        revisits = valid & candidates.revisit
         if STAGES[self._stage] == STAGES[-1] and revisits.any() and float(observation["fidelity"][0]) < GOOD_PSNR:
             # The worst is offered first. The original's factor of distance is switched off here.
             nearness = travel_discount(observation) if self.travel == "shared" else np.ones(len(valid))
@@ -110,20 +109,20 @@ class ActiveGAMER(Planner):
         if self.travel == "shared":
             return share * travel_discount(observation)
         factor = np.zeros(len(gain))
-        moved = observation["candidates"][among, :3].astype(np.float64) - observation["pose"][:3]
+        moved = self.candidates(observation).xyz[among].astype(np.float64) - observation["pose"][:3]
         factor[among] = travel_factor(np.linalg.norm(moved, axis=1))
         return share * factor
 
-    def _pool(self, observation: Observation, valid: np.ndarray) -> tuple[list[tuple[int, ...]], np.ndarray]:
-        """What names each row in this stage, and which rows [K] are in its pool.
+    def _pool(self, candidates: Candidates) -> tuple[list[tuple[int, ...]], np.ndarray]:
+        """Keys that identify each row in this stage, and which rows [K] are in its pool.
 
         Coarse: of the offered views that stand for the same view of the coarse lattice, the nearest to it.
         """
-        table = observation["candidates"].astype(np.float64)
-        pool = valid & (table[:, REVISIT] == 0)
-        names = np.round(100.0 * table[:, :6]).astype(np.int64)
+        xyz, look = candidates.xyz.astype(np.float64), candidates.look.astype(np.float64)
+        pool = candidates.valid & ~candidates.revisit
+        names = np.round(100.0 * np.hstack([xyz, look])).astype(np.int64)
         if STAGES[self._stage] == STAGES[0]:
-            names, away = coarse_views(table[:, :3] - self._start, table[:, 3:6])
+            names, away = coarse_views(xyz - self._start, look)
             nearest = np.full(len(pool), False)
             order = np.lexsort((away, ~pool))  # those of the pool first, by distance
             nearest[order[np.unique(names[order], axis=0, return_index=True)[1]]] = True

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.anm_s import UNCERTAINTY
+from activestructure_gym.errors import InputError
+from activestructure_gym.policies.anm_s import Uncertainty
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new
-from activestructure_gym.policies.greedy import Planner
-
-_XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
-_REVISIT = CANDIDATE_FEATURES.index("revisit")
+from activestructure_gym.policies.greedy import Planner, Travel
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
 PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next one is chosen anyway
@@ -18,25 +17,26 @@ PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next o
 
 @POLICIES.register("activeinr")
 class ActiveINR(Planner):
-    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n (ICCV 2023).
+    """Target* = that of the largest cluster of uncertain surface: mean over its points of v + 0.5 n ([anm]).
 
     Clusters are connected pieces of the most uncertain 80 % of the surface, at least 0.5 % of it; targets that
-    are free, more than 1 m away and inside the workspace come first (gain ``activeinr``). No travel term. The target is
-    kept until the agent is nearer than 0.8 m or a tenth of the frame budget has passed; meanwhile the candidate nearest
-    to it is gone to.
+    are free, more than 1 m away and inside the workspace come first (feature ``activeinr``). No travel term. The target
+    is kept until the agent is nearer than 0.8 m or a tenth of the frame budget has passed; meanwhile the candidate
+    nearest to it is gone to.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: [activeinr, code].
     """
 
     decides_by = "the largest piece of uncertain surface"
     source = "Yan et al., Active Neural Mapping, ICCV 2023"
 
-    def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
-        if uncertainty not in UNCERTAINTY:
-            raise ValueError(f"option uncertainty must be {' or '.join(UNCERTAINTY)}, got '{uncertainty}'")
-        name = "activeinr" if uncertainty == "perturbation" else "activeinr_proxy"
-        self.required_gains = (name, *(f"{name}_{axis}" for axis in "xyz"))  # type: ignore[misc]
+    def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        if uncertainty not in get_args(Uncertainty):
+            raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
+        self._feature = "activeinr" if uncertainty == "perturbation" else "activeinr_proxy"
+        self.required_gains = (self._feature,)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -47,8 +47,9 @@ class ActiveINR(Planner):
 
     def act(self, observation: Observation) -> int:
         """The candidate that stands for the largest cluster, or on the way the one nearest to the target."""
-        usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0)
-        share = np.where(usable, self.gain(observation, self.required_gains[0]), 0.0)
+        candidates = self.candidates(observation)
+        usable = candidates.valid & ~candidates.revisit
+        share = np.where(usable, candidates[self._feature], 0.0)
         left = float(observation["budget"][0])
         if self._target is not None:
             gap = float(np.linalg.norm(observation["pose"][:3] - self._target))
@@ -56,16 +57,16 @@ class ActiveINR(Planner):
                 self._target = None
         if self._target is None and share.any():
             choice = best_valid(self.scores(share, observation), observation)
-            self._target = np.array([self.gain(observation, name)[choice] for name in self.required_gains[1:]], float)
+            self._target = candidates.feature(self._feature)[choice, 1:].astype(float)
             self._chosen_at, stage = left, "new target"
         elif self._target is not None and usable.any():
-            gap_of = np.linalg.norm(observation["candidates"][:, _XYZ] - self._target, axis=1)
+            gap_of = np.linalg.norm(candidates.xyz - self._target, axis=1)
             choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
         else:  # no surface is known yet
             choice, stage = nearest_new(observation), "no target"
         self._trace = {
             "stage": stage,
-            self.required_gains[0]: float(share[choice]),
+            self._feature: float(share[choice]),
             "target": None if self._target is None else self._target.round(2).tolist(),
         }
         return choice

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.base import FRAMES, POLICIES, Observation, nearest_new, nearest_of_best
+from activestructure_gym.policies.base import POLICIES, Observation, nearest_new, nearest_of_best
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner
-
-_XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
-_LOOK = [CANDIDATE_FEATURES.index(name) for name in ("look_x", "look_y", "look_z")]
-_REVISIT = CANDIDATE_FEATURES.index("revisit")
 
 BEST = 16  # m: views with the largest gain that become nodes
 RELATION = 1.0  # lambda_r, of the edges between views; lambda_g is 1 for gains in units of their mean
@@ -21,15 +17,16 @@ SAME = 1e-9  # relative difference of two centralities that are equal but for ro
 
 @POLICIES.register("activepolicy")
 class ActivePolicy(Planner):
-    """argmax_i 1 / (|v_i| + epsilon), v the Fiedler vector of a graph of views: inspired by ActivePolicy (CVPR 2026).
+    """argmax_i 1 / (|v_i| + epsilon), v the Fiedler vector of a graph of views: inspired by [activepolicy].
 
     Nodes: the map (0) and the 16 views with the largest gain g. Edges: A_0i = g_i / mean g and
     A_ij = lambda_r overlap_ij exp(-gamma d_ij / mean d). v is the eigenvector of the second smallest eigenvalue of
-    L = I - D^-1/2 A D^-1/2. g is the gain ``activepolicy``: pixels in which two readings of the depth disagree. The
+    L = I - D^-1/2 A D^-1/2. g is the feature ``activepolicy``: pixels in which two readings of the depth disagree. The
     overlap is what two views share of the planes they see; of two that see none, the cosine between their axes.
 
     Only a digest of the paper is known, and on its face the rule hardly looks at the gain; hence the pre-filter. No
     travel term; of equals, before the filter and after it, the one with the fewest frames.
+    Source: a digest of [activepolicy].
     """
 
     decides_by = "the most central of the 16 views with most disagreeing depth"
@@ -38,10 +35,11 @@ class ActivePolicy(Planner):
 
     def act(self, observation: Observation) -> int:
         """The most central of the best views."""
-        gain = self.gain(observation, "activepolicy").astype(np.float64)
-        usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0) & (gain > 0)
+        candidates = self.candidates(observation)
+        gain = candidates["activepolicy"].astype(np.float64)
+        usable = candidates.valid & ~candidates.revisit & (gain > 0)
         # Where nothing is mapped yet many gains are exactly 1.
-        order = np.lexsort((observation["candidates"][:, FRAMES], np.where(usable, -gain, np.inf)))
+        order = np.lexsort((candidates.frames, np.where(usable, -gain, np.inf)))
         rows = order[: min(BEST, int(usable.sum()))]
         if not len(rows):
             self._trace = {"nodes": 0}
@@ -84,11 +82,12 @@ def fiedler_centrality(gain: np.ndarray, between: np.ndarray) -> np.ndarray:  # 
 
 def relation(observation: Observation, rows: np.ndarray) -> np.ndarray:  # [n] rows -> [n, n] in 0..1
     """Overlap of the views times exp(-gamma distance / mean distance)."""
-    views = observation["candidates"][rows].astype(np.float64)
+    candidates = Candidates(observation)
+    xyz, look = (values[rows].astype(np.float64) for values in (candidates.xyz, candidates.look))
     seen = (observation["candidate_planes"][rows] * observation["plane_mask"]).astype(np.float64)
     shared = seen @ seen.T
     either = seen.sum(axis=1)[:, None] + seen.sum(axis=1) - shared
-    facing = np.clip(views[:, _LOOK] @ views[:, _LOOK].T, 0.0, 1.0)
+    facing = np.clip(look @ look.T, 0.0, 1.0)
     overlap = np.where(either > 0, shared / np.maximum(either, 1.0), facing)
-    distance = np.linalg.norm(views[:, None, _XYZ] - views[None, :, _XYZ], axis=2)
+    distance = np.linalg.norm(xyz[:, None] - xyz, axis=2)
     return overlap * np.exp(-DECAY * distance / max(float(distance.mean()), 1e-9))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
-from activestructure_gym.policies.greedy import Planner
-
-_XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
-_LOOK = [CANDIDATE_FEATURES.index(name) for name in ("look_x", "look_y", "look_z")]
-_LENGTH, _FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")
-_REVISIT = CANDIDATE_FEATURES.index("revisit")
+from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.greedy import Planner, Travel
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
 ARRIVED_M = 15 * 0.065  # metres from the way: 15 steps of 6.5 cm
@@ -20,12 +18,12 @@ AT_NODE = 0.5  # metres in the plane: candidates that stand for a node are no fa
 FORGET_AFTER = 3  # node decisions without a node that is neither arrived at nor failed; the table is a draw
 FACING = float(np.cos(np.radians(30.0)))  # between a candidate's axis and what it is to look at
 ONE_LOOK = float(np.cos(np.radians(45.0)))  # directions nearer to each other than this are one look
-UNCERTAINTY = ("perturbation", "proxy")
+Uncertainty = Literal["perturbation", "proxy"]
 
 
 @POLICIES.register("anm_s")
 class AnmS(Planner):
-    """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way (IROS 2024).
+    """node* = argmax 3 unarrived + 2 in_horizon + 1 has_cluster - 6 failed; of equals the shortest way ([anm_s]).
 
     Nodes are those of the floor plan's Voronoi graph. Unarrived: farther than 0.975 m from the way so far. In horizon:
     in line of sight and inside the box last seen on the way. Has cluster: a connected piece of the most uncertain 20 %
@@ -35,18 +33,18 @@ class AnmS(Planner):
     that were cut off from it are looked at.
 
     ``uncertainty``: "perturbation", 20 perturbed renderings from 12 views, or "proxy", its first order without any.
+    Source: [anm_s, code].
     """
 
     decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
     source = "Kuang et al., ANM-S, IROS 2024"
 
-    def __init__(self, travel: str = "native", uncertainty: str = "perturbation") -> None:
-        if uncertainty not in UNCERTAINTY:
-            raise ValueError(f"option uncertainty must be {' or '.join(UNCERTAINTY)}, got '{uncertainty}'")
-        self._gains = "anm_s" if uncertainty == "perturbation" else "anm_s_proxy"
-        own = tuple(f"{self._gains}_{name}" for name in ("clusters", "looks", "facing"))
-        self.required_gains = ("voronoi_node", "visited_distance", "in_horizon", *own)  # type: ignore[misc]
+    def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
+        if uncertainty not in get_args(Uncertainty):
+            raise InputError(f"option uncertainty must be {' or '.join(get_args(Uncertainty))}, got '{uncertainty}'")
         super().__init__(travel)
+        self._feature = "anm_s" if uncertainty == "perturbation" else "anm_s_proxy"
+        self.required_gains = ("voronoi_node", "visited_distance", "in_horizon", self._feature)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -61,76 +59,79 @@ class AnmS(Planner):
 
     def act(self, observation: Observation) -> int:
         """The next look at this node, or the next node."""
-        places = observation["candidates"][:, _XYZ].astype(np.float64)
+        candidates = self.candidates(observation)
+        places = candidates.xyz.astype(np.float64)
         here = observation["pose"][:3].astype(np.float64)
         if self._goal is not None and np.linalg.norm(here - self._goal) > AT_NODE:
             self._failed = np.vstack([self._failed, self._goal[:2]])
             self._left = 0
         if not len(self._stop) or np.linalg.norm(here - self._stop) > 2.0 * AT_NODE:  # or on a way not finished
             self._stop = here
-        usable = observation["action_mask"].astype(bool) & (observation["candidates"][:, _REVISIT] == 0)
-        stage, choice = "look", self._next_look(observation, usable, places)
+        stage, choice = "look", self._next_look(observation, candidates)
         if choice is None:
-            stage, choice = "node", self._next_node(observation, usable, places)
-            self._left = int(self.gain(observation, f"{self._gains}_looks")[choice])
+            stage, choice = "node", self._next_node(observation, candidates)
+            self._left = int(candidates[f"{self._feature}_looks"][choice])
             self._looked, self._stop = self._looked[:0], places[choice]
-        if self.gain(observation, f"{self._gains}_facing")[choice] >= FACING:
+        if candidates[f"{self._feature}_facing"][choice] >= FACING:
             self._left -= 1
-            self._looked = np.vstack([self._looked, observation["candidates"][choice, _LOOK]])
+            self._looked = np.vstack([self._looked, candidates.look[choice]])
         self._goal = places[choice]
         self._trace = {
             "stage": stage,
-            "score": float(self.node_score(observation, places)[choice]),
-            "node": int(self.gain(observation, "voronoi_node")[choice]),
+            "score": float(self.node_score(candidates)[choice]),
+            "node": int(candidates["voronoi_node"][choice]),
             "looks_left": self._left,
             "failed": len(self._failed),
         }
         return choice
 
-    def node_score(self, observation: Observation, places: np.ndarray) -> np.ndarray:  # [K], whole numbers
+    def node_score(self, candidates: Candidates) -> np.ndarray:  # [K], whole numbers
         """The integer score of each candidate's node; 0 where it has none."""
-        distance = np.linalg.norm(places[:, None, :2] - self._failed, axis=2)
         score = (
-            UNARRIVED * (self.gain(observation, "visited_distance") > ARRIVED_M)
-            + IN_HORIZON * (self.gain(observation, "in_horizon") > 0)
-            + CLUSTER * (self.gain(observation, f"{self._gains}_clusters") > 0)
-            + FAILED * (distance <= AT_NODE).any(axis=1)
+            UNARRIVED * (candidates["visited_distance"] > ARRIVED_M)
+            + IN_HORIZON * (candidates["in_horizon"] > 0)
+            + CLUSTER * (candidates[f"{self._feature}_clusters"] > 0)
+            + FAILED * self._has_failed(candidates)
         )
-        return np.where(self.gain(observation, "voronoi_node") >= 0, score, 0.0)
+        return np.where(candidates["voronoi_node"] >= 0, score, 0.0)
 
-    def _next_look(self, observation: Observation, usable: np.ndarray, places: np.ndarray) -> int | None:
+    def _has_failed(self, candidates: Candidates) -> np.ndarray:  # [K] bool
+        """Which ones stand where an attempt did not arrive."""
+        places = candidates.xyz[:, None, :2].astype(np.float64)
+        return (np.linalg.norm(places - self._failed, axis=2) <= AT_NODE).any(axis=1)
+
+    def _next_look(self, observation: Observation, candidates: Candidates) -> int | None:
         """The candidate here that needs the fewest frames to look at something in a direction not yet looked in."""
         if self._left <= 0:
             return None
-        rows = usable & self._at_stop(places)
-        rows &= self.gain(observation, f"{self._gains}_facing") >= FACING
-        rows &= (observation["candidates"][:, _LOOK] @ self._looked.T < ONE_LOOK).all(axis=1)
+        rows = candidates.valid & ~candidates.revisit & self._at_stop(candidates)
+        rows &= candidates[f"{self._feature}_facing"] >= FACING
+        rows &= (candidates.look @ self._looked.T < ONE_LOOK).all(axis=1)
         if not rows.any():
             return None
-        return best_valid(np.where(rows, -observation["candidates"][:, _FRAMES], -np.inf), observation)
+        return best_valid(np.where(rows, -candidates.frames, -np.inf), observation)
 
-    def _at_stop(self, places: np.ndarray) -> np.ndarray:  # [K] bool
-        return np.linalg.norm((places - self._stop)[:, :2], axis=1) <= AT_NODE
+    def _at_stop(self, candidates: Candidates) -> np.ndarray:  # [K] bool
+        return np.linalg.norm((candidates.xyz - self._stop)[:, :2], axis=1) <= AT_NODE
 
-    def _forget(self, observation: Observation, rows: np.ndarray, places: np.ndarray) -> None:
+    def _forget(self, candidates: Candidates, rows: np.ndarray) -> None:
         """Let failures be tried again once there has been nothing else to go to for a while."""
-        left = rows & (self.gain(observation, "visited_distance") > ARRIVED_M)
-        left &= ~(np.linalg.norm(places[:, None, :2] - self._failed, axis=2) <= AT_NODE).any(axis=1)
+        left = rows & (candidates["visited_distance"] > ARRIVED_M) & ~self._has_failed(candidates)
         self._idle = 0 if left.any() else self._idle + 1
         if self._idle >= FORGET_AFTER:
             self._failed = self._failed[:0]
 
-    def _next_node(self, observation: Observation, usable: np.ndarray, places: np.ndarray) -> int:
+    def _next_node(self, observation: Observation, candidates: Candidates) -> int:
         """The best node's candidate that faces something there best; the nearest view where there is no node."""
-        node = self.gain(observation, "voronoi_node")
-        rows = usable & (node >= 0)
+        node = candidates["voronoi_node"]
+        rows = candidates.valid & ~candidates.revisit & (node >= 0)
         if not rows.any():
             return nearest_new(observation)
-        way = observation["candidates"][:, _LENGTH].astype(np.float64)
-        away = rows & ~np.isin(node, node[rows & (self._at_stop(places) | (way <= AT_NODE))])
+        places, way = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)
+        away = rows & ~np.isin(node, node[rows & (self._at_stop(candidates) | (way <= AT_NODE))])
         rows = away if away.any() else rows
-        self._forget(observation, rows, places)
-        score = self.node_score(observation, places)
+        self._forget(candidates, rows)
+        score = self.node_score(candidates)
         if self.travel == "shared":
             value = (score - FAILED) * travel_discount(observation)  # from 0 on
         else:
@@ -139,5 +140,5 @@ class AnmS(Planner):
         if self.travel == "native" and way[best] > DEFERRED_M and (rows & (way <= DEFERRED_M)).any():
             apart = np.linalg.norm(places - places[best], axis=1)
             best = best_valid(np.where(rows & (way <= DEFERRED_M), -apart, -np.inf), observation)
-        facing = self.gain(observation, f"{self._gains}_facing")
+        facing = candidates[f"{self._feature}_facing"]
         return best_valid(np.where(rows & (node == node[best]), facing - 1e-6 * way, -np.inf), observation)

@@ -1,52 +1,50 @@
-"""What every policy is: it names the gains it needs, is seeded at the start of an episode, and picks a row."""
+"""The interface of policies: required features, a seed at the start of an episode, and the choice of a row."""
 
 from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, gain_names
+from activestructure_gym.envs.observation import feature_columns, gain_names
 from activestructure_gym.errors import InputError, shown
+from activestructure_gym.policies.candidates import Candidates, Observation, listed
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import parse_options, typed_options
-
-Observation = dict[str, np.ndarray]
-
-FRAMES, REVISIT = CANDIDATE_FEATURES.index("frames"), CANDIDATE_FEATURES.index("revisit")
 
 
 class Policy(ABC):
     """Chooses one row of the candidate table per step.
 
     A policy sees the observation and nothing else: no map, no scene, no env. So it runs unchanged in any vector env,
-    and pickles. Its gains stand in columns of ``observation["candidate_gains"]``, and only the env knows in which:
-    `bind` tells the policy, and without it `gain` refuses. `make_env_and_policy` makes both at once and binds them.
+    and pickles. The features of the candidates stand in columns of ``observation["candidate_gains"]``, and only the env
+    knows in which: `bind` tells the policy, and `candidates` is where it reads them by name; without the one the other
+    refuses. `make_env_and_policy` makes both at once and binds them.
 
     Parameters of a subclass's constructor are its options: ``name?key=value`` in a command. They are checked there,
-    with a ValueError.
+    with an `InputError`.
     """
 
     decides_by: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
     source: ClassVar[str] = ""  # the paper, for lists
-    required_gains: ClassVar[tuple[str, ...]] = ()  # evaluated by the env for every candidate
-    _columns: tuple[str, ...] | None = None  # the gains in the observation, in order, once they are known
+    # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.
+    required_gains: tuple[str, ...] = ()
+    _columns: tuple[str, ...] | None = None  # of the features in the observation, once they are known
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
 
     def bind(self, source: Any) -> None:
-        """Learn which gains stand in which column: from an env, a vector env, an observation space or their names.
+        """Learn what stands in which column: from an env, a vector env, an observation space or the columns' names.
 
-        Raises `InputError` if a required one is missing. A policy without required gains needs no binding.
+        Raises `InputError` if a required feature is missing. A policy without any needs no binding.
         """
         names, needed = gain_names(source), gains_of(self)
-        if missing := [name for name in needed if name not in names]:
+        if missing := [name for name in needed if not _offered(name, names)]:
             raise InputError(
-                f"{type(self).__name__} needs the gains {_listed(missing)}, and the env offers {_listed(names)}: make "
+                f"{type(self).__name__} needs the features {listed(missing)}, and the env offers {listed(names)}: make "
                 "the env with them in gains=..., or both at once with env, policy = make_env_and_policy(...)"
             )
         self._columns = names
@@ -60,39 +58,30 @@ class Policy(ABC):
         """The row to go to; must be one where ``observation["action_mask"]`` is 1."""
 
     def trace(self) -> dict[str, Any]:
-        """What decided the last choice, for the run's log; JSON-able."""
+        """Numbers behind the last choice, for the run's log; JSON-able."""
         return {}
 
-    def gain(self, observation: Observation, name: str) -> np.ndarray:  # [K]
-        """The column of gain ``name``. Raises `InputError` for a policy that is not bound to the env that made it."""
-        columns, table, who = self._columns, observation["candidate_gains"], type(self).__name__
-        if columns is None:
-            raise InputError(
-                f"{who} does not know which column of the observation is the gain '{name}': call policy.bind(env) "
-                "before act(), or make both with env, policy = make_env_and_policy(...)"
-            )
-        if table.shape[1:] != (len(columns),):
-            raise InputError(
-                f"{who} is bound to an env with the gains {_listed(columns)}, but this observation's candidate_gains "
-                f"has the shape {table.shape}: call policy.bind(env) with the env that made it"
-            )
-        if name not in columns:
-            raise InputError(
-                f"{who} reads the gain '{name}', and the env offers {_listed(columns)}: name it in required_gains"
-            )
-        return table[:, columns.index(name)]
+    def candidates(self, observation: Observation) -> Candidates:
+        """The candidates by name, and their features where the policy is bound to the env that made the observation."""
+        return Candidates(observation, self._columns, type(self).__name__)
 
 
 def gains_of(policy: Policy) -> tuple[str, ...]:
-    """The gains that a policy asks an env for; raises `InputError` where they are no tuple of names."""
+    """The features that a policy asks an env for; raises `InputError` where they are no tuple of names."""
     gains = policy.required_gains
     if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
         raise InputError(f"required_gains of {type(policy).__name__} must be a tuple of names, got {shown(gains)}")
     return tuple(gains)
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names) or "none"
+def _offered(name: str, columns: tuple[str, ...]) -> bool:
+    """Whether a feature, or a single column, is among these."""
+    if name in columns:
+        return True
+    try:
+        return set(feature_columns(name)) <= set(columns)
+    except InputError:  # a name that nobody knows here
+        return False
 
 
 def is_policy(kind: Any) -> TypeGuard[type[Policy]]:
@@ -111,7 +100,25 @@ POLICIES: Registry[type[Policy]] = Registry(
 def make_policy(spec: str) -> Policy:
     """The policy that ``spec`` names: ``pixel_only``, ``active_gs?travel=shared``, ``my_policy:Mine?depth=3``.
 
-    Raises `InputError`: unknown name or option, a value of the wrong kind, or one that the policy refuses.
+    Parameters
+    ----------
+    spec
+        A registered name, ``learned:CHECKPOINT`` or ``package.module:Class``, with options behind a question mark.
+
+    Returns
+    -------
+    Policy
+        Not bound to any env yet.
+
+    Raises
+    ------
+    InputError
+        Unknown name or option, a value of the wrong kind, or one that the policy refuses.
+
+    Examples
+    --------
+    >>> make_policy("active_gs?travel=shared").travel
+    'shared'
     """
     kind, options = _class_and_options(spec)
     try:
@@ -124,7 +131,27 @@ def canonical_policy(spec: str) -> str:
     """The one text for a policy: options sorted by name, without those that say what is usual.
 
     A class that is made from its name says in ``spec`` what it is called from anywhere: a checkpoint by its absolute
-    path and its content. Raises `InputError` like `make_policy` for unknown names and options.
+    path and its content.
+
+    Parameters
+    ----------
+    spec
+        As for `make_policy`.
+
+    Returns
+    -------
+    str
+        Equal for equal policies.
+
+    Raises
+    ------
+    InputError
+        Unknown name or option.
+
+    Examples
+    --------
+    >>> canonical_policy("active_gs?travel=native"), canonical_policy("active_gs?travel=shared")
+    ('active_gs', 'active_gs?travel=shared')
     """
     kind, options = _class_and_options(spec)
     usual = {name: parameter.default for name, parameter in inspect.signature(kind).parameters.items()}
@@ -146,13 +173,25 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
 
     The paper leaves g open. Frames count turns as well as steps, so turning on the spot is not free; 5 is the keyframe
     interval. Measured against exp(-metres / 4).
+
+    Parameters
+    ----------
+    observation
+        Of which the column ``frames`` of the candidates [K, 8] is read.
+    scale_frames
+        Frames after which a gain counts half.
+
+    Returns
+    -------
+    [K] in (0, 1]
+        The factor on every candidate's gain.
     """
-    return 1.0 / (1.0 + observation["candidates"][:, FRAMES] / scale_frames)
+    return 1.0 / (1.0 + Candidates(observation).frames / scale_frames)
 
 
 def best_valid(scores: np.ndarray, observation: Observation) -> int:
     """The row with the highest score among the valid ones; the first of equals."""
-    valid = observation["action_mask"].astype(bool)
+    valid = Candidates(observation).valid
     if not valid.any():
         raise ValueError("no candidate is valid: the episode has ended, call reset()")
     return int(np.argmax(np.where(valid, scores, -np.inf)))
@@ -170,14 +209,14 @@ def only_new(observation: Observation) -> Observation:
     For planners that know no way back to a keyframe. Up to four rows of every table are the worst rendered ones, often
     where the agent stands, so that a way of length 0 would count for them.
     """
-    new = observation["action_mask"].astype(bool) & (observation["candidates"][:, REVISIT] == 0)
+    candidates = Candidates(observation)
+    new = candidates.valid & ~candidates.revisit
     return {**observation, "action_mask": new.astype(np.int8)} if new.any() else observation
 
 
 def nearest_new(observation: Observation) -> int:
-    """What a planner without anything to decide by takes: the valid view with the fewest frames, revisits last.
+    """The fallback of planners without anything to decide by: the valid view with the fewest frames, revisits last.
 
     A revisit of the present pose costs a single frame, so among the others it would always be the nearest.
     """
-    revisit = observation["candidates"][:, REVISIT] > 0
-    return best_valid(travel_discount(observation) - revisit, observation)
+    return best_valid(travel_discount(observation) - Candidates(observation).revisit, observation)

@@ -1,29 +1,33 @@
-"""The common shape of every planner that scores views one by one: a gain, and a travel term that can be exchanged."""
+"""Base classes of planners that score views one by one: a gain and an exchangeable travel term."""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import Observation, Policy, best_valid, travel_discount
 
-TRAVEL = ("native", "shared")
+Travel = Literal["native", "shared"]
 
 
 class Planner(Policy):
     """A planner with its own travel term, which can be run with everybody's instead.
 
-    ``travel``: "native" scores a view as the planner's paper does, by `native`; "shared" by its gain times
-    `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
+    Parameters
+    ----------
+    travel
+        ``"native"`` scores a view as the planner's paper does, by `native`; ``"shared"`` by its gain times
+        `travel_discount` and nothing else, so that planners differ in what they hold a view to be worth alone.
     """
 
     least: ClassVar[float] = 0.0  # a gain below counts as this much, in the gain's unit
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__()
-        if travel not in TRAVEL:
-            raise ValueError(f"option travel must be {' or '.join(TRAVEL)}, got '{travel}'")
+        if travel not in get_args(Travel):
+            raise InputError(f"option travel must be {' or '.join(get_args(Travel))}, got '{travel}'")
         self.travel = travel
         self._trace: dict[str, Any] = {}
 
@@ -40,7 +44,7 @@ class Planner(Policy):
         return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
 
     def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
-        """What decides between the views. Where no valid one has anything to gain, the travel term alone does."""
+        """Scores of the views: gain and travel term, or the travel term alone where no valid view has a gain."""
         gain = np.maximum(gain, self.least)
         if not gain[observation["action_mask"].astype(bool)].any():
             gain = np.ones_like(gain)
@@ -49,7 +53,7 @@ class Planner(Policy):
         return self.native(gain, observation)
 
     def trace(self) -> dict[str, Any]:
-        """What a planner noted about the chosen view."""
+        """Numbers that a planner noted about the chosen view."""
         return self._trace
 
 
@@ -59,7 +63,7 @@ class Greedy(Planner):
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; the first of equals."""
         name = self.required_gains[0]
-        gain = self.gain(observation, name)
+        gain = self.candidates(observation)[name]
         choice = best_valid(self.scores(gain, observation), observation)
         self._trace = {name: float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
         return choice

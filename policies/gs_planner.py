@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
-from activestructure_gym.policies.greedy import Planner
-
-_LENGTH = CANDIDATE_FEATURES.index("path_length")
+from activestructure_gym.policies.greedy import Planner, Travel
 
 # The paper prints no values for these; ours are shares of what a view could gain at most.
 QUALITY_WEIGHT = 0.1  # of the mean loss in metres against the share of unobserved volume
@@ -23,7 +20,7 @@ SPACING_M = 1.5  # metres between them: of HGS-Planner's samples, so that they d
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m, 6] position and look -> [n, m] in 0..1
-    """What two views have in common, from how far they are apart and turned from each other alone."""
+    """Overlap of two views, from the distance and the angle between them alone."""
     apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
     angle = np.arccos(np.clip(first[:, 3:] @ second[:, 3:].T, -1.0, 1.0))
     return np.maximum(1.0 - apart / OVERLAP_M, 0.0) * np.maximum(1.0 - angle / OVERLAP_RAD, 0.0)
@@ -50,19 +47,20 @@ def best_per_viewpoint(
 
 @POLICIES.register("gs_planner")
 class GSPlanner(Planner):
-    """G = G_completeness + w G_quality: `gs_planner_volume` and `gs_planner_loss` (GS-Planner, IROS 2024).
+    """G = G_completeness + w G_quality, the columns of the feature `gs_planner` ([gs_planner]).
 
     Native: the best of the VIEWPOINTS nearest places, each with its best view, as one growth of the original's tree
     from the agent offers them; others worth a visit go into a view library. Where none of the near ones is worth
     LEAST_GAIN, the best of the library; where that is empty the original ends, and here the best view of all is taken.
     Revisits are no candidates of it.
+    Source: [gs_planner], by its text.
     """
 
     decides_by = "unobserved volume behind transmittance, badly rendered surface"
     source = "Jin et al., GS-Planner, IROS 2024"
-    required_gains = ("gs_planner_volume", "gs_planner_loss")
+    required_gains = ("gs_planner",)
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 
@@ -73,7 +71,7 @@ class GSPlanner(Planner):
 
     def act(self, observation: Observation) -> int:
         """The best near view, or one from the library."""
-        volume, loss = (self.gain(observation, name).astype(np.float64) for name in self.required_gains)
+        volume, loss = self.candidates(observation).feature("gs_planner").astype(np.float64).T
         gain = volume + QUALITY_WEIGHT * loss
         observation = only_new(observation)
         if self.travel == "shared":
@@ -85,19 +83,20 @@ class GSPlanner(Planner):
         return choice
 
     def _local_or_library(self, gain: np.ndarray, observation: Observation) -> tuple[int, str]:
-        valid = np.flatnonzero(observation["action_mask"])
-        table = observation["candidates"].astype(np.float64)
-        rows = valid[best_per_viewpoint(table[valid, :3], table[valid, _LENGTH], gain[valid])]
+        candidates = self.candidates(observation)
+        valid, lengths = np.flatnonzero(candidates.valid), candidates.path_length.astype(np.float64)
+        views = np.hstack([candidates.xyz, candidates.look]).astype(np.float64)
+        rows = valid[best_per_viewpoint(views[valid, :3], lengths[valid], gain[valid])]
         rows = rows[gain[rows] >= LEAST_GAIN]
         if len(rows):
             choice = int(rows[np.argmax(gain[rows])])
-            self._forget(table[[choice], :6])
-            self._store(table[rows[(gain[rows] > STORED_GAIN) & (rows != choice)], :6])
+            self._forget(views[[choice]])
+            self._store(views[rows[(gain[rows] > STORED_GAIN) & (rows != choice)]])
             return choice, "near"
-        found = self._offered(table[valid, :6], gain[valid])
+        found = self._offered(views[valid], gain[valid])
         if len(found):
             choice = int(valid[found[np.argmax(gain[valid[found]])]])
-            self._forget(table[[choice], :6])
+            self._forget(views[[choice]])
             return choice, "library"
         return best_valid(gain, observation), "all"
 

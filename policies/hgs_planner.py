@@ -1,4 +1,4 @@
-"""HGS-Planner (Xu et al., ICRA 2025): local views by gain, then a tour through the parts that are not done."""
+"""HGS-Planner ([hgs_planner], by its text): local views by gain, then a tour through the parts that are not done."""
 
 from __future__ import annotations
 
@@ -6,16 +6,14 @@ from itertools import permutations
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Greedy
 
 LOCAL_M = 3.0  # metres of path: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the global parts
 WORTH = 0.05  # of a view into nothing but unknown space; a part with a better view than that is not done
 _MOST = 6  # parts of a tour that is searched through in full
-_PLACE = [CANDIDATE_FEATURES.index(name) for name in ("x", "y")]
-_PATH = CANDIDATE_FEATURES.index("path_length")
 
 
 @POLICIES.register("hgs_planner")
@@ -36,29 +34,30 @@ class HGSPlanner(Greedy):
         observation = only_new(observation)
         if self.travel == "shared":
             return super().act(observation)
-        gain, coverage = (self.gain(observation, name) for name in self.required_gains)
-        valid = observation["action_mask"].astype(bool)
+        candidates = self.candidates(observation)
+        gain, coverage, valid = candidates["hgs_planner"], candidates["hgs_coverage"], candidates.valid
         worth = valid & (coverage > WORTH)
-        near = worth & (observation["candidates"][:, _PATH] <= LOCAL_M)
+        near = worth & (candidates.path_length <= LOCAL_M)
         if near.any():
             stage, pool = "local", near
         elif worth.any():
-            stage, pool = "global", worth & self._next_part(observation, worth)
+            stage, pool = "global", worth & next_part(candidates, worth)
         else:
             stage, pool = "refine", valid
         choice = best_valid(np.where(pool, gain, -np.inf), observation)
         self._trace = {"stage": stage, "hgs_planner": float(gain[choice]), "hgs_coverage": float(coverage[choice])}
         return choice
 
-    def _next_part(self, observation: Observation, worth: np.ndarray) -> np.ndarray:  # [K] bool
-        """The candidates in the first cuboid of the tour."""
-        candidates = observation["candidates"]
-        cuboids = np.floor(candidates[:, _PLACE] / CUBOID_M).astype(np.int64)
-        parts, of_part = np.unique(cuboids[worth], axis=0, return_inverse=True)
-        of_part = of_part.reshape(-1)
-        middles = np.stack([candidates[worth][of_part == p][:, _PLACE].mean(axis=0) for p in range(len(parts))])
-        ways = np.array([candidates[worth][of_part == p][:, _PATH].min() for p in range(len(parts))])
-        return (cuboids == parts[first_of_tour(ways, middles)]).all(axis=1)
+
+def next_part(candidates: Candidates, worth: np.ndarray) -> np.ndarray:  # [K] bool, some True -> [K] bool
+    """The candidates in the first cuboid of the tour through those that hold a view worth going to."""
+    places = candidates.xyz[:, :2]
+    cuboids = np.floor(places / CUBOID_M).astype(np.int64)
+    parts, of_part = np.unique(cuboids[worth], axis=0, return_inverse=True)
+    of_part = of_part.reshape(-1)
+    middles = np.array([[axis[worth][of_part == p].mean() for axis in places.T] for p in range(len(parts))])
+    ways = np.array([candidates.path_length[worth][of_part == p].min() for p in range(len(parts))])
+    return (cuboids == parts[first_of_tour(ways, middles)]).all(axis=1)
 
 
 def first_of_tour(

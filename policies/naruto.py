@@ -4,38 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.greedy import Planner, Travel
 
-_XYZ = [CANDIDATE_FEATURES.index(name) for name in ("x", "y", "z")]
-_LOOK = [CANDIDATE_FEATURES.index(name) for name in ("look_x", "look_y", "look_z")]
-_REVISIT = CANDIDATE_FEATURES.index("revisit")
-
-LISTED = 10  # targets of the look-at list
-LIST_COLUMNS = tuple(f"naruto_look_{rank}_{axis}" for rank in range(LISTED) for axis in "xyz")
 AT_GOAL = 0.75  # metres: the candidates around a lattice position, since few directions of one are on offer at a time
 FACING = float(np.cos(np.radians(25.0)))  # a target this near to the axis is in the image: it is 60 degrees high
 
 
 @POLICIES.register("naruto")
 class Naruto(Planner):
-    """g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g (Feng et al., CVPR 2024); no travel cost.
+    """g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g ([naruto]); no travel cost.
 
     sigma = 1 / (1 + sum of o_k hits_k) over the Gaussians k at t; the 300 targets are a part of the 4000 most uncertain
-    places in front of surfaces; seen are those 0.5 to 2 m away along 30 free samples (gain ``naruto``). Two stages:
+    places in front of surfaces; seen are those 0.5 to 2 m away along 30 free samples (feature ``naruto``). Two stages:
 
     - goal: among the candidates at g*, one that looks at the most uncertain target;
-    - look: at g*, all of the look-at list (up to 10 targets, from the most uncertain on), each time the candidate with
-      the smallest rotation that looks at a target not yet looked at.
+    - look: at g*, all of the look-at list (feature ``naruto_look``: up to 10 targets, from the most uncertain on), each
+      time the candidate with the smallest rotation that looks at a target not yet looked at.
 
+    Source: [naruto, code].
     """
 
     decides_by = "uncertain places within 0.5 to 2 m, then a list of them to look at"
     source = "Feng et al., NARUTO, CVPR 2024"
-    required_gains = ("naruto", *LIST_COLUMNS)
+    required_gains = ("naruto", "naruto_look")
 
-    def __init__(self, travel: str = "native") -> None:
+    def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)
         self.reset(0)
 
@@ -47,66 +42,65 @@ class Naruto(Planner):
 
     def act(self, observation: Observation) -> int:
         """The next look at the goal, or the next goal where the list is done or the goal was not reached."""
-        valid = observation["action_mask"].astype(bool)
+        candidates = self.candidates(observation)
         here = observation["pose"][:3]
         if np.linalg.norm(here - self._goal) > AT_GOAL:
             self._left = self._left[:0]
-        stage, choice = "look", self._next_look(observation, valid)
+        stage, choice = "look", self._next_look(observation, candidates)
         if choice is None:
-            stage, choice = "goal", self._next_goal(observation, valid)
-        looked = looked_at(observation, self._left)[choice]
+            stage, choice = "goal", self._next_goal(observation, candidates)
+        looked = looked_at(candidates, self._left)[choice]
         self._left = self._left[~looked]
         self._trace = {
             "stage": stage,
-            "naruto": float(self.gain(observation, "naruto")[choice]),
+            "naruto": float(candidates["naruto"][choice]),
             "looked_at": int(looked.sum()),
             "left": len(self._left),
         }
         return choice
 
-    def _next_look(self, observation: Observation, valid: np.ndarray) -> int | None:
+    def _next_look(self, observation: Observation, candidates: Candidates) -> int | None:
         """The candidate at the goal with the smallest rotation of those that look at something left on the list."""
-        count = looked_at(observation, self._left).sum(axis=1)
-        rows = valid & self._around(observation, self._goal) & (count > 0)
+        count = looked_at(candidates, self._left).sum(axis=1)
+        rows = candidates.valid & self._around(candidates) & (count > 0)
         if not rows.any():
             return None
         if self.travel == "shared":
             return best_valid(np.where(rows, count * travel_discount(observation), -1.0), observation)
-        turn = observation["candidates"][:, _LOOK] @ forward(observation["pose"][3:])
+        turn = candidates.look @ forward(observation["pose"][3:])
         return best_valid(np.where(rows, turn, -2.0), observation)
 
-    def _next_goal(self, observation: Observation, valid: np.ndarray) -> int:
+    def _next_goal(self, observation: Observation, candidates: Candidates) -> int:
         """The best goal's candidate that looks at the first target of its list, else at any, else as it comes."""
-        gain = np.where(observation["candidates"][:, _REVISIT] > 0, 0.0, self.gain(observation, "naruto"))
-        if not gain[valid].any():  # no target in reach of anything
+        gain = np.where(candidates.revisit, 0.0, candidates["naruto"])
+        if not gain[candidates.valid].any():  # no target in reach of anything
             self._left = self._left[:0]
             return nearest_new(observation)
         best = best_valid(self.scores(gain, observation), observation)
-        self._goal = observation["candidates"][best, _XYZ].astype(np.float64)
-        listed = np.stack([self.gain(observation, name)[best] for name in LIST_COLUMNS]).reshape(-1, 3)
+        self._goal = candidates.xyz[best].astype(np.float64)
+        listed = candidates.feature("naruto_look")[best].reshape(-1, 3)
         self._left = listed[np.linalg.norm(listed - self._goal, axis=1) > 0.1].astype(np.float64)
-        looks = looked_at(observation, self._left)
-        around = valid & self._around(observation, self._goal)
-        offset = np.linalg.norm(observation["candidates"][:, _XYZ] - self._goal, axis=1)
+        looks = looked_at(candidates, self._left)
+        around = candidates.valid & self._around(candidates)
+        offset = np.linalg.norm(candidates.xyz - self._goal, axis=1)
         for good in (looks[:, :1].any(axis=1), looks.any(axis=1)):
             if (around & good).any():
                 return best_valid(np.where(around & good, -offset, -np.inf), observation)
         return best
 
-    @staticmethod
-    def _around(observation: Observation, goal: np.ndarray) -> np.ndarray:  # [K] bool
-        near = np.linalg.norm(observation["candidates"][:, _XYZ] - goal, axis=1) <= AT_GOAL
-        return near & (observation["candidates"][:, _REVISIT] == 0)
+    def _around(self, candidates: Candidates) -> np.ndarray:  # [K] bool
+        near = np.linalg.norm(candidates.xyz - self._goal, axis=1) <= AT_GOAL
+        return near & ~candidates.revisit
 
 
-def looked_at(observation: Observation, targets: np.ndarray) -> np.ndarray:  # [T, 3] metres -> [K, T] bool
+def looked_at(candidates: Candidates, targets: np.ndarray) -> np.ndarray:  # [T, 3] metres -> [K, T] bool
     """Which targets each candidate faces; what stands in between is not asked, so near the goal only."""
-    offset = targets - observation["candidates"][:, None, _XYZ]
-    along = (offset * observation["candidates"][:, None, _LOOK]).sum(axis=2)
+    offset = targets - candidates.xyz[:, None]
+    along = (offset * candidates.look[:, None]).sum(axis=2)
     return along >= FACING * np.maximum(np.linalg.norm(offset, axis=2), 1e-9)
 
 
 def forward(quaternion: np.ndarray) -> np.ndarray:  # [4] wxyz -> [3]
-    """Where a camera of this orientation looks: its z axis."""
+    """Viewing direction of a camera of this orientation: its z axis."""
     w, x, y, z = quaternion.astype(np.float64)
     return np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])

@@ -22,19 +22,40 @@ def make_env_and_policy(
     gains: Sequence[str] = (),
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
-    """``gymnasium.make`` with the gains that the policy asks for, and the policy bound to that env.
+    """``gymnasium.make`` with the features that the policy asks for, and the policy bound to that env.
 
-    Args:
-        policy: its name with options (``"hole_area"``, ``"active_gs?travel=shared"``, ``"learned:CHECKPOINT"``,
-            ``"my_policy:Mine"``), or a class, or a policy.
-        scene: what ``asg compare --scenes`` takes: a name with options, a file, a folder; or a `Scene`, or several of
-            them. Without one that of ``env_id``, a furnished room.
-        env_id: the environment; that of a room takes any scene.
-        gains: more gains to put into the observation, behind those of the policy.
-        **options: everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
+    Parameters
+    ----------
+    policy
+        Its name with options (``"hole_area"``, ``"active_gs?travel=shared"``, ``"learned:CHECKPOINT"``,
+        ``"my_policy:Mine"``), or a class, or a policy.
+    scene
+        What ``asg compare --scenes`` takes: a name with options, a file, a folder; or a `Scene`, or several of them.
+        Without one that of ``env_id``, a furnished room.
+    env_id
+        The environment; that of a room takes any scene.
+    gains
+        More features to put into the observation, behind those of the policy.
+    **options
+        Everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
 
-    Raises:
-        InputError: a name or an option that cannot be used.
+    Returns
+    -------
+    tuple of gymnasium.Env and Policy
+        The policy knows the columns of this env's observation.
+
+    Raises
+    ------
+    InputError
+        A name or an option that cannot be used.
+
+    Examples
+    --------
+    >>> env, policy = make_env_and_policy("pixel_only", "box", preset="fast", frame_budget=10)
+    >>> observation, info = env.reset(seed=1)
+    >>> bool(observation["action_mask"][policy.act(observation)])
+    True
+    >>> env.close()
     """
     import gymnasium as gym
 

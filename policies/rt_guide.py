@@ -1,14 +1,12 @@
-"""RT-GuIDE (Tao et al. 2025): first the region that is worth its way, then the view in it where most still moves."""
+"""RT-GuIDE ([rt_guide]): first the region that is worth its way, then the view in it where most still moves."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner
 
-LENGTH = CANDIDATE_FEATURES.index("path_length")
 _NOTHING = -1e6  # below the logarithm of anything above 0, with any way
 
 
@@ -22,18 +20,19 @@ class RTGuide(Planner):
 
     decides_by = "Gaussians that still move, against those that do not"
     source = "Tao et al., RT-GuIDE, RA-L 2025"
-    required_gains = ("rt_guide", "rt_guide_region", "rt_guide_cuboid")
+    required_gains = ("rt_guide",)
 
     def act(self, observation: Observation) -> int:
         """The best view of the best region; the nearest region where no Gaussian has moved."""
         observation = only_new(observation)
-        valid = observation["action_mask"].astype(bool)
-        xi, region, cuboid = (self.gain(observation, name).astype(np.float64) for name in self.required_gains)
+        candidates = self.candidates(observation)
+        valid = candidates.valid
+        xi, region, cuboid = candidates.feature("rt_guide").astype(np.float64).T
         if self.travel == "shared" or not valid.any():
             gain = xi - xi[valid].min() if valid.any() else xi
             choice = best_valid(self.scores(gain, observation), observation)
         else:
-            length = observation["candidates"][:, LENGTH].astype(np.float64)
+            length = candidates.path_length.astype(np.float64)
             # As logarithms: e^d of a long way is no number.
             worth = np.where(region > 0, np.log(np.maximum(region, 1e-300)), _NOTHING) - length
             inside = valid & (cuboid == cuboid[best_valid(worth, observation)])

@@ -1,4 +1,4 @@
-"""COVER (arXiv 2604.05259): the view from the newest side."""
+"""COVER ([cover]): the view from the newest side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ViewAngle(Planner):
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; of equals the one with the fewest frames."""
-        gain = self.gain(observation, "view_angle")
+        gain = self.candidates(observation)["view_angle"]
         choice = nearest_of_best(self.scores(gain, observation), observation)
         self._trace = {"view_angle": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
         return choice

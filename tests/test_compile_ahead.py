@@ -14,7 +14,7 @@ from numba import typeof
 
 from activestructure_gym import compile_ahead
 from activestructure_gym.compiling import progress
-from activestructure_gym.compiling.crew import CREW
+from activestructure_gym.compiling.thread_team import TEAM
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import render
 from activestructure_gym.volume import VolumeConfig, VoxelVolume
@@ -29,14 +29,14 @@ def test_the_calls_are_those_of_a_first_keyframe_and_a_first_decision() -> None:
         for calls in compile_ahead.calls_of_the_rasteriser()
     )
     called = {}
-    run = CREW.run
+    run = TEAM.run
 
     def listen(kernel, arguments, threads):
         called.setdefault(kernel.py_func.__name__, tuple(typeof(argument) for argument in arguments))
         run(kernel, arguments, threads)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CREW, "run", listen)
+        patch.setattr(TEAM, "run", listen)
         mapper = compile_ahead.map_a_wall()
         assert called == of_keyframe and list(called) == list(of_keyframe)
         called.clear()

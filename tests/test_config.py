@@ -57,7 +57,7 @@ def test_a_recorded_configuration_makes_the_same_one_again(name: str) -> None:
         ("fast", {"sensor.depth_nois": "x"}, "unknown field of SensorConfig 'depth_nois'"),
         ("fast", {"frame_budget": 0}, "the frame budget must be at least 1, got 0"),
         ("fast", {"keyframe_every": 0}, "keyframe_every must be a whole number from 1 to 1000000, got 0"),
-        ("fast", {"gains": ("pixl",)}, "unknown gain 'pixl'; did you mean 'pixel'"),
+        ("fast", {"gains": ("pixl",)}, "unknown feature 'pixl'; did you mean 'pixel'"),
         ("fast", {"views.directions": 0}, "directions"),
         ("fast", {"sensor.width": 0}, "width"),
         ("fast", {"frame_budget": "many"}, "frame_budget must be a whole number, got 'many'"),

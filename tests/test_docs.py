@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from activestructure_gym.policies import POLICIES
+from activestructure_gym.features import FEATURES
+from activestructure_gym.features.table import feature_table
+from activestructure_gym.policies import POLICIES, make_env_and_policy
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -22,19 +24,25 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/extending.md, importable."""
-    for block in blocks("docs/extending.md"):
+    """The files of docs/guide/own_policy.md, own_feature.md and own_scene.md, importable."""
+    pages = [f"docs/guide/{name}.md" for name in ("own_policy", "own_feature", "own_scene")]
+    for page, block in [(name, block) for name in pages for block in blocks(name)]:
         name = re.match(r"# (\w+\.py)\n", block)
-        assert name, f"a block of docs/extending.md does not begin with its file name:\n{block}"
+        assert name, f"a block of {page} does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)
-        assert len([line for line in block.splitlines() if line.strip()]) <= 20
+        filled = [line for line in block.splitlines() if line.strip()]
+        assert len(filled) <= (20 if name[1] != "my_planner.py" else 59)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
-    for module in ("my_policy", "my_gain", "my_scene"):
+    for name in ("thin_cover", "gap"):
+        FEATURES._entries.pop(name, None)
+    for name in ("area_first", "gap_first"):
+        POLICIES._entries.pop(name, None)
+    for module in ("my_policy", "my_feature", "my_planner", "my_scene"):
         sys.modules.pop(module, None)
 
 
-def test_third_party_policy_gain_and_scene_work_together(plugins: Path) -> None:
+def test_third_party_policy_feature_and_scene_work_together(plugins: Path) -> None:
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import POLICIES
 
@@ -43,7 +51,7 @@ def test_third_party_policy_gain_and_scene_work_together(plugins: Path) -> None:
         scene="my_scene:cube_room?side=5",
         preset="fast",
         frame_budget=15,
-        gains=("hole_area", "my_gain:thin_cover"),
+        gains=("hole_area", "my_feature:thin_cover"),
     )
     policy.bind(env.config.gains)
     policy.reset(0)
@@ -54,6 +62,30 @@ def test_third_party_policy_gain_and_scene_work_together(plugins: Path) -> None:
         if terminated or truncated:
             break
     assert info["metres"] > 0 or info["keyframes"] > 1
+
+
+def test_a_planner_with_a_feature_of_its_own_is_one_file(plugins: Path) -> None:
+    lines = (plugins / "my_planner.py").read_text().splitlines()
+    assert len(lines) < 60
+    small: dict[str, Any] = {"config": {"sensor": {"width": 48, "height": 27}, "views.max_candidates": 24}}
+    choices = {}
+    for spec in ("my_planner:GapFirst", "my_planner:GapFirst?travel=shared&straight=0"):
+        env, policy = make_env_and_policy(spec, scene="box", preset="fast", frame_budget=40, **small)
+        policy.reset(0)
+        observation, info = env.reset(seed=0)
+        assert info["gains"] == ("gap_share", "gap_x", "gap_y", "gap_z")
+        seen = policy.candidates(observation)
+        direction = seen.feature("gap")[seen.valid, 1:]
+        np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
+        chosen, ended = [], False
+        while not ended:
+            chosen.append(policy.act(observation))
+            assert observation["action_mask"][chosen[-1]] and 0.0 <= policy.trace()["share"] <= 1.0
+            observation, _, terminated, truncated, info = env.step(chosen[-1])
+            ended = terminated or truncated
+        choices[spec] = chosen
+        assert info["keyframes"] > 1
+    assert len(set(map(tuple, choices.values()))) == 2
 
 
 def readme_with(policy: str, scene: str) -> str:
@@ -90,18 +122,24 @@ def test_the_page_of_the_observation_is_up_to_date() -> None:
     from activestructure_gym.envs.observation import CANDIDATE_FEATURES, observation_table
     from activestructure_gym.planes import PLANE_FEATURES
 
-    page = (ROOT / "docs" / "observation.md").read_text()
+    page = (ROOT / "docs" / "guide" / "observation.md").read_text()
     assert observation_table(configure("default"), max_planes=64) in page, (
-        "docs/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
+        "docs/guide/observation.md is out of date: paste the output of observation_table(configure('default'), 64)"
     )
     for name in (*CANDIDATE_FEATURES, *PLANE_FEATURES):
         assert f"`{name}`" in page
 
 
+def test_the_table_of_the_features_is_up_to_date() -> None:
+    assert feature_table() in (ROOT / "docs" / "guide" / "observation.md").read_text(), (
+        "docs/guide/observation.md is out of date: paste the output of features.table.feature_table()"
+    )
+
+
 def test_the_rasteriser_s_example_runs() -> None:
     scope: dict[str, Any] = {}
-    (block,) = blocks("docs/rasteriser.md")
-    exec(compile(block, "docs/rasteriser.md", "exec"), scope)
+    (block,) = blocks("docs/notebook/rasteriser.md")
+    exec(compile(block, "docs/notebook/rasteriser.md", "exec"), scope)
     assert scope["picture"].color.shape == (120, 160, 3)
     assert float(scope["means"].grad.abs().sum()) > 0
 
@@ -109,7 +147,7 @@ def test_the_rasteriser_s_example_runs() -> None:
 def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
     from activestructure_gym.policies import LADDER, POLICIES
 
-    page = (ROOT / "docs" / "planners.md").read_text().partition("## Cost")
+    page = (ROOT / "docs" / "guide" / "planners.md").read_text().partition("## Cost")
     told = page[0] + page[2].partition("The sections stand")[2]
     ours = [name for name in POLICIES if POLICIES.get(name).__module__.startswith("activestructure_gym.")]
     names = {name.removesuffix("_pure") for name in ours if name not in (*LADDER[:-1], "random")}

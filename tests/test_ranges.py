@@ -11,9 +11,9 @@ import pytest
 from activestructure_gym.config import ReconstructionConfig, configure
 from activestructure_gym.envs.reward import RewardConfig
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.engines.base import Limits
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
+from activestructure_gym.evaluation.running.engines.base import Limits
 from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
 from activestructure_gym.ranges import check_ranges
 

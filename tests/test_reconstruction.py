@@ -12,11 +12,12 @@ from activestructure_gym import reconstruction as conductor
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along, rotation_angle
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
-from activestructure_gym.scenes.surface_samples import uniform_samples
 from activestructure_gym.volume import VoxelVolume
 
 # Keyframes and iterations as in the default preset's schedule, so that a short episode has enough of both.
@@ -33,7 +34,7 @@ def box() -> Scene:
 
 def episode(scene: Scene, seed: int = 0, frames: int = 60, preset: str = "fast", **overrides: object) -> Reconstruction:
     reconstruction = Reconstruction(configure(preset, {**SMALL, "frame_budget": frames, **overrides}))
-    reconstruction.start(scene, seed)
+    reconstruction.start(ground_truth_of(scene), seed)
     return reconstruction
 
 
@@ -170,7 +171,7 @@ def test_tracking_replaces_the_reported_pose_everywhere(box: Scene, monkeypatch:
     integrate, join = VoxelVolume.integrate, PlaneSceneGraph.integrate
     monkeypatch.setattr(VoxelVolume, "integrate", lambda self, f, **kw: seen.append(f) or integrate(self, f, **kw))
     monkeypatch.setattr(PlaneSceneGraph, "integrate", lambda self, f: seen.append(f) or join(self, f))
-    run.start(box, 0)
+    run.start(ground_truth_of(box), 0)
     wander(run)
     assert np.array_equal(run.mapper.keyframes[0].world_from_camera, run.trajectory[0])  # the start is given
     for kept, in_volume, in_planes in zip(run.mapper.keyframes, seen[::2], seen[1::2], strict=True):
@@ -187,7 +188,7 @@ def test_tracked_poses_are_a_fifth_as_wrong_as_the_reported_ones() -> None:
     for seed in range(4):
         run = Reconstruction(configure("fast", {"sensor": {**SMALL["sensor"], **NOISY_POSES}, "frame_budget": 40,
                                                 "keyframe_every": 5, "mapper.tracking.iterations": 20}))  # fmt: skip
-        run.start(scene, seed)
+        run.start(ground_truth_of(scene), seed)
         wander(run)
         errors.append(keyframe_errors(run))
     metres, degrees = (np.concatenate(parts) for parts in zip(*errors))
@@ -213,7 +214,7 @@ def test_tracked_poses_are_five_times_better_than_reported_ones(spec: str, reque
     for seed in (0, 1):
         run = Reconstruction(configure("default", {"sensor": NOISY_POSES, "mapper.tracking.iterations": 20,
                                                    "views": {"max_candidates": 32, "max_revisits": 0}}))  # fmt: skip
-        run.start(scene, seed)
+        run.start(ground_truth_of(scene), seed)
         rng = np.random.default_rng(seed)
         while len(run.keyframe_indices) < 30 and not run.exhausted and len(run.candidates):
             run.visit(int(rng.integers(len(run.candidates))))
@@ -231,13 +232,13 @@ def test_tracked_poses_are_five_times_better_than_reported_ones(spec: str, reque
 def test_the_start_is_the_one_asked_for_and_is_checked(box: Scene) -> None:
     run = Reconstruction(configure("fast", SMALL))
     pose = look_along(np.array([2.0, 1.5, 1.3]), np.array([0.0, 1.0, 0.0]))
-    run.start(box, 0, pose)
+    run.start(ground_truth_of(box), 0, pose)
     np.testing.assert_array_equal(run.trajectory[0], pose)
     for bad in ((0.02, 1.5, 1.3), (9.0, 1.5, 1.3)):
         with pytest.raises(InputError):
-            run.start(box, 0, look_along(np.array(bad), np.array([0.0, 1.0, 0.0])))
+            run.start(ground_truth_of(box), 0, look_along(np.array(bad), np.array([0.0, 1.0, 0.0])))
     with pytest.raises(InputError, match="4x4"):
-        run.start(box, 0, np.eye(3))
+        run.start(ground_truth_of(box), 0, np.eye(3))
 
 
 def test_the_map_improves_over_an_episode(box: Scene) -> None:
@@ -258,9 +259,9 @@ def test_the_graph_describes_the_state_at_the_decision(box: Scene) -> None:
     again.nodes, again.keyframes = graph.nodes, graph.keyframes
     live = run.mapper.map.parameters[:, : run.mapper.map.count]
     again.assess(space_state=run.volume.state_at, map_points=MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE]))
-    np.testing.assert_array_equal(again.deficit, graph.deficit)
-    np.testing.assert_array_equal(again.tree, graph.tree)
-    assert len(graph.deficit) == len(graph.nodes) > 0
+    np.testing.assert_array_equal(again.state.deficit, graph.state.deficit)
+    np.testing.assert_array_equal(again.state.tree, graph.state.tree)
+    assert len(graph.state.deficit) == len(graph.nodes) > 0
     np.testing.assert_array_equal(again.deficiencies.areas, graph.deficiencies.areas)
 
 

@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
-import os
 import pickle
 import sys
-import uuid
 import warnings
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
 from activestructure_gym.compiling.stamps import identity_of, stamp_of
+from activestructure_gym.files import replaced
 
 SUFFIX = ".kernel"
 _HEAD = b"activestructure_gym kernel 1\n"
@@ -35,7 +33,7 @@ not_kept: list[str] = []  # why the kernels of this process are not kept, where 
 
 
 class KernelFiles:
-    """What numba asks for the machine code of one kernel; raises RuntimeError where none can be kept.
+    """numba's cache interface for the machine code of one kernel; raises RuntimeError where none can be kept.
 
     The stamp is not computed before the first question: a function may call what is defined after it.
     """
@@ -75,12 +73,12 @@ class KernelFiles:
         write(self._path(sig, data.codegen), stamp, dumps((sig, self._form.reduce(data))))
 
     def _stamp(self, signature: Any) -> bytes | None:
-        """None where machine code is of no use to other processes, or may not be."""
+        """The stamp for a signature; None where the machine code must not be shared with other processes."""
         one_process_only = " at 0x" in str(signature)  # a function as an argument: numba names its type by its address
         return stamp_of(self._function) if self._enabled and not one_process_only else None
 
     def _path(self, signature: Any, codegen: Any) -> Path:
-        """One for each signature, processor and set of versions, and for each of what a factory makes."""
+        """The file of a signature: one per signature, processor, versions, and function that a factory makes."""
         fits = (str(signature), _fields(signature), codegen.magic_tuple(), _VERSIONS, identity_of(self._function))
         name = hashlib.sha256(repr(fits).encode()).hexdigest()[:12]
         return Path(self.cache_path) / f"{self._form.filename_base}.{name}{SUFFIX}"
@@ -100,24 +98,19 @@ class KernelFiles:
 
 
 def read(path: Path, stamp: bytes) -> bytes | None:
-    """What was written with this stamp; None if that is not there, whole, and readable."""
+    """The content of a file with this stamp; None if the file is missing, damaged, or has another stamp."""
     head, content = _split(path)
     return content if head == _head(stamp, content) else None
 
 
 def write(path: Path, stamp: bytes, content: bytes) -> None:
-    """All of it or nothing."""
-    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
-    try:
-        beside.write_bytes(_head(stamp, content) + content)
-        os.replace(beside, path)
-    finally:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
+    """Write the file whole or not at all."""
+    with replaced(path) as file:
+        file.write(_head(stamp, content) + content)
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a file holds what was written, for whatever sources."""
+    """Whether the checksum of a file is right, whatever its stamp."""
     head, content = _split(path)
     return head == _head(head[len(_HEAD) : len(_HEAD) + _STAMP], content)
 
@@ -156,7 +149,7 @@ def cache_place() -> Path | None:
 
 
 def warn_of_no_cache(reason: str) -> None:
-    """Tell once, and name the remedy."""
+    """Warn once per process that compiled kernels cannot be kept, with the remedy."""
     if not not_kept and multiprocessing.parent_process() is None:
         warnings.warn(
             f"compiled kernels cannot be kept ({reason}), so every process compiles them again; "

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from activestructure_gym.compiling import files
 from activestructure_gym.compiling.locks import LOCKS
+from activestructure_gym.cores import core_count
 
 SWITCH = "ASG_COMPILE_AHEAD"
 _LOCK = "helper"
@@ -30,9 +31,8 @@ def start_helper() -> None:
     if _started:
         return
     _started.append(True)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     an_interpreter = Path(sys.executable or "").name.startswith("python") and not getattr(sys, "frozen", False)
-    if os.environ.get(SWITCH) == "0" or cores < 2 or not an_interpreter or files.not_kept:
+    if os.environ.get(SWITCH) == "0" or core_count() < 2 or not an_interpreter or files.not_kept:
         return
     if multiprocessing.parent_process() is not None or LOCKS.is_held(_LOCK) or not LOCKS.usable:
         return
@@ -59,7 +59,7 @@ def _dismiss(process: subprocess.Popen[bytes], parent: int) -> None:
 
 @contextmanager
 def only_helper() -> Iterator[bool]:
-    """While the block runs, nobody else helps; gives False if somebody does already."""
+    """Hold the helpers' lock while the block runs; yields False if another process holds it."""
     free = LOCKS.take(_LOCK) and LOCKS.usable
     try:
         yield free

@@ -3,13 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 
+class Lens(NamedTuple):
+    """Focal lengths and principal point in pixels, for kernels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5)."""
+    """Intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5).
+
+    Parameters
+    ----------
+    width, height
+        Pixels.
+    fx, fy
+        Focal lengths in pixels.
+    cx, cy
+        Principal point in pixels.
+
+    Examples
+    --------
+    >>> camera = PinholeCamera.from_size(320, 180)
+    >>> round(camera.fx, 6), camera.project(np.array([0.0, 0.0, 2.0])).tolist()
+    (160.0, [160.0, 90.0])
+    """
 
     width: int
     height: int
@@ -33,9 +59,14 @@ class PinholeCamera:
         return cls(width, height, float(focal), float(focal), width / 2.0, height / 2.0)
 
     def resized(self, width: int, height: int) -> PinholeCamera:
-        """The same camera sampled with another number of pixels."""
+        """The same field of view with another number of pixels."""
         sx, sy = width / self.width, height / self.height
         return PinholeCamera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
+
+    @property
+    def lens(self) -> Lens:
+        """The intrinsics without the image's size."""
+        return Lens(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def matrix(self) -> np.ndarray:  # [3, 3]

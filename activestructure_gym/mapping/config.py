@@ -38,10 +38,10 @@ _RANGES = {
 
 # What each recipe changes of the defaults below.
 _RECIPES: Mapping[str, Mapping[str, Any]] = {
-    # Ours: backbones dossier 5.3 and what was measured since.
+    # Ours: docs/notebook/groundwork.md, "The mapper's recipe", and what was measured since.
     "default": {},
-    # SplaTAM-S on given poses with ActiveGAMER's schedule (dossier 1.1, 1.6): the backbone that active reconstruction
-    # methods share. Values without a comment are those of SplaTAM's Replica-S configuration.
+    # SplaTAM-S on given poses with ActiveGAMER's schedule ([splatam, code], [activegamer, code]): the backbone that
+    # active reconstruction methods share. Values without a comment are those of SplaTAM's Replica-S configuration.
     "splatam": {
         "isotropic": True,
         "seed_footprint": 1.0,  # one pixel of the image the seeds are taken from
@@ -68,7 +68,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
 class MapperConfig:
     """The mapper: posed RGB-D on a CPU budget. The defaults are the recipe ``default``, others stand in `MAPPERS`.
 
-    "Ablation" in a comment is the own ablation of the backbones dossier, section 5.2; its recipe is 5.3. "Measured" is
+    "Row B8" in a comment is a row of the table in docs/notebook/groundwork.md, which ends in a recipe. "Measured" is
     where we leave that recipe: 30 keyframes of a random walk at 160 x 90, 5 iterations each, in hotel_room, bookstore,
     home_theater and two apartments, two seeds. Mean held-out PSNR and depth error: recipe 21.8 dB, 1.2 cm; ours
     23.3 dB, 1.0 cm with 1.8 times the Gaussians; ours with one of the recipe's values back in place: circles -.5 dB;
@@ -81,37 +81,37 @@ class MapperConfig:
     isotropic: bool = False  # balls, and one scale per Gaussian, instead of disks on the surface (True: SplaTAM)
 
     # Seeding
-    seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode (ablation B8, C16)
-    seed_footprint: float = 0.6  # in-plane sigma / (stride * depth / focal length) (ablation B1)
-    seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (ablation B18, B19: irrelevant in .02 .. .3)
+    seed_stride: int = 2  # pixels between seeds; 1 is the faithful mode (rows B8, C16)
+    seed_footprint: float = 0.6  # in-plane sigma / (stride * depth / focal length) (row B1)
+    seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: irrelevant in .02 .. .3)
     seed_elongation: float = 2.0  # largest ratio of a disk's in-plane axes on slanted surfaces, 1 = circles (measured)
-    seed_opacity: float = 0.9  # 0..1 (ablation A9, A10, B13, B14: irrelevant in .5 .. .99)
+    seed_opacity: float = 0.9  # 0..1 (rows A9, A10, B13, B14: irrelevant in .5 .. .99)
     min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)
-    covered_alpha: float = 0.5  # accumulated alpha from which a pixel counts as mapped (SplaTAM; ablation B20)
+    covered_alpha: float = 0.5  # accumulated alpha from which a pixel counts as mapped (SplaTAM; row B20)
     in_front_factor: float = 50.0  # times the median depth error: the map lies behind what is measured (SplaTAM)
-    in_front_floor: float = 0.03  # metres, least of that tolerance (dossier 5.3; keeps sensor noise from being seeded)
+    in_front_floor: float = 0.03  # metres, least of that tolerance (own choice; keeps sensor noise from being seeded)
 
     coarse_ratio: float | None = 3.0  # Gaussians larger than so many seeds are replaced; None = never (measured)
     wide_sigma: float = 0.03  # metres, middle sigma: neighbours stand 5 cm apart; such are replaced sooner (measured)
     wide_ratio: float = 1.5  # as coarse_ratio, for those (measured)
 
     # Optimisation
-    iterations: int = 5  # per observed frame (ablation C15; 15 for quality)
+    iterations: int = 5  # per observed frame (row C15; 15 for quality)
     image_weight: float = 0.5  # of the image term (SplaTAM)
     l1_share: float = 0.8  # of L1 in the image term; the rest is 1 - SSIM (3DGS)
     normalised_depth: bool = True  # depth divided by alpha, where alpha > .5; False = as accumulated (False: SplaTAM)
-    depth_weight: float = 1.0  # of the depth term; .3 favours appearance (ablation C8, C9)
+    depth_weight: float = 1.0  # of the depth term; .3 favours appearance (rows C8, C9)
     alpha_weight: float = 0.1  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
-    mean_rate: float = 2e-4  # metres per step (2 x SplaTAM: ablation C6)
+    mean_rate: float = 2e-4  # metres per step (2 x SplaTAM: row C6)
     mean_rate_radius: float | None = 2.0  # metres, the scene radius that rate is for; None = for all (None: SplaTAM)
     quaternion_rate: float = 2e-3  # per step (as above)
     log_scale_rate: float = 6e-3  # per step (measured; 2 x SplaTAM is 2e-3)
     opacity_rate: float = 0.1  # logit per step (as above)
     color_rate: float = 2.5e-3  # of the 0..1 range per step (measured; SplaTAM's own, 2 x would be 5e-3)
-    adam_beta1: float = 0.9  # (Adam)
-    adam_beta2: float = 0.999  # (Adam)
-    adam_epsilon: float = 1e-15  # (3DGS)
-    adam_reset: bool = False  # a new, bias-corrected Adam for every event (True: SplaTAM; ablation C12: -.7 dB)
+    adam_beta1: float = 0.9  # [adam]
+    adam_beta2: float = 0.999  # [adam]
+    adam_epsilon: float = 1e-15  # [kerbl2023, code]
+    adam_reset: bool = False  # a new, bias-corrected Adam for every event (True: SplaTAM; row C12: -.7 dB)
 
     # View selection
     window: int = 24  # local keyframes an event draws from, the current and the last one included (SplaTAM, Replica)
@@ -126,7 +126,7 @@ class MapperConfig:
     prune_scale: float = 0.1  # of the scene radius; larger ones go (SplaTAM)
     prune_steps: tuple[int, ...] = (-1,)  # iterations of an event to prune before; -1 = after the last one
     scene_radius: float | None = None  # metres; None = a third of the largest depth measured so far (SplaTAM)
-    max_gaussians: int = 150_000  # (dossier 5.3)
+    max_gaussians: int = 150_000  # (own choice: what two cores optimise)
     max_seed_stride: int = 8  # pixels; the coarsest seeding before Gaussians are dropped (own choice)
     room_share: float = 0.25  # of the room below the cap that one frame may take (own choice)
 

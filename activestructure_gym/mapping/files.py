@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+from typing import Literal
 
 import numpy as np
 
@@ -11,14 +12,17 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.ply import read_ply
 from activestructure_gym.mapping.splatam_file import read_splatam
+from activestructure_gym.ply_header import MAGIC
+
+MapKind = Literal["ply", "splatam", "npz"]
 
 
-def map_kind(path: str | os.PathLike[str]) -> str:
-    """ "ply", "splatam" or "npz" (ours); raises `InputError` for a file that is none of them."""
+def map_kind(path: str | os.PathLike[str]) -> MapKind:
+    """What the file holds, "npz" being ours; raises `InputError` for a file that is none of them."""
     try:
         with open(path, "rb") as file:
             start = file.read(4)
-        if start[:3] == b"ply":
+        if start.startswith(MAGIC):
             return "ply"
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
@@ -39,7 +43,32 @@ def map_kind(path: str | os.PathLike[str]) -> str:
 def read_map(path: str | os.PathLike[str], world_from_first: np.ndarray | None = None) -> GaussianMap:
     """The Gaussians of a file of any of these kinds; raises `InputError`.
 
-    ``world_from_first`` [4, 4] brings SplaTAM's maps, which lie in their first camera's frame, into the world's.
+    Parameters
+    ----------
+    path
+        A run's ``map.npz``, a PLY as 3D Gaussian splatting writes it, or SplaTAM's ``params.npz``.
+    world_from_first
+        [4, 4] where the first camera of a SplaTAM map stands in the world; other kinds do not ask for it.
+
+    Returns
+    -------
+    GaussianMap
+        The Gaussians in the world's frame, metres; without moments.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is none of these.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> gaussians = GaussianMap(4)
+    >>> gaussians.append(np.zeros((14, 2), np.float32))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     gaussians.save_npz(f"{folder}/map.npz")
+    ...     len(read_map(f"{folder}/map.npz"))
+    2
     """
     kind = map_kind(path)
     if kind == "splatam":

@@ -1,4 +1,4 @@
-"""The Gaussian map: what the world looks like so far, as a growing array of coloured ellipsoids."""
+"""The Gaussian map: a growing array of coloured ellipsoids and their Adam moments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.mapping.whole_file import whole_file
+from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 from activestructure_gym.splatting.workspace import aligned_zeros
 
@@ -28,7 +28,19 @@ class GaussianMap:
 
     The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
     are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
-    ``ids`` [capacity] int64 names every Gaussian for as long as it lives: columns change hands, names do not.
+    ``ids`` [capacity] int64 identifies every Gaussian for as long as it lives: its column may change, its id does not.
+
+    Parameters
+    ----------
+    capacity
+        How many Gaussians there is room for at first; the arrays grow.
+
+    Examples
+    --------
+    >>> gaussians = GaussianMap()
+    >>> gaussians.append(np.zeros((14, 3), np.float32))  # rows: mean, quaternion, log-scale, opacity logit, colour
+    >>> gaussians.means.shape, gaussians.opacities.tolist()
+    ((3, 3), [0.5, 0.5, 0.5])
     """
 
     def __init__(self, capacity: int = 4096) -> None:
@@ -36,7 +48,7 @@ class GaussianMap:
         self.first_moment = _empty_rows(_rounded_up(capacity))
         self.second_moment = _empty_rows(_rounded_up(capacity))
         self.ids = np.zeros(_rounded_up(capacity), dtype=np.int64)
-        self.named = 0  # how many Gaussians there have ever been: the next name
+        self.next_id = 0  # how many Gaussians there have ever been
         self.count = 0
 
     def __len__(self) -> int:
@@ -44,7 +56,7 @@ class GaussianMap:
 
     @property
     def capacity(self) -> int:
-        """How many Gaussians fit before the arrays have to grow."""
+        """Number of Gaussians that fit before the arrays have to grow."""
         return self.parameters.shape[1]
 
     @property
@@ -87,8 +99,8 @@ class GaussianMap:
         self.parameters[:, start:stop] = block
         self.first_moment[:, start:stop] = 0.0
         self.second_moment[:, start:stop] = 0.0
-        self.ids[start:stop] = np.arange(self.named, self.named + stop - start)
-        self.named += stop - start
+        self.ids[start:stop] = np.arange(self.next_id, self.next_id + stop - start)
+        self.next_id += stop - start
         self.count = stop
 
     def keep(self, mask: np.ndarray) -> int:
@@ -128,7 +140,7 @@ class GaussianMap:
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""
-        with whole_file(path) as file:
+        with replaced(path) as file:
             np.savez(
                 file,
                 format_version=np.int64(_FORMAT_VERSION),

@@ -1,18 +1,18 @@
-"""The frames a map is made from, and which of them an optimisation step looks at."""
+"""The keyframes of a map, and which of them an optimisation step renders."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 
 # Keyframes tested for overlap at once: keeps the intermediate array in the processor's cache.
 _CHUNK = 16
 
 
 class KeyframeStore:
-    """All keyframes with what view selection needs to know about each of them.
+    """All keyframes, with the statistics that view selection needs of each.
 
     A frame costs 7 bytes a pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe
     (`stalest` tells whose is the oldest), ``new_share`` the share of its pixels the map did not cover when it came.

@@ -1,7 +1,7 @@
 """The mapper: seed where the map is empty, take a few sparse Adam steps, prune.
 
 Posed RGB-D frames in, Gaussians out. Which recipe it follows (ours, SplaTAM's) is a matter of `MapperConfig`; the
-numbers behind them: backbones dossier 1.1, 5.2, 5.3. Rendering and the fused optimisation step are
+numbers behind them: docs/notebook/groundwork.md. Rendering and the fused optimisation step are
 `activestructure_gym.splatting.cpu`.
 """
 
@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reliability import DirectionalReliability
-from activestructure_gym.mapping.scans import CHUNK, fit_to_stay
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
 
 _NOTHING = np.empty((0, 0))
@@ -34,7 +34,7 @@ PSNR_RENDERS = 16
 
 @dataclass(frozen=True)
 class MappingReport:
-    """What one mapping event did."""
+    """Counts and losses of one mapping event."""
 
     added: int  # Gaussians seeded
     replaced: int  # Gaussians removed because the frame shows their surface from much closer
@@ -57,6 +57,13 @@ class Mapper:
     is seeded at the smallest stride from ``seed_stride`` to ``max_seed_stride`` pixels that keeps to this: new parts
     of the map get coarser as it fills, and nothing is lost. If even the coarsest does not, the frame may take all the
     room that is left, and what is still missing is made by dropping the Gaussians with the smallest opacity.
+
+    Parameters
+    ----------
+    config
+        Which recipe, and its constants.
+    rng
+        Draws keyframes and seeds.
     """
 
     def __init__(self, config: MapperConfig, rng: np.random.Generator) -> None:
@@ -127,7 +134,7 @@ class Mapper:
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; prune as ever."""
+        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; then prune."""
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
@@ -140,7 +147,7 @@ class Mapper:
         return _report(self.map.count, views, losses, pruned)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> cpu.Rendering:
-        """What the map shows from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
+        """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
         unseen = MapParts(self.map).unseen(camera, world_from_camera)
         return cpu.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
 
@@ -163,12 +170,12 @@ class Mapper:
         return np.array(self._store.psnr, dtype=np.float64)
 
     def movement(self) -> np.ndarray:  # [N] float32 metres
-        """How far the last event that moved a Gaussian moved it; followed from the first call on, 0 until then."""
+        """Metres each Gaussian moved in the last event that moved it; 0 until then. Followed from the first call on."""
         self._movement = self._movement or Movement(self.map)
         return self._movement.metres()
 
     def keyframe_information(self, camera: PinholeCamera) -> np.ndarray:  # [N, 24] float64, to be read only
-        """What all keyframes tell about every Gaussian, each as seen by ``camera`` (see `KeyframeInformation`).
+        """Fisher information of all keyframes about every Gaussian, as seen by ``camera`` (`KeyframeInformation`).
 
         Measured when somebody asks, and at most once between two mapping events: who else asks cannot change it.
         """
@@ -180,7 +187,7 @@ class Mapper:
         return found
 
     def reliability(self) -> np.ndarray:  # [N, 4] float64 log-odds, to be read only
-        """How far every Gaussian can be relied on from each side (see `DirectionalReliability`).
+        """Log-odds of every Gaussian's reliability from four sides (`DirectionalReliability`).
 
         Keyframes vote when somebody asks for the first time after them.
         """
@@ -188,9 +195,7 @@ class Mapper:
             self._reliability = DirectionalReliability(self.map)
         return self._reliability.update(self.keyframes)
 
-    def _seed(
-        self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None
-    ) -> tuple[int, int, int, float]:
+    def _seed(self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None) -> tuple[int, int, int, float]:
         """Insert Gaussians where the map lacks them, and in the pixels ``bared`` [H, W] bool.
 
         Returns seed stride, added, dropped, share of new pixels.
@@ -198,9 +203,7 @@ class Mapper:
         config = self.config
         if self.map.count:
             camera, pose = frame.camera, frame.world_from_camera
-            rendering = cpu.render(
-                self.map.parameters, self.map.count, camera, pose, unseen=parts.unseen(camera, pose)
-            )
+            rendering = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=parts.unseen(camera, pose))
             missing = missing_pixels(
                 frame.depth,
                 rendering.depth,
@@ -248,7 +251,7 @@ class Mapper:
         )
 
     def _remove_coarse(self, frame: Frame) -> tuple[int, np.ndarray | None]:  # number, [H, W] bool
-        """Make way for finer Gaussians; returns how many went, and the pixels to seed in their place."""
+        """Remove Gaussians that are too coarse in this frame; returns how many, and the pixels to seed instead."""
         config = self.config
         whole_frame = frame.depth.size / config.seed_stride**2
         if config.coarse_ratio is None or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
@@ -300,7 +303,7 @@ class Mapper:
         return [k for k in poor if k != index]
 
     def _slack(self, iterations: int) -> dict[str, float]:
-        """How far a Gaussian can move, and grow, in so many steps."""
+        """Upper bounds of a Gaussian's movement and growth in so many steps of the optimiser."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
         farthest = step * iterations * config.learning_rates(self.scene_radius)
@@ -349,8 +352,8 @@ class Mapper:
                 frame.world_from_camera,
                 _unit_rgb(frame),
                 frame.depth,
-                self._weights,
-                rates,
+                weights=self._weights,
+                learning_rates=rates,
                 beta1=config.adam_beta1,
                 beta2=config.adam_beta2,
                 epsilon=epsilon,

@@ -1,6 +1,6 @@
-"""How far every Gaussian can be relied on when seen from each side: GauSS-MI's state, kept per keyframe.
+"""Reliability of every Gaussian from each side: GauSS-MI's log-odds, updated by one vote per keyframe.
 
-GauSS-MI (Xie et al., RSS 2025) gives a Gaussian one log-odds of being right for each of the four horizontal directions
+GauSS-MI gives a Gaussian one log-odds of being right for each of the four horizontal directions
 it may be looked at in. A keyframe speaks for the direction it looked in: where the map shows what was seen, the
 log-odds rise, where it shows something else, they fall.
 
@@ -11,7 +11,7 @@ log-odds rise, where it shows something else, they fall.
 
 The constants are those of images of 640 x 480: the factor 10 and the number of pixels are scaled by the image's size.
 
-Source: ``../shared/research/peers_info_rl.md``, A3.
+Source: [gauss_mi, code].
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.named_rows import NamedRows
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.mapping.rows_by_id import RowsById
 from activestructure_gym.splatting import cpu
 from activestructure_gym.splatting.fisher import view_information
 
@@ -41,7 +41,7 @@ class DirectionalReliability:
 
     def __init__(self, gaussians: GaussianMap) -> None:
         self._map = gaussians
-        self._log_odds = NamedRows(gaussians, 4)
+        self._log_odds = RowsById(gaussians, 4)
         self._known = 0  # keyframes that have voted
 
     def update(self, keyframes: Sequence[Frame]) -> np.ndarray:  # [N, 4] float64, a view until the next call
@@ -81,7 +81,7 @@ def direction_shares(
     means: np.ndarray,  # [S, 3] metres, world
     eye: np.ndarray,  # [3] metres, world
 ) -> np.ndarray:  # [S, 4] in 0..1
-    """Of the unit vector from the eye to each mean, the parts along +x, +y, -x, -y; what is vertical counts nowhere."""
+    """Parts along +x, +y, -x, -y of the unit vectors from the eye to the means; the vertical part is left out."""
     ray = means - eye
     ray = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-9)
     return np.concatenate([np.maximum(ray[:, :2], 0.0), np.maximum(-ray[:, :2], 0.0)], axis=1)

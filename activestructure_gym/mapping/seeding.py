@@ -1,7 +1,7 @@
 """New Gaussians from one RGB-D frame: where the map lacks them, and how they lie.
 
 A seed is a flat disk in the surface's tangent plane, one per cell of a pixel grid. Against one isotropic ball per pixel
-this needs a quarter of the Gaussians for the same image error (recipe: own ablation, backbones dossier 5.2 and 5.3).
+this needs a quarter of the Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe").
 Two things are added to that recipe, which was measured with all views at one distance: disks on slanted surfaces are
 stretched, so that their rows leave no gaps, and Gaussians that turn out too coarse when the camera comes closer make
 way for finer ones (numbers: `MapperConfig`). SplaTAM's balls are here for the recipe that follows it.
@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.geometry import invert_rigid, transform_points
-from activestructure_gym.geometry.quaternions import quaternions
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.rotations import quaternions
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
-from activestructure_gym.mapping.scans import larger_in_view
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.mapping.map_passes import MeasuredDepth, larger_in_view
 
 
 def missing_pixels(
@@ -28,7 +28,7 @@ def missing_pixels(
     error_floor: float = 0.03,  # metres
     normalised: bool = True,
 ) -> np.ndarray:  # [H, W] bool
-    """Where the map needs new Gaussians: it is transparent there, or all it shows lies behind a measured surface.
+    """Pixels that need new Gaussians: the map is transparent there, or all it shows lies behind a measured surface.
 
     The test against the median error is SplaTAM's; the floor keeps a converged map, whose median error falls below
     a millimetre, from seeding sensor noise. ``normalised=False`` is SplaTAM to the letter: depth as accumulated, and
@@ -73,9 +73,11 @@ def too_coarse(
     return larger_in_view(
         np.ascontiguousarray(parameters, dtype=np.float32),
         parameters.shape[1] if count is None else count,
-        invert_rigid(frame.world_from_camera)[:3].astype(np.float32),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
-        np.ascontiguousarray(frame.depth, dtype=np.float32),
+        MeasuredDepth(
+            np.ascontiguousarray(frame.depth, dtype=np.float32),
+            invert_rigid(frame.world_from_camera)[:3].astype(np.float32),
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
+        ),
         float(limit),
         float(wide),
         float(limit_wide),
@@ -103,7 +105,7 @@ def surface_steps(
     *,
     min_cosine: float = 0.05,  # of the angle between normal and line of sight
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # per column [n, 3], per row [n, 3], defined [n] bool
-    """How the surface moves on from pixel to pixel: one-sided differences on the side of the smaller depth jump.
+    """Change of the surface point from pixel to pixel: one-sided differences towards the smaller depth jump.
 
     One side is enough on a plane (exact), and beside a depth edge it is the side that stays on the surface. Undefined
     where a direction has no neighbour with a return, or where the surface would be seen nearly edge-on: that is what

@@ -1,4 +1,4 @@
-"""From where the keyframes have seen each Gaussian; worked out from their depth images whenever somebody asks.
+"""From which directions the keyframes have seen each Gaussian, computed from their depth images on request.
 
 Nothing is stored: the same map and keyframes give the same numbers, however Gaussians came, moved and went. The cost
 grows with keyframes times Gaussians in view: a few milliseconds for a hundred keyframes and 30,000 Gaussians.
@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import fibonacci_directions, invert_rigid
+from activestructure_gym.geometry.camera import Lens
+from activestructure_gym.geometry.rotations import matrix_rows
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
 from activestructure_gym.mapping.mapper import Mapper
 from activestructure_gym.mapping.parts import BLOCK, block_boxes, may_be_seen
@@ -26,7 +29,7 @@ _CELLS = 64  # of each side of the table that finds the bin of a direction
 
 @dataclass(frozen=True)
 class Sightings:
-    """What N Gaussians have seen of the keyframes; v is the unit direction from a Gaussian to a camera."""
+    """The keyframes that N Gaussians were seen from, summed up; v is the unit direction from a Gaussian to a camera."""
 
     count: np.ndarray  # [N] int32 keyframes that saw it
     nearness: np.ndarray  # [N] float64, sum of (1 - distance / 5 m) max(0, n v), n its normal on the side seen more
@@ -35,7 +38,7 @@ class Sightings:
 
 
 def sightings(mapper: Mapper) -> Sightings:
-    """Of all Gaussians, by all keyframes. Balls have no normal: n v counts as 1.
+    """`Sightings` of all Gaussians by all keyframes. Balls have no normal: n v counts as 1.
 
     A keyframe sees a Gaussian whose mean projects into its image and does not lie behind the surface measured there.
     """
@@ -46,12 +49,10 @@ def sightings(mapper: Mapper) -> Sightings:
     looks, bins = np.zeros((count, 6)), np.zeros((count, 2), np.uint64)
     for frame in mapper.keyframes:
         camera = frame.camera
-        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         seen = may_be_seen(boxes, camera, frame.world_from_camera)
-        _look(
-            gaussians.parameters, count, normals, isotropic, seen, invert_rigid(frame.world_from_camera),
-            frame.world_from_camera[:3, 3].astype(np.float64), lens, frame.depth, bin_table(), looks, bins,
-        )  # fmt: skip
+        eye = frame.world_from_camera[:3, 3].astype(np.float64)
+        view = _View(invert_rigid(frame.world_from_camera), eye, camera.lens, frame.depth)
+        _look(_Gaussians(gaussians.parameters, count, normals, isotropic), seen, view, bin_table(), looks, bins)
     number = looks[:, 0]
     length = np.linalg.norm(looks[:, 3:], axis=1) / np.maximum(number, 1.0)
     return Sightings(number.astype(np.int32), looks[:, 1:3].max(axis=1), length, bins)
@@ -61,12 +62,8 @@ def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
     """The axis along which each Gaussian is thinnest; its sign means nothing."""
     live = gaussians.parameters[:, : gaussians.count].astype(np.float64)
     w, x, y, z = live[QUATERNION] / np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-30)
-    columns = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ])  # [axis, world, N]  # fmt: skip
-    return columns[live[LOG_SCALE].argmin(axis=0), :, np.arange(gaussians.count)]
+    rotations = np.array(matrix_rows(w, x, y, z))  # [world, axis, N]
+    return np.ascontiguousarray(rotations[:, live[LOG_SCALE].argmin(axis=0), np.arange(gaussians.count)].T)
 
 
 @lru_cache(1)
@@ -81,21 +78,31 @@ def bin_table() -> np.ndarray:  # [_CELLS, _CELLS] int64
     return np.ascontiguousarray((points @ fibonacci_directions(DIRECTIONS).T).argmax(axis=-1))
 
 
+class _Gaussians(NamedTuple):
+    parameters: np.ndarray  # [14, capacity] float32
+    live: int  # how many columns count
+    normals: np.ndarray  # [N, 3]
+    isotropic: bool
+
+
+class _View(NamedTuple):
+    pose: np.ndarray  # [4, 4] camera_from_world
+    eye: np.ndarray  # [3] metres
+    lens: Lens
+    depth: np.ndarray  # [h, w] float32 metres, 0 = no return
+
+
 @kernel
 def _look(
-    parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
-    normals: np.ndarray,  # [N, 3]
-    isotropic: bool,
+    gaussians: _Gaussians,
     seen: np.ndarray,  # [blocks] bool
-    pose: np.ndarray,  # [4, 4] camera_from_world
-    eye: np.ndarray,  # [3] metres
-    lens: np.ndarray,  # [4] fx, fy, cx, cy
-    depth: np.ndarray,  # [h, w] float32 metres, 0 = no return
+    view: _View,
     table: np.ndarray,  # [cells, cells] int64
     looks: np.ndarray,  # [N, 6] added to: 1, nearness in front, behind, sum of v
     bins: np.ndarray,  # [N, 2] uint64, added to
 ) -> None:
+    parameters, count, normals, isotropic = gaussians
+    pose, eye, lens, depth = view
     height, width = depth.shape
     cells = len(table)
     for block in range(len(seen)):

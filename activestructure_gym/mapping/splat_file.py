@@ -12,8 +12,8 @@ import os
 
 import numpy as np
 
+from activestructure_gym.files import replaced
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.whole_file import whole_file
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quaternion", "u1", 4)])
 
@@ -26,7 +26,7 @@ def write_splat(gaussians: GaussianMap, path: str | os.PathLike[str]) -> None:
     records["rgba"][:, 3] = _bytes(255.0 * gaussians.opacities)
     records["quaternion"] = _bytes(128.0 + 128.0 * gaussians.quaternions)
     weight = gaussians.opacities.astype(np.float64) * gaussians.scales.astype(np.float64).prod(axis=1)
-    with whole_file(path) as file:
+    with replaced(path) as file:
         file.write(records[np.argsort(-weight, kind="stable")].tobytes())
 
 

@@ -1,6 +1,6 @@
 """Gaussian maps as SplaTAM's ``params.npz``, the checkpoint that its descendants read and write as well.
 
-Keys and conventions: peers_active.md 4.6 and backbones.md 1.1. The map and all poses lie in the frame
+Keys and conventions: [splatam, code]. The map and all poses lie in the frame
 of the first camera, and no key of the original says where in the world that was; files written here add
 ``world_from_first_camera`` [4, 4].
 """
@@ -14,7 +14,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.files import replaced
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import (
     COLOR,
     LOG_SCALE,
@@ -24,7 +26,6 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
-from activestructure_gym.mapping.whole_file import whole_file
 from activestructure_gym.npz import read_npz
 
 _PLACE = "world_from_first_camera"
@@ -63,7 +64,7 @@ def write_splatam(
         _PLACE: poses[0],
         "keyframe_time_indices": np.asarray(keyframes, np.int64),
     }
-    with whole_file(path) as file:
+    with replaced(path) as file:
         np.savez(file, **content)  # type: ignore[arg-type]
 
 
@@ -142,25 +143,10 @@ def splatam_path(
     }
 
 
-def turned(rotation: np.ndarray, quaternions: np.ndarray) -> np.ndarray:  # [N, 4] wxyz
-    """``quaternions`` [N, 4] turned by another one [4]: the Hamilton product, rotation first."""
-    w, x, y, z = rotation
-    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return quaternions @ matrix.T
-
-
-def quaternion_of(rotation: np.ndarray) -> np.ndarray:  # [4] wxyz, w >= 0
-    """The unit quaternion of a rotation matrix [3, 3]."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return np.array([w, x, y, z]) * (1.0 if w >= 0 else -1.0)
-
-
 def _place(
     content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
 ) -> np.ndarray:  # [4, 4] world from the first camera
-    """As given, as the file's own key says, or as true poses that do not begin with the identity say.
+    """``world_from_first``: as given, else by the file's own key, else by true poses that do not start at the identity.
 
     Raises `InputError` where that is no rigid motion.
     """

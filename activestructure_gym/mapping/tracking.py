@@ -1,4 +1,4 @@
-"""Where the camera really was: the pose of a frame, found by aligning it with earlier keyframes.
+"""Pose tracking: the pose of a frame, found by aligning it with earlier keyframes.
 
 The reported pose is the start and a prior. Every point of the reference keyframes is moved into the frame's camera,
 p = T P, and compared with the frame at the pixel where it appears, by two residuals:
@@ -24,8 +24,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, se3_exp, transform_points
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sensors.frame import Frame
 
 _NEAR = 0.05  # metres
 _PROBES = 400  # pixels of the frame by which references are chosen
@@ -61,7 +61,7 @@ class TrackingConfig:
 
 @dataclass(frozen=True)
 class TrackedPose:
-    """What `track_pose` found."""
+    """The result of `track_pose`."""
 
     world_from_camera: np.ndarray  # [4, 4]
     steps: int  # Gauss-Newton steps taken

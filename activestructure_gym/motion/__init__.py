@@ -1,4 +1,4 @@
-"""How the agent gets from view to view: reachability, paths, and the frames along them."""
+"""Motion from view to view: reachability, paths, and the frames along them."""
 
 from activestructure_gym.motion.clearance import first_blocked_edge
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths

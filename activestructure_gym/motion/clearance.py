@@ -1,4 +1,4 @@
-"""What every planned and every executed edge must satisfy: the minimum clearance, and the one exception to it."""
+"""The clearance check of every planned and executed edge, and the one exception to it."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import segment_above
 
-_STEP = 0.4  # metres: longest edge of the tree [libraries.md 2: 9 of 9 solved in 4 ms]
-_GOAL_BIAS = 0.1  # share of samples that are the goal itself [same]
+_STEP = 0.4  # metres: longest edge of the tree (docs/notebook/groundwork.md, "Volume and paths")
+_GOAL_BIAS = 0.1  # share of samples that are the goal itself (the same)
 _SHORTCUTS = 100  # random pairs tried when smoothing
 
 
@@ -146,7 +146,7 @@ def _length(path: np.ndarray) -> float:
 
 
 def _skip_vertices(volume: VoxelVolume, path: np.ndarray, min_clearance: float) -> np.ndarray:
-    """From each vertex straight to the last one that it sees."""
+    """The path without vertices it can skip: from each that is kept straight to the last one in sight."""
     kept, here = [0], 0
     while here < len(path) - 1:
         later = np.arange(here + 2, len(path))

@@ -1,4 +1,4 @@
-"""From a path to the poses of single frames: small steps, small turns, looking where one goes (method.md 1)."""
+"""Poses of single frames along a path: limited steps and turns, looking along the motion."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How the agent moves from one view to the next."""
+    """Constants of the agent's motion from one view to the next."""
 
     max_step_m: float = 0.1
-    """Metres per frame. [ActiveGAMER's motion model, method.md 1]"""
+    """Metres per frame. [activegamer, code]"""
     max_turn_deg: float = 10.0
-    """Degrees per frame, of the whole rotation. [same]"""
+    """Degrees per frame, of the whole rotation. [activegamer, code]"""
     min_clearance: float = 0.2
     """Metres that every path keeps from all that is not known to be free."""
     candidate_clearance: float = 0.3
-    """Metres that a candidate view keeps. [method.md 5]"""
+    """Metres that a candidate view keeps. (own choice)"""
     body_radius: float = 0.3
     """Metres that must be free around a start pose."""
     start_free_radius: float = 0.6

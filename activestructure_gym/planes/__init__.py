@@ -33,6 +33,7 @@ from activestructure_gym.planes.quality import (
     find_deficiencies,
 )
 from activestructure_gym.planes.sparseness import MapPoints
+from activestructure_gym.planes.state import GraphState
 from activestructure_gym.planes.surprise import (
     Surprise,
     SurpriseConfig,
@@ -54,6 +55,7 @@ __all__ = [
     "PLANE_FEATURE_LOW",
     "QUALITY_MODES",
     "Deficiencies",
+    "GraphState",
     "GraphUpdate",
     "MapPoints",
     "MatchingConfig",

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from activestructure_gym.planes.quality import QUALITY_MODES
-
-if TYPE_CHECKING:
-    from activestructure_gym.planes.graph import PlaneSceneGraph
+from activestructure_gym.planes.state import GraphState
 
 # Metres. Scenes lie within this of their origin; planes further out are clipped to it.
 _FAR = 1000.0
@@ -57,41 +54,38 @@ class PlaneArrays:
     mask: np.ndarray  # [max_planes] int8, 1 = a plane
     edge_weights: np.ndarray  # [max_planes, max_planes] float32 Eq. 4, small = reliable, 0 = no edge
     tree: np.ndarray  # [max_planes, max_planes] int8, 1 = edge of the minimum spanning forest
-    nodes: np.ndarray  # [K] int64: row k is `graph.nodes[nodes[k]]`
+    nodes: np.ndarray  # [K] int64: row k is row nodes[k] of the state
 
 
-def plane_features(graph: PlaneSceneGraph) -> np.ndarray:  # [N, F] float32
+def plane_features(state: GraphState) -> np.ndarray:  # [N, F] float32
     """Features of all planes, clipped into their bounds."""
-    nodes = graph.nodes
-    if not nodes:
-        return np.zeros((0, len(PLANE_FEATURES)), np.float32)
     columns = [
-        graph.normals,
-        graph.offsets[:, None],
-        graph.centroids,
-        graph.areas[:, None],
-        graph.point_counts[:, None],
-        np.array([[node.observations] for node in nodes]),
-        graph.quality.modes,
-        graph.quality.scores[:, None],
-        graph.surprise.connectivity[:, None],
-        graph.surprise.neighbourhood[:, None],
-        graph.surprise.geometric[:, None],
-        graph.surprise.total[:, None],
-        graph.deficit[:, None],
-        graph.structural[:, None],
-        graph.betweenness[:, None],
-        graph.tree.sum(axis=1)[:, None],
+        state.normals,
+        state.offsets[:, None],
+        state.centroids,
+        state.areas[:, None],
+        state.point_counts[:, None],
+        state.observations[:, None],
+        state.quality.modes,
+        state.quality.scores[:, None],
+        state.surprise.connectivity[:, None],
+        state.surprise.neighbourhood[:, None],
+        state.surprise.geometric[:, None],
+        state.surprise.total[:, None],
+        state.deficit[:, None],
+        state.structural[:, None],
+        state.betweenness[:, None],
+        state.tree.sum(axis=1)[:, None],
     ]
     table = np.concatenate([np.asarray(column, dtype=np.float64) for column in columns], axis=1)
     return np.clip(table, PLANE_FEATURE_LOW, PLANE_FEATURE_HIGH).astype(np.float32)
 
 
-def encode_planes(graph: PlaneSceneGraph, max_planes: int) -> PlaneArrays:
+def encode_planes(state: GraphState, max_planes: int) -> PlaneArrays:
     """The graph as arrays of fixed size."""
     if max_planes < 1:
         raise ValueError(f"max_planes must be at least 1, got {max_planes}")
-    kept = np.sort(np.argsort(-graph.areas, kind="stable")[:max_planes])
+    kept = np.sort(np.argsort(-state.areas, kind="stable")[:max_planes])
     count = len(kept)
     features = np.zeros((max_planes, len(PLANE_FEATURES)), np.float32)
     mask = np.zeros(max_planes, np.int8)
@@ -99,9 +93,9 @@ def encode_planes(graph: PlaneSceneGraph, max_planes: int) -> PlaneArrays:
     tree = np.zeros((max_planes, max_planes), np.int8)
     if count:
         pairs = np.ix_(kept, kept)
-        features[:count] = plane_features(graph)[kept]
+        features[:count] = plane_features(state)[kept]
         mask[:count] = 1
         # A weight of exactly 0 would read as "no edge".
-        weights[:count, :count] = np.where(graph.edges[pairs], np.maximum(graph.weights[pairs], 1e-6), 0.0)
-        tree[:count, :count] = graph.tree[pairs]
+        weights[:count, :count] = np.where(state.edges[pairs], np.maximum(state.weights[pairs], 1e-6), 0.0)
+        tree[:count, :count] = state.tree[pairs]
     return PlaneArrays(features, mask, weights, tree, kept.astype(np.int64))

@@ -2,17 +2,38 @@
 
 Second-order moments of a set of points are kept as ten sums, in the order
 ``[1, x, y, z, xx, xy, xz, yy, yz, zz]``: they add, so a block, a region and a merged plane are fitted the same way.
-All points are in the camera frame.
+All points are in the camera frame. ``lens`` [4] is fx, fy, cx, cy in pixels. What noise may do to a distance is
+``sigmas * noise(z, scale) + base`` metres.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.geometry.depth_noise import axial_sigma
 
 MOMENTS = 10
 MAX_LINK_ANGLE = np.radians(40.0)  # whatever the noise: beyond it two blocks are an edge of a room
+
+
+class Blocks(NamedTuple):
+    """The blocks of an image and their planes."""
+
+    moments: np.ndarray  # [By, Bx, 10]
+    planes: np.ndarray  # [By, Bx, 5]
+    accepted: np.ndarray  # [By, Bx] bool, planar ones
+    tilt: np.ndarray  # [By, Bx] radians: what noise does to the normal
+
+
+class Choice(NamedTuple):
+    """Between which planes the pixels of a block choose: its own and those of the blocks around it."""
+
+    size: int  # pixels, edge of a block
+    labels: np.ndarray  # [By, Bx] int32 row of ``planes``, -1 = none
+    planes: np.ndarray  # [S, 5]
 
 
 @kernel
@@ -113,8 +134,9 @@ def fit_planes(moments):
 
 
 @kernel
-def block_moments(depth, fx, fy, cx, cy, size, max_depth):
+def block_moments(depth, lens, size, max_depth):
     """Moments [By, Bx, 10] of the valid pixels of every full block."""
+    fx, fy, cx, cy = lens
     rows, columns = depth.shape[0] // size, depth.shape[1] // size
     moments = np.zeros((rows, columns, MOMENTS))
     for r in range(rows):
@@ -129,26 +151,28 @@ def block_moments(depth, fx, fy, cx, cy, size, max_depth):
     return moments
 
 
+_axial_sigma = kernel(axial_sigma)
+
+
 @kernel
 def noise(z, scale):
-    """Axial standard deviation of a Kinect-type sensor in metres (Nguyen et al. 2012), times ``scale``."""
-    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+    """Standard deviation of the depth in metres, times ``scale``."""
+    return scale * _axial_sigma(z)
 
 
 @kernel
-def grow_regions(
-    moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base, labels, regions
-):
+def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels, regions):
     """Join neighbouring planar blocks into regions, flattest block first.
 
     A block joins when it is coplanar both with the neighbour it is reached from and with the plane of the whole
     region, which is refitted as the region grows: chaining along a curved surface stops where the plane stops.
 
-    Normals may differ by ``link_angle`` radians plus what noise does to them, ``tilt`` [By, Bx].
+    Normals may differ by ``link_angle`` radians plus what noise does to them.
 
     Writes ``labels`` [By, Bx] int32 (-1 = none, given so) and the moments of the regions into ``regions``
     [By * Bx, 10] (given as 0), and returns how many there are.
     """
+    moments, planes, accepted, tilt = blocks
     rows, columns = accepted.shape
     stack = np.empty(rows * columns, np.int64)
     plane = np.empty(4)
@@ -210,13 +234,13 @@ def grow_regions(
 
 
 @kernel
-def refine_pixels(
-    depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixel_noise, pixel_base, max_depth, min_cosine
-):
+def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth, min_cosine):
     """Give every pixel to the closest plane among those of its own and the eight surrounding blocks.
 
     Pixels that see the plane at less than ``min_cosine`` between ray and normal stay without.
     """
+    fx, fy, cx, cy = lens
+    size, block_labels, planes = choice
     height, width = depth.shape
     rows, columns = block_labels.shape
     labels = np.full((height, width), -1, np.int32)
@@ -246,8 +270,9 @@ def refine_pixels(
 
 
 @kernel
-def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, limit_base):
+def explained_shares(depth, lens, labels, planes, scale, limit_noise, limit_base):
     """For every label the share of its pixels that some larger label's plane explains as well."""
+    fx, fy, cx, cy = lens
     count = len(planes)
     sizes = np.zeros(count, np.int64)
     for v in range(depth.shape[0]):
@@ -276,8 +301,9 @@ def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, 
 
 
 @kernel
-def segment_moments(depth, fx, fy, cx, cy, labels, count):
+def segment_moments(depth, lens, labels, count):
     """Moments [S, 10] of the pixels of every label."""
+    fx, fy, cx, cy = lens
     moments = np.zeros((count, MOMENTS))
     for v in range(depth.shape[0]):
         y1 = (v + 0.5 - cy) / fy
@@ -290,8 +316,9 @@ def segment_moments(depth, fx, fy, cx, cy, labels, count):
 
 
 @kernel
-def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
+def segment_areas(depth, lens, labels, planes, min_cosine):
     """Square metres of every label: the sum of its pixels' footprints z^2 / (fx fy cos)."""
+    fx, fy, cx, cy = lens
     areas = np.zeros(len(planes))
     for v in range(depth.shape[0]):
         y1 = (v + 0.5 - cy) / fy
@@ -307,12 +334,6 @@ def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
 
 
 @kernel
-def _noise(z, scale):
-    """`detection._noise`: metres of axial noise at depth z."""
-    return scale * (0.0012 + 0.0019 * (z - 0.4) ** 2)
-
-
-@kernel
 def _square_distance(second, count, mean, plane):
     """Mean square distance of a set of points to a plane, from the points' moments."""
     x, y, w, d = plane[0], plane[1], plane[2], plane[3]
@@ -324,7 +345,7 @@ def _square_distance(second, count, mean, plane):
 
 @kernel
 def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
-    """How far the smaller one's centroid is from the larger one's plane, metres; inf where two are not one plane."""
+    """Distance of the smaller one's centroid from the larger one's plane, metres; inf unless they are coplanar."""
     sigma, tolerance, merge_back, cosine, wide_sigma, wide_tolerance, wide_cosine, reach = limits
     p, q, m, n = planes[i], planes[j], mean[i], mean[j]
     turn = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
@@ -336,14 +357,14 @@ def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
     back = abs(q[0] * m[0] + q[1] * m[1] + q[2] * m[2] + q[3])
     larger = moments[i, 0] >= moments[j, 0]
     gap = max(out, back / merge_back) if larger else max(back, out / merge_back)
-    if turn > cosine and gap < tolerance + sigma * _noise(max(m[2], n[2]), scale):
+    if turn > cosine and gap < tolerance + sigma * noise(max(m[2], n[2]), scale):
         return gap
     # Root mean square distance of all points of the smaller one to the larger one's plane.
     if larger:
         square, z = _square_distance(moments[j], moments[j, 0], n, p), n[2]
     else:
         square, z = _square_distance(moments[i], moments[i, 0], m, q), m[2]
-    if turn > wide_cosine and square < (wide_tolerance + wide_sigma * _noise(z, scale)) ** 2:
+    if turn > wide_cosine and square < (wide_tolerance + wide_sigma * noise(z, scale)) ** 2:
         return gap
     return np.inf
 
@@ -384,11 +405,12 @@ def merge_coplanar(moments, scale, limits):
 
 
 @kernel
-def spread_points(depth, fx, fy, cx, cy, labels, steps, ends):
+def spread_points(depth, lens, labels, steps, ends):
     """Every so many pixels (``steps`` [S]) of each label, in row order: their points, those of label k up to ends[k].
 
     Camera frame [ends[-1], 3] float64.
     """
+    fx, fy, cx, cy = lens
     points = np.empty((ends[-1], 3))
     found, place = np.zeros(len(ends), np.int64), np.zeros(len(ends), np.int64)
     place[1:] = ends[:-1]

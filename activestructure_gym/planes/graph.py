@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from activestructure_gym.compiling.crew import default_threads
+from activestructure_gym.compiling.thread_team import default_threads
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes.arrays import PlaneArrays, encode_planes
 from activestructure_gym.planes.detection import PlaneDetection, PlaneDetectionConfig, PlaneSegment, segment_planes
 from activestructure_gym.planes.matching import MatchingConfig, match_segment, may_be_same, same_surface, stack_planes
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.quality import (
     Deficiencies,
-    Quality,
     QualityConfig,
     SpaceState,
     assess_quality,
@@ -23,8 +23,9 @@ from activestructure_gym.planes.quality import (
     find_deficiencies,
 )
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches
-from activestructure_gym.planes.surface import cross, length, observe
-from activestructure_gym.planes.surprise import Surprise, SurpriseConfig, information_deficit, structural_surprise
+from activestructure_gym.planes.state import GraphState
+from activestructure_gym.planes.surface import observe
+from activestructure_gym.planes.surprise import SurpriseConfig, information_deficit, structural_surprise
 from activestructure_gym.planes.topology import (
     TopologyConfig,
     classify_structural,
@@ -32,8 +33,8 @@ from activestructure_gym.planes.topology import (
     spanning_forest,
     tree_betweenness,
 )
+from activestructure_gym.planes.vectors import cross, length
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sensors.frame import Frame
 
 if TYPE_CHECKING:
     import networkx
@@ -71,7 +72,7 @@ NO_NODE = -1
 
 @dataclass(frozen=True)
 class GraphUpdate:
-    """What one keyframe did to the graph."""
+    """Changes of the graph by one keyframe."""
 
     detection: PlaneDetection
     node_ids: tuple[int, ...]  # per segment, the id of the node it belongs to now, -1 = too small for one
@@ -82,10 +83,11 @@ class GraphUpdate:
 class PlaneSceneGraph:
     """Planes of a scene and how they hang together, updated keyframe by keyframe.
 
-    All arrays below are in the order of ``nodes`` and describe the state of the last `assess`, which `update` ends
-    with; so do the deficiencies, if they are asked for before the next keyframe. Given the same frames the same graph
-    results; nothing is random.
+    ``state`` is that of the last `assess`, which `update` ends with; so are the deficiencies, if they are asked for
+    before the next keyframe. Given the same frames the same graph results; nothing is random.
     """
+
+    state: GraphState  # in the order that `nodes` had then
 
     def __init__(self, config: PlaneGraphConfig | None = None) -> None:
         self.config = config or PlaneGraphConfig()
@@ -226,25 +228,35 @@ class PlaneSceneGraph:
 
     def _assess(self, space_state: SpaceState | None) -> None:
         nodes, config = self.nodes, self.config
-        self.normals = np.array([node.normal for node in nodes]).reshape(-1, 3)  # [N, 3]
-        self.offsets = np.array([node.offset for node in nodes], dtype=np.float64)  # [N]
-        self.centroids = np.array([node.centroid for node in nodes]).reshape(-1, 3)  # [N, 3]
-        self.areas = np.array([node.area for node in nodes], dtype=np.float64)  # [N] m^2
-        self.point_counts = np.array([node.point_count for node in nodes], dtype=np.int64)  # [N]
+        normals = np.array([node.normal for node in nodes]).reshape(-1, 3)
+        centroids = np.array([node.centroid for node in nodes]).reshape(-1, 3)
+        areas = np.array([node.area for node in nodes], dtype=np.float64)
+        point_counts = np.array([node.point_count for node in nodes], dtype=np.int64)
         topology = config.topology
-        self.weights = edge_weights(self.normals, self.centroids, beta=topology.beta, decay=topology.decay)  # [N, N]
-        together = self._seen_together()
-        self.edges = together & (self.weights <= topology.max_edge_weight)  # [N, N] bool
-        self.tree = spanning_forest(self.weights, self.edges)  # [N, N] bool
-        self.betweenness = tree_betweenness(self.tree)  # [N]
-        self.structural = classify_structural(  # [N] bool
-            self.betweenness, self.tree.sum(axis=1), self.areas, self.point_counts, topology
+        weights = edge_weights(normals, centroids, beta=topology.beta, decay=topology.decay)
+        edges = self._seen_together() & (weights <= topology.max_edge_weight)
+        tree = spanning_forest(weights, edges)
+        betweenness = tree_betweenness(tree)
+        structural = classify_structural(betweenness, tree.sum(axis=1), areas, point_counts, topology)
+        quality = assess_quality(nodes, structural, config.quality, space_state=space_state)
+        surprise = structural_surprise(normals, centroids, edges, tree, config.surprise)
+        self.state = GraphState(
+            ids=np.array([node.id for node in nodes], dtype=np.int64),
+            normals=normals,
+            offsets=np.array([node.offset for node in nodes], dtype=np.float64),
+            centroids=centroids,
+            areas=areas,
+            point_counts=point_counts,
+            observations=np.array([node.observations for node in nodes], dtype=np.int64),
+            weights=weights,
+            edges=edges,
+            tree=tree,
+            betweenness=betweenness,
+            structural=structural,
+            quality=quality,
+            surprise=surprise,
+            deficit=information_deficit(quality.scores, surprise.total),
         )
-        self.quality: Quality = assess_quality(nodes, self.structural, config.quality, space_state=space_state)
-        self.surprise: Surprise = structural_surprise(
-            self.normals, self.centroids, self.edges, self.tree, config.surprise
-        )
-        self.deficit = information_deficit(self.quality.scores, self.surprise.total)  # [N] gamma, Eq. 10
 
     def _seen_together(self) -> np.ndarray:  # [N, N] bool
         """Pairs that at least one keyframe showed both of: only those relations have been observed."""
@@ -258,7 +270,7 @@ class PlaneSceneGraph:
 
     def arrays(self, max_planes: int) -> PlaneArrays:
         """The graph in fixed-size arrays; with more planes than rows the largest by area are kept."""
-        return encode_planes(self, max_planes)
+        return encode_planes(self.state, max_planes)
 
     def sample_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:  # [N, count, 3], [N, count] bool
         """Up to ``count`` points of every plane, evenly spread, for visibility tests; and which of them exist."""
@@ -274,26 +286,26 @@ class PlaneSceneGraph:
         """The graph as networkx knows it: nodes by id with their values, edges with ``weight`` and ``tree``."""
         import networkx
 
-        graph: networkx.Graph = networkx.Graph()
+        graph, state = networkx.Graph(), self.state
         for k, node in enumerate(self.nodes):
             graph.add_node(
                 node.id,
                 normal=node.normal.copy(),
                 offset=node.offset,
-                centroid=self.centroids[k].copy(),
+                centroid=state.centroids[k].copy(),
                 area=node.area,
                 points=node.points,
                 observations=node.observations,
-                structural=bool(self.structural[k]),
-                betweenness=float(self.betweenness[k]),
-                modes=self.quality.modes[k].copy(),
-                quality=float(self.quality.scores[k]),
-                surprise=float(self.surprise.total[k]),
-                deficit=float(self.deficit[k]),
+                structural=bool(state.structural[k]),
+                betweenness=float(state.betweenness[k]),
+                modes=state.quality.modes[k].copy(),
+                quality=float(state.quality.scores[k]),
+                surprise=float(state.surprise.total[k]),
+                deficit=float(state.deficit[k]),
             )
-        for i, j in zip(*np.nonzero(np.triu(self.edges, 1))):
+        for i, j in zip(*np.nonzero(np.triu(state.edges, 1))):
             graph.add_edge(
-                self.nodes[i].id, self.nodes[j].id, weight=float(self.weights[i, j]), tree=bool(self.tree[i, j])
+                self.nodes[i].id, self.nodes[j].id, weight=float(state.weights[i, j]), tree=bool(state.tree[i, j])
             )
         return graph
 

@@ -1,4 +1,4 @@
-"""Which node does a new segment belong to, and which two nodes are one surface (Sec. 3.2, dual mode)."""
+"""Data association: the node a new segment belongs to, and nodes that are one surface (Sec. 3.2, dual mode)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes import matching_kernels as kernels
 from activestructure_gym.planes.detection import PlaneSegment, cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
-from activestructure_gym.planes.surface import distance
+from activestructure_gym.planes.vectors import distance
 from activestructure_gym.ranges import check_ranges
 
 _RANGES = {

@@ -9,7 +9,8 @@ import numpy as np
 
 from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.detection_kernels import MOMENTS
-from activestructure_gym.planes.surface import Patch, SurfaceGrid, distance, length
+from activestructure_gym.planes.surface import Patch, SurfaceGrid
+from activestructure_gym.planes.vectors import distance, length
 
 _SECOND = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])  # where the moments hold the matrix of the second ones
 
@@ -64,7 +65,7 @@ class PlaneNode:
         return self.surface.points()
 
     def spread(self, count: int) -> np.ndarray:  # [count, 3] world
-        """So many of the points from the first to the last, evenly; some are there twice if there are fewer."""
+        """``count`` of the points at even steps from first to last; some are repeated if there are fewer."""
         return self.surface.spread(count)
 
     @property

@@ -1,4 +1,4 @@
-"""How well each plane is reconstructed: the eight failure modes, the scalar quality, the deficiency centres (Sec. 3.3).
+"""Quality of each plane: the eight failure modes, the scalar quality, the deficiency centres (Sec. 3.3).
 
 The paper names the modes; the formulas are ours. They are kept apart on purpose: a hole inside a plane lowers mode
 viii only, a missing corner mode i only, an edge that nobody followed mode v only.
@@ -13,11 +13,13 @@ import cv2
 import numpy as np
 
 from activestructure_gym.errors import InputError, shown
-from activestructure_gym.planes import surface_kernels as kernels
+from activestructure_gym.planes import quality_kernels as kernels
 from activestructure_gym.planes.detection import cosine_deg
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.sparseness import MapPoints, SparsePatches, sparse_patches
-from activestructure_gym.planes.surface import SurfaceGrid, disc, length, stack_grids
+from activestructure_gym.planes.surface import SurfaceGrid, disc, stack_grids
+from activestructure_gym.planes.surface_kernels import UNKNOWN
+from activestructure_gym.planes.vectors import length
 from activestructure_gym.ranges import check_ranges
 
 QUALITY_MODES = (
@@ -88,7 +90,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Deficiencies:
-    """Where planes have holes: targets for the next views."""
+    """Deficiency centres of the planes: targets for the next views."""
 
     centres: np.ndarray  # [D, 3] world, each on an unseen cell inside a hole
     normals: np.ndarray  # [D, 3] of the plane, towards the side it is seen from
@@ -143,7 +145,7 @@ def _interior(surface: SurfaceGrid, config: QualityConfig) -> Interior:
     mask[part] = inner
     missing = inner > seen[part]
     if not config.count_explained_holes:
-        missing &= surface.beside[part] == kernels.UNKNOWN
+        missing &= surface.beside[part] == UNKNOWN
     total = cv2.countNonZero(mask)
     share = int(np.count_nonzero(missing)) / max(total, 1)
     return Interior(mask, share, total, hull_cells, missing, np.array([top, left]))
@@ -222,8 +224,8 @@ def boundary_closure(
     ends = np.cumsum([len(edge.unexplained) for edge in edges])
     near = np.concatenate([surface.near.ravel() for surface in surfaces])
     probes, owner = kernels.open_sides(
-        np.concatenate([edge.unexplained for edge in edges]), ends, near, grids.starts, grids.shapes, grids.lows,
-        grids.frames, surfaces[0].cell, config.boundary_reach, config.space_step,
+        np.concatenate([edge.unexplained for edge in edges]), ends, near, grids, surfaces[0].cell,
+        config.boundary_reach, config.space_step,
     )  # fmt: skip
     unclosed = np.bincount(owner, minlength=len(nodes)).astype(np.float64)
     if space_state is not None and len(probes):
@@ -308,7 +310,7 @@ def find_deficiencies(
             normals.append(np.repeat(node.normal[None], len(cells), axis=0))
             areas.append(cells_each * node.surface.cell**2)
             owner.append(np.full(len(cells), k, np.int64))
-            explained.append(node.surface.beside[cells[:, 0], cells[:, 1]] != kernels.UNKNOWN)
+            explained.append(node.surface.beside[cells[:, 0], cells[:, 1]] != UNKNOWN)
     sizes = [np.full(sum(map(len, areas)), np.inf)]
     if coarse is not None and nodes:
         centres.append(coarse.centres)

@@ -1,4 +1,4 @@
-"""Where a plane was seen but the map is coarser than the plane's own grid.
+"""Sparse patches: cells of a plane that were seen, where the map is coarser than the plane's own grid.
 
 Eq. 6 asks which cells of a plane are occupied by reconstructed points. A wall seen from far away has depth in every
 cell and Gaussians in few of them; the pixels it fills look covered from wherever it was seen.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,14 +23,14 @@ _CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells
 
 @dataclass(frozen=True)
 class MapPoints:
-    """What the Plane Scene Graph knows of the map: where its Gaussians are and how large."""
+    """Centres and sizes of the map's Gaussians, as the Plane Scene Graph reads them."""
 
     means: np.ndarray  # [M, 3] metres, world
     sizes: np.ndarray  # [M] metres, middle one of the three standard deviations: the short one in the plane of a disk
 
     @classmethod
     def from_log_scales(cls, means: np.ndarray, log_scales: np.ndarray) -> MapPoints:
-        """From the map's own arrays, each [3, M] (metres; logarithms of metres)."""
+        """`MapPoints` from the map's own arrays, each [3, M] (metres; logarithms of metres)."""
         a, b, c = log_scales
         return cls(means.T, np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))))
 
@@ -63,12 +64,35 @@ def sparse_patches(
     voxels = _voxels_around(grids, points, cell, largest)
     tiles = (-(-grids.shapes // tile)).prod(axis=1).sum()
     found, planes = np.empty((tiles, 5)), np.empty(tiles, np.int64)
-    count = _coarse_tiles(
+    cells = _Cells(
         np.concatenate([surface.seen.ravel() for surface in surfaces]),
         grids.starts, grids.shapes, grids.lows, grids.frames, cell,
-        *voxels, largest, tile, least_cells, found, planes,
     )  # fmt: skip
+    count = _coarse_tiles(cells, voxels, largest, tile, least_cells, found, planes)
     return SparsePatches(found[:count, :3], found[:count, 3] * cell**2, found[:count, 4], planes[:count])
+
+
+class _Cells(NamedTuple):
+    """The cells of all planes; see `GridStack`."""
+
+    seen: np.ndarray  # flat bool
+    starts: np.ndarray
+    shapes: np.ndarray
+    lows: np.ndarray
+    frames: np.ndarray
+    cell: float  # metres
+
+
+class _Voxels(NamedTuple):
+    """Bits of voxels around the planes that hold Gaussians; [X + 4, Y + 4, W] uint64 unless said otherwise."""
+
+    low: np.ndarray  # [3] metres: the corner of voxel (0, 0, 0)
+    box: np.ndarray  # [2, 3] the first voxel and their number
+    held: np.ndarray  # the voxels that hold a Gaussian
+    close: np.ndarray  # those that do or have a neighbour that does
+    near: np.ndarray  # those with a fine one in them or in a neighbour
+    ranks: np.ndarray  # flat: the rank of every word's first bit among all that are set in ``held``
+    finest: np.ndarray  # by rank the size of the finest Gaussian in metres
 
 
 def _voxels_around(
@@ -76,16 +100,11 @@ def _voxels_around(
     points: MapPoints,
     cell: float,
     largest: float,  # metres
-) -> tuple[np.ndarray, ...]:
-    """Where Gaussians are, in voxels around the planes, as bits: few voxels have any, and so all fit into a cache.
+) -> _Voxels:
+    """Voxels around the planes that hold Gaussians, as bits, so that all of them fit into a cache.
 
     Voxels are counted from the lowest Gaussian but stored only around the planes: one Gaussian that strayed far off
-    must not ask for a grid that reaches as far.
-
-    Returns what `_coarse_tiles` asks for: the corner of voxel (0, 0, 0) [3] metres, the first voxel and their number
-    [2, 3]; the voxels that hold a Gaussian, those that do or have a neighbour that does, and those with one up to
-    ``largest`` in them or in a neighbour [X + 4, Y + 4, W] uint64; the rank of every word's first bit among all that
-    are set in the first of these (flat), and by rank the size of the finest Gaussian in metres.
+    must not ask for a grid that reaches as far. A Gaussian is fine up to the size ``largest``.
     """
     voxel = _VOXEL * cell
     means = np.ascontiguousarray(np.asarray(points.means).T, dtype=np.float32)  # [3, M]
@@ -105,21 +124,23 @@ def _voxels_around(
     held[:], fine[:], scratch[:] = 0, 0, 0
     place = np.empty(means.shape[1], np.int64)
     sizes = np.ascontiguousarray(points.sizes, dtype=np.float32)
-    _mark(means, sizes, low, box, voxel, largest, held, fine, place)
+    _mark(means, sizes, (low, box, voxel), largest, held, fine, place)
     _spread(held, scratch, close)
     _spread(fine, scratch, near)
     ranks, finest = _rank(held, place, sizes)
-    return low, box, held, close, near, ranks, finest
+    return _Voxels(low, box, held, close, near, ranks, finest)
 
 
 @kernel
-def _mark(means, sizes, low, box, voxel, largest, held, fine, place):
+def _mark(means, sizes, lattice, largest, held, fine, place):
     """Set the bits of the voxels that hold Gaussians; ``means`` is [3, M].
 
     A word has the bits of 62 voxels in z between those of the voxel before and the voxel behind: the neighbours of a
     voxel in z stand in the same word. In x and y there are two voxels more on either side, always empty. ``place`` [M]
-    is a Gaussian's word times 64 plus its bit, -1 for one that lies elsewhere.
+    is a Gaussian's word times 64 plus its bit, -1 for one that lies elsewhere. ``lattice`` is the corner of voxel
+    (0, 0, 0), the first voxel and their number, and a voxel's size.
     """
+    low, box, voxel = lattice
     words = held.shape[2]
     held_words, fine_words = held.reshape(held.size), fine.reshape(fine.size)
     for n in range(len(sizes)):
@@ -185,7 +206,7 @@ def _rank(held, place, sizes):
 
 @kernel
 def _bits(word):
-    """How many bits of a word are set."""
+    """Number of set bits of a word."""
     word -= word >> np.uint64(1) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -193,14 +214,13 @@ def _bits(word):
 
 
 @kernel
-def _coarse_tiles(
-    seen, starts, shapes, lows, frames, cell,
-    low, box, held, close, near, ranks, finest, largest, tile, least, found, planes,
-):  # fmt: skip
+def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
     """Centre (world), number of coarse cells and mean size there of every tile that counts; returns how many.
 
     Written to ``found`` [T, 5], the index of the grid to ``planes`` [T].
     """
+    seen, starts, shapes, lows, frames, cell = cells_of_all
+    low, box, held, close, near, ranks, finest = voxels
     voxel = _VOXEL * cell
     words, row_words = held.shape[2], held.shape[1] * held.shape[2]
     held_words, close_words, near_words = held.reshape(held.size), close.reshape(held.size), near.reshape(held.size)

@@ -6,17 +6,18 @@ carried with the plane, not with the world's axes, so a rigid motion of everythi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import surface_kernels as kernels
 from activestructure_gym.planes.detection import PlaneDetection
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.planes.vectors import cross, length
 
 # Cells a grid grows by at least, so that it is not copied at every keyframe.
 _MARGIN = 16
@@ -26,7 +27,7 @@ _NEAR = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 @dataclass(frozen=True)
 class Patch:
-    """What one image adds to one grid: arrays over a rectangle of cells."""
+    """The contribution of one image to one grid: arrays over a rectangle of cells."""
 
     low: np.ndarray  # [2] int64 cell index of the first row and column
     shown: np.ndarray  # [R, C] int32, how often a cell's centre was shown as this plane
@@ -77,9 +78,8 @@ class SurfaceGrid:
             return
         row, column = self._cover(patch.low, *patch.shown.shape)
         kernels.join(
-            self.shown, self.denied, self.hits, self.beside, patch.shown, patch.denied, patch.hits, patch.beside,
-            row, column, self.seen,
-        )  # fmt: skip
+            self._votes(), kernels.Votes(patch.shown, patch.denied, patch.hits, patch.beside), row, column, self.seen
+        )
         if not cv2.countNonZero(self.seen):
             self.seen[:] = self.hits > 0  # a sliver between all cell centres still has a place
         self._forget()
@@ -91,10 +91,13 @@ class SurfaceGrid:
         corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
         ours = np.floor(self._to_cells(corners)).astype(np.int64)
         low, high = ours.min(axis=0), ours.max(axis=0) + 1
-        asked = other.shown, other.denied, other.hits, other.beside
-        answers = tuple(np.zeros(tuple(high - low), array.dtype) for array in asked)
+        asked = other._votes()
+        answers = kernels.Votes(*(np.zeros(tuple(high - low), array.dtype) for array in asked))
         kernels.ask_cells(self.frame, self.cell, low, other.frame, other.cell, other.low, asked, answers)
         self.add(Patch(low, *answers))
+
+    def _votes(self) -> kernels.Votes:
+        return kernels.Votes(self.shown, self.denied, self.hits, self.beside)
 
     def _cover(self, low: np.ndarray, height: int, width: int) -> tuple[int, int]:
         """Grow the arrays over a rectangle from cell ``low`` on; returns the array cell it then begins at."""
@@ -204,9 +207,8 @@ class SurfaceGrid:
         return np.asarray(kernels.near_seen(points, self.frame, self.low, self.seen, self.cell, disc(reach)))
 
 
-@dataclass(frozen=True)
-class GridStack:
-    """Where the cells of several grids lie, for kernels that go through all of them; flat arrays hold them in a row."""
+class GridStack(NamedTuple):
+    """Frames, shapes and flat offsets of several grids, for kernels that go through all of their cells."""
 
     frames: np.ndarray  # [N, 12], see `SurfaceGrid.frame`
     lows: np.ndarray  # [N, 2] int64 cell index of each array's first entry
@@ -215,7 +217,7 @@ class GridStack:
 
 
 def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
-    """The places of one grid or more."""
+    """The `GridStack` of one surface or more."""
     shapes = np.array([surface.seen.shape for surface in surfaces], dtype=np.int64)
     return GridStack(
         frames=np.array([surface.frame for surface in surfaces]),
@@ -223,22 +225,6 @@ def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
         shapes=shapes,
         starts=np.concatenate([[0], np.cumsum(shapes.prod(axis=1))]),
     )
-
-
-def distance(a: np.ndarray, b: np.ndarray) -> float:
-    """Distance of two points [3]; `numpy.linalg.norm` gives the same digits in four times as long."""
-    return length(a - b)
-
-
-def length(a: np.ndarray) -> float:
-    """Length of a vector [3]."""
-    return math.sqrt(a.dot(a))
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of two vectors [3]; numpy's own takes 30 times as long for one pair."""
-    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def nonzero(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [R, C] uint8 -> rows [K], columns [K]
@@ -265,7 +251,7 @@ def observe(
     *,
     reach: float,  # metres; see `surface_kernels.look_up_cells`
 ) -> tuple[list[Patch], np.ndarray]:
-    """What an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
+    """The patches that an image adds to each grid, and the moments [T, 10] of its points about the anchors."""
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     labels, segments = detection.labels, detection.segments
     camera, pose = frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
@@ -274,21 +260,22 @@ def observe(
     frames = np.stack([grid.frame for grid in grids])
     cell = grids[0].cell
     table = np.asarray(table, dtype=np.int64)
-    image = (depth, labels, table, lens, rotation, translation)
-    extents, moments = kernels.image_sums(*image, frames, anchors, cell)
+    image = kernels.LabelledImage(depth, labels, table, lens, rotation, translation)
+    extents, moments = kernels.image_sums(image, frames, anchors, cell)
     extents += np.array([-2, -2, 2, 2])  # look a little beyond the edge: is there something else?
     shapes = extents[:, 2:] - extents[:, :2] + 1
     starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
     hits = np.zeros(starts[-1], np.int32)
     seen = np.zeros(starts[-1], np.uint8)
     beside = np.zeros(starts[-1], np.uint8)
-    kernels.count_hits(*image, frames, cell, extents, starts, hits)
+    rectangles = kernels.Rectangles(frames, cell, extents, starts)
+    kernels.count_hits(image, rectangles, hits)
     planes = np.array([[*segment.normal, segment.offset] for segment in segments])
     centroids = np.array([segment.centroid for segment in segments])
     # Which segments stand on the visible side of each grid's plane.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
-    kernels.look_up_cells(*image, frames, cell, extents, starts, seen, beside, reach, planes, facing)
+    kernels.look_up_cells(image, rectangles, seen, beside, reach, planes, facing)
     patches = []
     for t, shape in enumerate(shapes):
         part = slice(starts[t], starts[t + 1])

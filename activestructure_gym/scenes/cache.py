@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import re
 import struct
-import tempfile
 import time
 import zipfile
 import zlib
@@ -20,6 +19,7 @@ from typing import IO
 import numpy as np
 
 from activestructure_gym.errors import InputError, shown
+from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.npz import read_npy
 
 try:
@@ -87,7 +87,7 @@ def clear_cache(limit: int = 0) -> tuple[int, int]:
 
 
 def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """What ``compute`` returns, from disk where it has been computed before.
+    """The arrays that ``compute`` returns, read from disk where they are stored.
 
     Kept uncompressed: unpacking the true views of a scene takes longer than measuring a map against some of them.
     Two processes may compute the same key at once; each writes a file of its own and moves it into place, so a
@@ -161,17 +161,11 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
     limit = cache_limit()
     if not limit:
         return
-    temporary = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=file.stem, suffix=".part", delete=False) as stream:
-            temporary = stream.name
+        with replaced(file) as stream:
             np.savez(stream, **arrays)  # type: ignore[arg-type]
-        os.replace(temporary, file)
     except OSError:  # read-only or full disk: the cache is a convenience
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)
         return
     with suppress(OSError), _being_read(file):
         clear_cache(limit)
@@ -179,7 +173,7 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
 
 @contextmanager
 def _being_read(file: Path) -> Iterator[None]:
-    """While the block runs, nobody removes the file."""
+    """While the block runs no process removes the file."""
     with open(file, "rb") as stream:
         if fcntl is not None:
             fcntl.flock(stream, fcntl.LOCK_SH)
@@ -202,5 +196,5 @@ def _open_alone(file: Path) -> Iterator[bool]:
 def _abandoned() -> list[Path]:
     old = time.time() - _ABANDONED
     with suppress(OSError):
-        return [file for file in cache_directory().glob("*.part") if file.stat().st_mtime < old]
+        return [file for file in cache_directory().glob(UNFINISHED) if file.stat().st_mtime < old]
     return []

@@ -11,9 +11,9 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
-from activestructure_gym.scenes.matterport3d import is_matterport3d, load_matterport3d_scene
-from activestructure_gym.scenes.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
-from activestructure_gym.scenes.replica import is_replica, load_replica_scene
+from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
+from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
+from activestructure_gym.scenes.loaders.replica import is_replica, load_replica_scene
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.specs import parse_options, typed_options
 
@@ -42,7 +42,7 @@ SCENES.register("matterport3d")(load_matterport3d_scene)
 @SCENES.register("box")
 @lru_cache(maxsize=2)
 def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -> Scene:
-    from activestructure_gym.scenes.procedural import make_box_room
+    from activestructure_gym.scenes.procedural.apartment import make_box_room
 
     return make_box_room(seed=seed, size=size)
 
@@ -50,7 +50,7 @@ def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -
 @SCENES.register("room")
 @lru_cache(maxsize=2)
 def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
-    from activestructure_gym.scenes.procedural import make_apartment
+    from activestructure_gym.scenes.procedural.apartment import make_apartment
 
     return make_apartment(seed=seed, rooms=1, furnished=furnished, lit=lit)
 
@@ -58,7 +58,7 @@ def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
 @SCENES.register("apartment")
 @lru_cache(maxsize=2)
 def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
-    from activestructure_gym.scenes.procedural import make_apartment
+    from activestructure_gym.scenes.procedural.apartment import make_apartment
 
     return make_apartment(seed=seed, rooms=rooms, furnished=furnished, lit=lit)
 
@@ -66,15 +66,29 @@ def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bo
 def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
     """The scene that ``spec`` names.
 
-    Args:
-        spec: a `Scene` (returned as it is), a path, or a text of one of the forms
-            ``apartment?seed=3&rooms=4`` (a registered name), ``my_package.scenes:make`` (a factory anywhere),
-            ``house.glb?units=cm&up=y`` (a mesh file, or the folder of a Replica or Matterport3D scene),
-            ``replica:room_0`` (the same with the kind said).
-        **options: keyword arguments of the factory; they win over options in the text.
+    Parameters
+    ----------
+    spec
+        A `Scene` (returned as it is), a path, or a text of one of the forms ``apartment?seed=3&rooms=4`` (a registered
+        name), ``my_package.scenes:make`` (a factory anywhere), ``house.glb?units=cm&up=y`` (a mesh file, or the folder
+        of a Replica or Matterport3D scene), ``replica:room_0`` (the same with the kind said).
+    **options
+        Keyword arguments of the factory; they win over options in the text.
 
-    Raises:
-        InputError: unknown name or option, a value of the wrong kind, or a file that cannot be used.
+    Returns
+    -------
+    Scene
+        A mesh in metres, z up.
+
+    Raises
+    ------
+    InputError
+        Unknown name or option, a value of the wrong kind, or a file that cannot be used.
+
+    Examples
+    --------
+    >>> load_scene("box?seed=1").bounds.round(1).tolist()
+    [[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]
     """
     if isinstance(spec, Scene):
         if options:
@@ -104,7 +118,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
 
 
 def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], str | None, dict[str, str]]:
-    """What makes the scene: its name in messages, its factory, the path if it reads files, the options in the text."""
+    """The parts of ``spec``: name for messages, factory, the path if it reads files, and the options in the text."""
     if not isinstance(spec, str | os.PathLike):
         raise InputError(f"a scene is a name, a path or a Scene, got {shown(spec)}")
     if not isinstance(spec, str):
@@ -164,7 +178,7 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
 
 
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
-    """What loads a bare path."""
+    """The factory that loads a bare path, and the path."""
     check_printable(str(path))
     if is_replica(path):
         return load_replica_scene, str(path)

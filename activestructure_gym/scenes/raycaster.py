@@ -15,7 +15,7 @@ _RAYS_PER_THREAD = 8192
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray met first."""
+    """The first intersection of each ray."""
 
     distance: np.ndarray  # [N] float32, in units of the direction's length; inf where nothing was hit
     face: np.ndarray  # [N] int32, -1 where nothing was hit

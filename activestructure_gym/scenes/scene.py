@@ -1,7 +1,6 @@
-"""What a scene is: a coloured triangle mesh with a name and a source, and what can be derived from it.
+"""`Scene`: a coloured triangle mesh with a name and a source, and its ray caster.
 
-Everything derived (free space, start poses, observable surface) is ground truth: the sensor, the reward, the metrics
-and the choice of start poses may use it; gains, observations and policies never do.
+What else is true of it (free space, start poses, observable surface) is `ground_truth.GroundTruth`.
 """
 
 from __future__ import annotations
@@ -16,9 +15,7 @@ import numpy as np
 from activestructure_gym.scenes.raycaster import RayCaster
 
 if TYPE_CHECKING:
-    from activestructure_gym.scenes.free_space import FreeSpace
-    from activestructure_gym.scenes.observable import ObservableSurface
-    from activestructure_gym.scenes.sequence import PosedSequence
+    from activestructure_gym.scenes.loaders.sequence import PosedSequence
 
 
 # How a texture goes on outside of its image, along one axis.
@@ -55,12 +52,12 @@ class PartLabels:
 
 @dataclass(frozen=True)
 class Scene:
-    """A mesh an agent can be put into. Immutable; derived data are computed once and cached by content."""
+    """An immutable mesh that an agent can be put into; derived data are computed once and cached by content."""
 
-    name: str
-    mesh: SceneMesh
+    name: str  # what people call it
+    mesh: SceneMesh  # metres, z up
     source: str  # where it comes from: a file, or a generator with its arguments
-    labels: PartLabels | None = None
+    labels: PartLabels | None = None  # of generated scenes, for tests
     evaluation_views: PosedSequence | None = None  # recorded views that came with the scene, for evaluation
     notes: tuple[str, ...] = field(default=())  # what the loader wants the user to read (scale check, dropped parts)
 
@@ -89,17 +86,3 @@ class Scene:
         if mesh.texture_wrap or mesh.linear_colors:  # the exception, so that the keys of all other scenes stay
             digest.update(str((mesh.texture_wrap, mesh.linear_colors)).encode())
         return digest.hexdigest()
-
-    @cached_property
-    def free_space(self) -> FreeSpace:
-        """Where the agent could be (ground truth)."""
-        from activestructure_gym.scenes.free_space import free_space_of
-
-        return free_space_of(self)
-
-    @cached_property
-    def observable_surface(self) -> ObservableSurface:
-        """The part of the surface that some free pose can see (ground truth)."""
-        from activestructure_gym.scenes.observable import observable_surface_of
-
-        return observable_surface_of(self)

@@ -3,7 +3,7 @@
 Renderers are loaded when a sensor is made; importing this room needs neither numba nor OpenGL.
 """
 
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.sensors.noise import DEPTH_NOISE
 from activestructure_gym.sensors.renderer import RENDERERS, Renderer, make_renderer, renderer_status
 from activestructure_gym.sensors.rgbd import RGBDSensor, SensorConfig

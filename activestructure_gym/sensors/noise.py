@@ -1,4 +1,4 @@
-"""What real depth cameras and trackers get wrong. Off by default: the paper has perfect depth and poses.
+"""Noise of depth cameras and of pose trackers. Off by default: the paper has perfect depth and poses.
 
 Lateral effects are stated by their sources in pixels of a 640-wide depth camera; here they keep their angle, so a
 small image is not blurred by pixels it does not have.
@@ -6,11 +6,15 @@ small image is not blurred by pixels it does not have.
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera, se3_exp
+from activestructure_gym.geometry.depth_noise import axial_sigma
 
-DEPTH_NOISE = ("none", "kinect", "redwood")
+DepthNoise = Literal["none", "kinect", "redwood"]
+DEPTH_NOISE: tuple[DepthNoise, ...] = get_args(DepthNoise)
 
 _SOURCE_FOCAL = 525.0  # px; the 640-wide camera both models were measured with
 _DISPARITY_METRES = 35.130  # focal length times baseline in px m (Redwood); one disparity step is 1/8 px
@@ -53,13 +57,13 @@ def incidence_angles(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:  #
 
 
 def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
-    """Standard deviation in metres of the axial error of a Kinect v1 (Nguyen et al., 3DIMPVT 2012).
+    """Standard deviation in metres of the axial error of a Kinect v1 ([nguyen2012]).
 
     0.0012 + 0.0019 (z - 0.4)^2 + 0.0001 / sqrt(z) * theta^2 / (pi / 2 - theta)^2
     """
     theta = np.minimum(incidence, _MAX_INCIDENCE)
     slant = theta**2 / (np.pi / 2.0 - theta) ** 2
-    return 0.0012 + 0.0019 * (depth - 0.4) ** 2 + 0.0001 / np.sqrt(depth) * slant
+    return axial_sigma(depth) + 0.0001 / np.sqrt(depth) * slant
 
 
 def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:
@@ -105,13 +109,13 @@ def noisy_depth(
     camera: PinholeCamera,
     rng: np.random.Generator,
     *,
-    model: str,  # one of DEPTH_NOISE
+    model: DepthNoise,
     multiplier: float = 1.0,
 ) -> np.ndarray:  # [H, W] float32
     """Depth as a camera of the given model would report it. ``multiplier`` scales every error; 0 changes nothing.
 
     ``kinect``: axial noise of `kinect_sigma`, lateral noise of 0.8 px and more, disparity in steps of 1/8 px.
-    ``redwood``: the simulation of Choi et al. (CVPR 2015) without its table of lens distortion: disparity
+    ``redwood``: the simulation of [choi2015] without its table of lens distortion: disparity
     35.13 / z + N(0, 0.0278) px in steps of 1/8 px, lateral noise of 0.25 px, one value per 2 x 2 px, 10 m of range.
     """
     if model not in DEPTH_NOISE:

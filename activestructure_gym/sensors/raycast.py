@@ -19,12 +19,13 @@ _RAYS_PER_BAND = 16_000
 
 
 @kernel
-def _pixel_rays(rotation, fx, fy, cx, cy, width, first_row, last_row, supersample, directions):
+def _pixel_rays(rotation, lens, width, first_row, last_row, supersample, directions):
     """World directions of the rays of some rows, pixel by pixel; camera z = 1, so the ray parameter is the depth.
 
     Each pixel has supersample x supersample rays through its subpixel centres. An even number has none through the
     pixel's centre; there it follows as one more ray.
     """
+    fx, fy, cx, cy = lens
     rays = supersample * supersample + 1 - supersample % 2
     across, down = np.empty((width, rays)), np.empty(rays)
     beside, below = np.full(rays, 0.5), np.full(rays, 0.5)  # from the pixel's corner
@@ -92,7 +93,7 @@ class RaycastRenderer:
         """See `Renderer.render`."""
         if supersample < 1:
             raise ValueError(f"supersample must be at least 1, got {supersample}")
-        tables, raycaster = shading_tables_of(self._scene), self._scene.raycaster
+        appearance, raycaster = shading_tables_of(self._scene).appearance, self._scene.raycaster
         rotation = np.array(world_from_camera[:3, :3], np.float64)
         origin = np.array(world_from_camera[:3, 3], np.float32)
         samples = supersample * supersample
@@ -104,18 +105,11 @@ class RaycastRenderer:
         def draw(rows: slice) -> None:
             pixels = (rows.stop - rows.start) * camera.width
             directions = np.empty((pixels * rays_per_pixel, 3), np.float32)
-            _pixel_rays(
-                rotation, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, rows.start, rows.stop,
-                supersample, directions,
-            )  # fmt: skip
+            _pixel_rays(rotation, camera.lens, camera.width, rows.start, rows.stop, supersample, directions)
             hits = raycaster.cast(origin, directions)
             distance = hits.distance[centre::rays_per_pixel]
             depth[rows] = np.where(np.isfinite(distance), distance, 0.0).reshape(-1, camera.width)
-            shade_pixels(
-                hits.face, hits.u, hits.v, rays_per_pixel, samples, tables.faces, tables.colors, tables.uv,
-                tables.face_texture, tables.texels, tables.texture_start, tables.texture_size,
-                tables.texture_wrap, tables.linear_colors, rgb[rows].reshape(-1, 3),
-            )  # fmt: skip
+            shade_pixels(hits.face, hits.u, hits.v, rays_per_pixel, samples, appearance, rgb[rows].reshape(-1, 3))
 
         step = max(1, _RAYS_PER_BAND // (camera.width * rays_per_pixel))
         self._map(draw, [slice(r, min(r + step, camera.height)) for r in range(0, camera.height, step)])

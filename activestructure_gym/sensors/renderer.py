@@ -1,4 +1,4 @@
-"""What draws the sensor's images: one protocol, chosen by name."""
+"""Renderers of the sensor's images: one protocol, chosen by name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import importlib.util
 import os
 import subprocess
 import sys
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import Scene
 
-RENDERERS = ("auto", "raycast", "pyrender")
+RendererName = Literal["auto", "raycast", "pyrender"]
+RENDERERS: tuple[RendererName, ...] = get_args(RendererName)
 
 
 class Renderer(Protocol):
@@ -38,7 +39,7 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(name: str, scene: Scene) -> Renderer:
+def make_renderer(name: RendererName, scene: Scene) -> Renderer:
     """The renderer called ``name``; ``auto`` is ray casting where embreex is installed, else pyrender.
 
     Raises `InputError` for an unknown name, or saying what to install for one that cannot run here.

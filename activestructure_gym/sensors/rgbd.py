@@ -8,11 +8,11 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.scenes.scene import Scene
-from activestructure_gym.sensors.frame import Frame
-from activestructure_gym.sensors.noise import DEPTH_NOISE, drop_edges, noisy_depth, noisy_pose
-from activestructure_gym.sensors.renderer import RENDERERS, Renderer, make_renderer
+from activestructure_gym.sensors.noise import DEPTH_NOISE, DepthNoise, drop_edges, noisy_depth, noisy_pose
+from activestructure_gym.sensors.renderer import RENDERERS, Renderer, RendererName, make_renderer
 
 # Larger images are a typing mistake, not a sensor.
 _MOST_RAYS = 1 << 25
@@ -37,8 +37,8 @@ class SensorConfig:
     horizontal_fov_deg: float = 90.0  # degrees; the paper's 60 x 90 deg
     max_range: float = 10.0  # metres along the optical axis; farther returns are cut to 0
     supersample: int = 2  # colour samples per pixel and axis; 1 caps PSNR at about 30 dB by aliasing alone
-    backend: str = "auto"  # auto | raycast | pyrender
-    depth_noise: str = "none"  # none | kinect | redwood; the paper has none
+    backend: RendererName = "auto"  # what draws the images
+    depth_noise: DepthNoise = "none"  # the paper has none
     noise_multiplier: float = 1.0  # scales every error of the depth noise; 0 = none
     edge_dropout: bool = False  # holes beside depth edges and on slanted surfaces
     pose_noise_m: float = 0.0  # metres per axis, standard deviation of the reported position
@@ -122,7 +122,7 @@ class RGBDSensor:
         return config.edge_dropout or (config.depth_noise != "none" and config.noise_multiplier > 0)
 
     def true_depth(self, world_from_camera: np.ndarray) -> np.ndarray:  # [H, W] float32 metres, 0 = no return
-        """What `capture` would measure there without an error. Ground truth; draws no random number."""
+        """The depth that `capture` would measure there without an error. Ground truth; draws no random number."""
         _, depth = self._renderer.render(self.camera, _checked_pose(world_from_camera), supersample=1)
         return self._within_range(depth)
 

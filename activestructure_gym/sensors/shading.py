@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,9 +12,8 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, SceneMesh
 
 
-@dataclass(frozen=True)
-class ShadingTables:
-    """A mesh's appearance in the form the kernel reads; all but the texels are the mesh's own arrays, not copies."""
+class Appearance(NamedTuple):
+    """A mesh's appearance in the form the kernel reads."""
 
     faces: np.ndarray  # [F, 3] int32
     colors: np.ndarray  # [V, 3] float32
@@ -24,6 +24,13 @@ class ShadingTables:
     texture_size: np.ndarray  # [K, 2] int64: height, width
     texture_wrap: np.ndarray  # [K, 2] int64: how each goes on across and down
     linear_colors: bool  # the vertex colours are linear light
+
+
+@dataclass(frozen=True)
+class ShadingTables:
+    """Tables shared by all sensors of a scene; all but the texels are the mesh's own arrays, not copies."""
+
+    appearance: Appearance
 
 
 def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
@@ -52,7 +59,7 @@ def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
         raise ValueError(f"texture_wrap needs one entry for each of {len(textures)} textures, or none at all")
     sizes = np.array([texture.shape[:2] for texture in textures], np.int64).reshape(-1, 2)
     counts = sizes.prod(axis=1)
-    return ShadingTables(
+    appearance = Appearance(
         faces=faces,
         colors=np.ascontiguousarray(mesh.colors, np.float32),
         uv=np.ascontiguousarray(mesh.uv, np.float32),
@@ -63,6 +70,7 @@ def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
         texture_wrap=np.array(mesh.texture_wrap or [(REPEAT, REPEAT)] * len(textures), np.int64).reshape(-1, 2),
         linear_colors=bool(mesh.linear_colors),
     )
+    return ShadingTables(appearance)
 
 
 _tables_of_scene: dict[int, ShadingTables] = {}
@@ -120,18 +128,11 @@ def shade_pixels(
     bary_v,  # [P * stride] float32
     stride,  # rays per pixel
     samples,  # the first so many of them carry colour
-    faces,
-    colors,
-    uv,
-    face_texture,
-    texels,
-    texture_start,
-    texture_size,
-    texture_wrap,
-    linear_colors,
+    appearance,  # `Appearance`
     rgb,  # [P, 3] uint8, written
 ):
     """Mean colour of each pixel's samples; a sample that hit nothing counts as black."""
+    faces, colors, uv, face_texture, texels, texture_start, texture_size, texture_wrap, linear_colors = appearance
     one = np.float32(1.0)
     to_unit = np.float32(1.0 / 255.0)
     to_byte = np.float32(255.0 / samples)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.autograd import CpuOptions, CpuRasterization
-from activestructure_gym.splatting.backends import BACKENDS, backend_status
+from activestructure_gym.splatting.backends import BACKENDS, Backend, backend_status
 from activestructure_gym.splatting.packing import parameter_rows
 from activestructure_gym.splatting.reference import blend_reference, camera_centre
 from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
@@ -35,7 +36,7 @@ class Rasterization:
 
 @dataclass(frozen=True)
 class _Request:
-    """What every implementation is given; exactly one of ``colors`` and ``sh`` is there."""
+    """Arguments of every implementation; exactly one of ``colors`` and ``sh`` is given."""
 
     means: torch.Tensor
     quaternions: torch.Tensor
@@ -63,24 +64,71 @@ def rasterize(
     sh: torch.Tensor | None = None,  # [N, K, 3] harmonics of degree 0 to 3 in place of colours, K = 1, 4, 9 or 16
     channels: torch.Tensor | None = None,  # [N, D] anything else to blend
     median_depth: bool = False,
-    backend: str = "auto",
+    backend: Backend | Literal["auto"] = "auto",
     max_alpha: float = 0.999,
     threads: int | None = None,
 ) -> Rasterization:
     """Render Gaussians, with gradients to every tensor given (of ``camera_from_world`` rows 0 to 2, as if its twelve
     numbers were free; see `camera_twist_gradient`).
 
-    ``backend`` is ``cpu``, ``gsplat``, ``reference`` or ``auto`` (gsplat for CUDA tensors, the compiled kernel for
-    float32 on the CPU, the reference for anything else). ``sh`` follows 3D Gaussian splatting: colour =
-    max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre. The median depth is the depth of the
-    Gaussian with which the transmittance, front to back, first falls to 0.5 or below; it is 0 where alpha stays under
-    0.5 and has no gradient. Several cameras give the same as one call each. ``threads`` is for ``cpu`` alone (default:
-    the cores of this process, or ``OMP_NUM_THREADS``) and does not change a bit of the result.
+    Parameters
+    ----------
+    means
+        [N, 3] metres, world.
+    quaternions
+        [N, 4] wxyz, of any length above 0.
+    log_scales
+        [N, 3] logarithms of the standard deviations in metres.
+    opacity_logits
+        [N].
+    colors
+        [N, 3], used as they are; either these or ``sh``.
+    camera_from_world
+        [4, 4], or [C, 4, 4] for several cameras at once: the same as one call each.
+    camera
+        Pixels and focal lengths.
+    sh
+        [N, K, 3] spherical harmonics of degree 0 to 3, K = 1, 4, 9 or 16, as in 3D Gaussian splatting: colour =
+        max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre.
+    channels
+        [N, D] anything else to blend.
+    median_depth
+        Also give the depth of the Gaussian with which the transmittance, front to back, first falls to 0.5 or below; 0
+        where alpha stays under 0.5; it has no gradient.
+    backend
+        ``"cpu"`` (compiled kernels), ``"gsplat"``, ``"reference"`` (plain torch), or ``"auto"``: gsplat for CUDA
+        tensors, the kernels for float32 on the CPU, the reference for anything else.
+    max_alpha
+        A Gaussian's opacity in a pixel is cut off here.
+    threads
+        Of ``"cpu"`` alone; the cores of this process, or ``OMP_NUM_THREADS``, if not given; results do not depend
+        on it.
 
-    Numerics are gsplat's (``../shared/research/backbones.md`` 2.4).
+    Returns
+    -------
+    Rasterization
+        Colour, accumulated depth in metres, alpha, and what else was asked for, with a leading axis [C] for several
+        cameras.
 
-    Raises:
-        InputError: tensors that do not fit together, an unknown backend, or one that cannot do what is asked here.
+    Raises
+    ------
+    InputError
+        Tensors that do not fit together, an unknown backend, or one that cannot do what is asked here.
+
+    Notes
+    -----
+    Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, eqs. 3, 5 and
+    6; cut-offs are those of [gsplat, code] 1.5.3.
+
+    Examples
+    --------
+    >>> one = torch.tensor([[0.0, 0.0, 2.0]])
+    >>> picture = rasterize(
+    ...     one, torch.tensor([[1.0, 0.0, 0.0, 0.0]]), torch.full((1, 3), -2.0), torch.tensor([2.0]), torch.ones(1, 3),
+    ...     camera_from_world=torch.eye(4), camera=PinholeCamera.from_size(32, 24),
+    ... )
+    >>> picture.color.shape, bool(picture.alpha[12, 16] > 0.5)
+    (torch.Size([24, 32, 3]), True)
     """
     if backend != "auto" and backend not in BACKENDS:
         raise unknown_name("splatting backend", backend, BACKENDS)
@@ -99,7 +147,7 @@ def camera_twist_gradient(
     gradient: torch.Tensor,  # [..., 4, 4] derivative by its entries, as `rasterize` gives it
 ) -> torch.Tensor:  # [..., 6]
     """Derivative by a twist (rho metres, phi radians) at 0, where camera_from_world becomes Exp(rho, phi)
-    camera_from_world (`activestructure_gym.geometry.se3_exp`). Source: ``../shared/research/backbones.md`` 4.6.
+    camera_from_world (`activestructure_gym.geometry.se3_exp`). Source: [sola2018].
     """
     pose, gradient = camera_from_world.detach()[..., :3, :], gradient[..., :3, :]
     turn = torch.linalg.cross(pose, gradient, dim=-2).sum(dim=-1)  # column by column
@@ -107,7 +155,7 @@ def camera_twist_gradient(
 
 
 def _check(request: _Request) -> None:
-    """One sentence for whatever does not fit."""
+    """Raise `InputError` where the parts of a request do not fit together."""
     count = len(request.means) if isinstance(request.means, torch.Tensor) and request.means.dim() else 0
     shapes = {
         "means": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "opacity_logits": (count,),
@@ -224,8 +272,8 @@ def _render_cpu(request: _Request) -> Rasterization:
     options = CpuOptions(request.camera, request.max_alpha, request.median_depth, request.threads)
     return Rasterization(
         *CpuRasterization.apply(
-            request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors, request.sh,
-            request.channels, request.camera_from_world, options,
+            options, request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
+            request.sh, request.channels, request.camera_from_world,
         )
     )  # fmt: skip
 

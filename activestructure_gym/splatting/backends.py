@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+from typing import Literal, get_args
 
-BACKENDS = ("cpu", "gsplat", "reference")
+Backend = Literal["cpu", "gsplat", "reference"]
+BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 
 def backend_status() -> dict[str, str]:

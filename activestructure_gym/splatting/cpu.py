@@ -10,18 +10,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from activestructure_gym.compiling.crew import CREW, default_threads
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.splatting import kernels, layout
-from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, fitted, inverse_of_pose, make_grid, make_view
+from activestructure_gym.splatting.workspace import (
+    MAX_ALPHA,
+    PooledWorkspace,
+    fitted,
+    inverse_of_pose,
+    make_grid,
+    make_view,
+)
 
 PARAMETER_ROWS = layout.ROWS
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a camera sees of the map."""
+    """Colour, depth and alpha of one camera."""
 
     color: np.ndarray  # [H, W, 3] float32
     depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth; divide by alpha for metres
@@ -62,8 +69,8 @@ class StepLosses:
 class TrackingWeights:
     """The loss a camera pose is found by: color * |C - I| + depth * |D / A - D_measured|.
 
-    Both are summed over the pixels that have a measured depth and an accumulated alpha above ``min_alpha`` (SplaTAM,
-    Keetha et al. 2024, eq. 8; depth divided by alpha as in the mapping loss, where SplaTAM takes it as accumulated).
+    Both are summed over the pixels that have a measured depth and an accumulated alpha above ``min_alpha``
+    ([splatam, eq. 8]; depth divided by alpha as in the mapping loss, where SplaTAM takes it as accumulated).
     ``mean`` takes both as means over these pixels, colour over its three channels too.
     """
 
@@ -102,12 +109,12 @@ def render(
     ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
     """
     _check(parameters, count)
-    lease = Lease()
-    lease.workspace.render(
+    pooled = PooledWorkspace()
+    pooled.workspace.render(
         fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha, threads=threads,
         keep=False, unseen=unseen,
     )  # fmt: skip
-    return Rendering(*lease.workspace.pictures())
+    return Rendering(*pooled.workspace.pictures())
 
 
 def render_depth_alpha(
@@ -127,7 +134,7 @@ def render_depth_alpha(
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     tickets = np.zeros(1, np.int64)
     arguments = (tickets, parameters, views, make_grid(count, parameters.shape[1], camera), depth, alpha)
-    CREW.run(kernels.score, arguments, min(threads or default_threads(), max(1, len(poses))))
+    TEAM.run(kernels.score, arguments, min(threads or default_threads(), max(1, len(poses))))
     shape = (len(poses), camera.height, camera.width)
     return depth.reshape(shape), alpha.reshape(shape)
 
@@ -141,9 +148,9 @@ def mapping_step(
     world_from_camera: np.ndarray,  # [4, 4]
     target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
     target_depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
+    *,
     weights: LossWeights,
     learning_rates: np.ndarray,  # [14] float32
-    *,
     beta1: float = 0.9,
     beta2: float = 0.999,
     epsilon: float = 1e-15,
@@ -170,14 +177,15 @@ def mapping_step(
         raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")
     state = (parameters, first_moment, second_moment)
     used = tuple(fitted(array) for array in state)
-    lease = Lease()
-    workspace = lease.workspace
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
     pose, of_color = inverse_of_pose(world_from_camera), weights.image * weights.l1_share
     if weights.image * (1.0 - weights.l1_share) == 0.0:
         workspace.prepare(used[0], count, camera, pose, threads=threads, unseen=unseen)
         color, depth = workspace.fused_step(
-            target_rgb, target_depth, of_color, weights.depth, weights.alpha, weights.normalised_depth, rates, *used[1:]
-        )
+            target_rgb, target_depth, rates, *used[1:], of_color=of_color, of_depth=weights.depth,
+            of_alpha=weights.alpha, normalised_depth=weights.normalised_depth,
+        )  # fmt: skip
         ssim = float("nan")
     else:
         workspace.render(used[0], count, camera, pose, threads=threads, unseen=unseen)
@@ -209,8 +217,8 @@ def pose_gradient(
     """
     _check(parameters, count)
     pose = inverse_of_pose(world_from_camera)
-    lease = Lease()
-    workspace, used = lease.workspace, fitted(parameters)
+    pooled = PooledWorkspace()
+    workspace, used = pooled.workspace, fitted(parameters)
     workspace.prepare(used, count, camera, pose, threads=threads)
     of_color = weights.color / 3.0 if weights.mean else weights.color
     color, depth, pixels, by_pose = workspace.tracking_losses(

@@ -2,7 +2,7 @@
 
 The block of a Gaussian is the sum over pixels and colour channels of J^T J, J the derivative of a rendered colour by
 the Gaussian's mean (metres, world) and log-scales: what information planners compare between a candidate and the
-keyframes (FisherRF, Jiang et al. 2024; POp-GS, Wilson et al. 2025, for which these parameters alone do as well as all).
+keyframes ([fisherrf]; [popgs], for which these parameters alone do as well as all).
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import layout
+from activestructure_gym.splatting.arguments import Pictures
 from activestructure_gym.splatting.cpu import _check
 from activestructure_gym.splatting.simd import LANES
-from activestructure_gym.splatting.workspace import MAX_ALPHA, Lease, Workspace, fitted, flat, inverse_of_pose
+from activestructure_gym.splatting.workspace import MAX_ALPHA, PooledWorkspace, Workspace, fitted, flat, inverse_of_pose
 
 TOUCH_TRANSMITTANCE = 0.5  # the released counters take 0.5 or 0.8
 BLOCK_NUMBERS = 21  # of a symmetric 6 x 6 matrix
@@ -26,7 +27,7 @@ _NO_FLOATS = np.empty(0, np.float32)
 
 @dataclass(frozen=True)
 class ViewInformation:
-    """What one camera sees, and for each of the S Gaussians that have a weight in it what it tells about them."""
+    """Pictures of one camera, and its information about each of the S Gaussians that have a weight in it."""
 
     color: np.ndarray  # [H, W, 3] float32
     depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth
@@ -81,8 +82,8 @@ def view_information(
 ) -> Iterator[ViewInformation]:
     """One `ViewInformation` per camera, each made when it is asked for: all at once would fill the memory.
 
-    Results are the same to the bit for any number of threads. Source: ``../shared/research/peers_info_rl.md`` A0, the
-    exact choice there (channels are squared before they are summed).
+    Results are the same to the bit for any number of threads. Source: [fisherrf] in its exact form
+    (channels are squared before they are summed; its program sums first).
 
     Raises:
         ValueError: arrays of another shape or type than said here.
@@ -104,8 +105,8 @@ def view_information(
 
 def _of_view(given, pose, channels, values, touch, options) -> ViewInformation:  # type: ignore[no-untyped-def]
     parameters, count, camera = given
-    lease = Lease()
-    workspace = lease.workspace
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
     workspace.prepare(parameters, count, camera, inverse_of_pose(pose), **options)
     width = len(channels) // max(1, count)
     pictures = np.empty((camera.height, camera.width, width), np.float32)
@@ -126,11 +127,10 @@ def _run(
     workspace.color = workspace._image("color")
     slots = workspace._buffer("information slots", workspace.total * f.SLOT_FLOATS)
     result = workspace._buffer("information", capacity * f.RESULT_FLOATS)
-    view, _, records, tile_start, tile_order, entries = workspace._lists
+    asked = f.Asked(touch, pictures.shape[2], channels, values)
     workspace._run_through(
-        f.inform, workspace.parameters, view, grid, records, workspace.visible, tile_start, tile_order, entries,
-        workspace._scratch, touch, channels, values, workspace.color, workspace.depth, workspace.alpha,
-        pictures.reshape(-1), slots, result,
+        f.inform, workspace.parameters, workspace.lists, workspace._scratch, asked,
+        Pictures(workspace.color, workspace.depth, workspace.alpha), f.Told(pictures.reshape(-1), slots, result),
     )  # fmt: skip
     bits = workspace.visible[: -(-count // LANES)].astype("<u2").view(np.uint8)
     indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])

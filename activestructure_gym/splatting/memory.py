@@ -1,4 +1,4 @@
-"""Between arrays and SIMD values: loading and storing, single elements and bits, transposing, sums over the lanes."""
+"""Loads and stores between arrays and SIMD values, single elements and bits, transposing, sums over the lanes."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)
@@ -109,7 +109,7 @@ def prefetch(typingctx, array, index):
 
 @intrinsic
 def _to_line(typingctx, array):
-    """How many floats into the array the next 64-byte boundary lies."""
+    """Number of floats from the array's start to the next 64-byte boundary."""
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, value=args[0]).data
@@ -268,9 +268,7 @@ def load_color_block(typingctx, array, index, stride):
             rows.append(builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind))
         channels = []
         for channel in range(3):
-            eight = ir.Constant(
-                ir.VectorType(I32, 8), [12 * (x // 4) + 3 * (x % 4) + channel for x in range(8)]
-            )
+            eight = ir.Constant(ir.VectorType(I32, 8), [12 * (x // 4) + 3 * (x % 4) + channel for x in range(8)])
             halves = [builder.shuffle_vector(rows[i], rows[i + 1], eight) for i in (0, 2)]
             channels.append(builder.shuffle_vector(*halves, ir.Constant(INTS, list(range(LANES)))))
         return context.make_tuple(builder, sig.return_type, channels)

@@ -10,7 +10,7 @@ import torch
 from numba import njit
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.compiling.crew import CREW
+from activestructure_gym.compiling.thread_team import TEAM
 from activestructure_gym.splatting import counters, layout, memory
 from activestructure_gym.splatting.simd import LANES
 
@@ -44,7 +44,7 @@ def packed(
     block = np.empty((layout.ROWS, -(-count // LANES) * LANES), np.float32)
     block[:, count:] = 0.0
     columns = [_columns(tensor) for tensor in tensors if tensor is not None]
-    CREW.run(_pack, (np.zeros(1, np.int64), block, *columns, *[columns[0]] * (5 - len(columns))), threads)
+    TEAM.run(_pack, (np.zeros(1, np.int64), block, *columns, *[columns[0]] * (5 - len(columns))), threads)
     return block
 
 
@@ -59,7 +59,7 @@ def unpacked(
     results = [rows[first:last].T if last - first > 1 else rows[first] for first, last in _ROWS]
     if all(tensor is None or tensor.is_contiguous() for tensor in tensors):
         results = [torch.empty(result.shape) for result in results]
-        CREW.run(_unpack, (np.zeros(1, np.int64), gradient, *[_columns(result) for result in results]), threads)
+        TEAM.run(_unpack, (np.zeros(1, np.int64), gradient, *[_columns(result) for result in results]), threads)
     return [None if tensor is None else result for result, tensor in zip(results, tensors)]
 
 

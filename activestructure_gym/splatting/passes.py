@@ -29,15 +29,14 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
     camera = workspace.camera
     picture = np.empty((camera.height, camera.width), np.float32)
     workspace.tickets[:] = 0
-    workspace._run(
-        _median, workspace.view, workspace.grid, workspace.records, workspace.tile_start, workspace.tile_order,
-        workspace.entries, picture.reshape(-1),
-    )  # fmt: skip
+    workspace._run(_median, workspace.lists, picture.reshape(-1))
     return picture
 
 
 @kernel
-def _median(tickets, view, grid, records, tile_start, tile_order, entries, picture):
+def _median(tickets, lists, picture):
+    view, grid, records, entries = lists.camera, lists.grid, lists.records, lists.entries
+    tile_start, tile_order = lists.tile_start, lists.tile_order
     width = 2 * LANES  # floats of state per block: transmittance, median depth
     state = scratch_of(64 * width)
     half, zero = np.float32(0.5), spread(np.float32(0.0))
@@ -137,7 +136,7 @@ def unblend_channels(
 
 
 def _colors(workspace: Workspace, count: int) -> np.ndarray:  # [N, 3], a view
-    """The colour fields of the records."""
+    """View of the colour fields of the records."""
     assert (layout.GREEN, layout.BLUE) == (layout.RED + 1, layout.RED + 2)
     return workspace.records[: count * layout.RECORD].reshape(count, layout.RECORD)[:, layout.RED : layout.RED + 3]
 

@@ -1,6 +1,6 @@
 """The rasteriser in plain torch: every pixel against every Gaussian. Slow, any dtype, the oracle of the tests.
 
-Formulas and numerics follow gsplat 1.5 (``../shared/research/backbones.md`` 2.4 and 4): near plane 0.01 m, 0.3 px^2
+Formulas and numerics follow [gsplat, code] 1.5.3: near plane 0.01 m, 0.3 px^2
 added to the projected covariance, contributions below 1/255 skipped, a pixel stops *before* the Gaussian that would
 take its transmittance to 1e-4 or below.
 """
@@ -71,8 +71,7 @@ def blend_reference(
     for start in range(0, len(pixels), at_once):
         offset = pixels[start : start + at_once, None, :] - position[None]  # [p, M, 2]
         power = (
-            -0.5
-            * (inverse_covariance[:, 0] * offset[..., 0] ** 2 + inverse_covariance[:, 2] * offset[..., 1] ** 2)
+            -0.5 * (inverse_covariance[:, 0] * offset[..., 0] ** 2 + inverse_covariance[:, 2] * offset[..., 1] ** 2)
             - inverse_covariance[:, 1] * offset[..., 0] * offset[..., 1]
         )
         alpha = torch.clamp(opacity * torch.exp(power), max=max_alpha)

@@ -1,7 +1,7 @@
 """Colour by viewing direction: real spherical harmonics of degree 0 to 3.
 
 The convention of 3D Gaussian splatting and gsplat: colour = max(0, 0.5 + sum_k Y_k(d) f_k) with d the unit vector from
-the camera centre to the mean, and the signs of the basis as in ``../shared/research/backbones.md`` 4.6. Only the stage
+the camera centre to the mean, and the signs of the basis of [kerbl2023, code]. Only the stage
 that runs once per Gaussian pays for it: the kernels turn coefficients into colours before a rendering, and the
 derivatives by colour into those by coefficients, mean and camera centre after it.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.compiling.crew import CREW
+from activestructure_gym.compiling.thread_team import TEAM
 from activestructure_gym.splatting import counters, layout
 
 if TYPE_CHECKING:
@@ -256,7 +256,7 @@ def shade(
 ) -> None:
     """Colours of the Gaussians that a camera may see; the others get black."""
     centre = camera_centre(camera_from_world).astype(np.float32)
-    CREW.run(_shade, (np.zeros(1, np.int64), parameters, view, grid, centre, coefficients), threads)
+    TEAM.run(_shade, (np.zeros(1, np.int64), parameters, view, grid, centre, coefficients), threads)
 
 
 def unshade(
@@ -272,7 +272,7 @@ def unshade(
     centre = camera_centre(camera_from_world)
     parts = np.zeros((int(grid[layout.CHUNKS]), 3))
     arguments = (parameters, grid, centre.astype(np.float32), coefficients, gradient, by_coefficients, parts)
-    CREW.run(_unshade, (np.zeros(1, np.int64), *arguments), threads)
+    TEAM.run(_unshade, (np.zeros(1, np.int64), *arguments), threads)
     # centre = -R^-1 t: a change of R and t moves it by -R^-1 (dt + dR centre).
     by_translation = -np.linalg.solve(np.asarray(camera_from_world, np.float64)[:3, :3].T, parts.sum(axis=0))
     return np.concatenate([np.outer(by_translation, centre), by_translation[:, None]], axis=1)

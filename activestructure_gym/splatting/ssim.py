@@ -1,6 +1,6 @@
-"""Structural similarity and its gradient (11 taps, sigma 1.5, zero padding; Wang et al. 2004).
+"""Structural similarity and its gradient (11 taps, sigma 1.5, zero padding; [ssim]).
 
-Derivative as in ``../shared/research/backbones.md`` 4.6. Only the sum of the two variances enters SSIM, so four blurs
+Only the sum of the two variances enters SSIM, so four blurs
 make the value and three the gradient. The loops live in `image_losses` and are the ones of the mapping step.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting.workspace import Lease
+from activestructure_gym.splatting.workspace import PooledWorkspace
 
 
 def ssim_and_gradient(
@@ -22,8 +22,8 @@ def ssim_and_gradient(
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"two images [H, W, 3] of one size are needed, got {image.shape} and {target.shape}")
     height, width = image.shape[:2]
-    lease = Lease()
-    workspace = lease.workspace
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
     workspace.show(image, PinholeCamera.from_size(width, height), threads=threads)
     _, _, ssim = workspace.losses(target, np.zeros((height, width), np.float32), 0.0, 1.0, 0.0)
-    return ssim, -workspace.pixels_of(workspace.by_color)
+    return ssim, -workspace.pixels_of(workspace.by_pictures.color)

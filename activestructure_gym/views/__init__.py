@@ -1,20 +1,15 @@
-"""Where to look next: the pool of candidate views, what each would see, and what each is worth.
+"""Candidate views: the pool, the planes each view would see, and panoramas of missing parts.
 
-The pool is the same for every policy; a gain turns the current map into one number per candidate. Nothing in this
+The pool is the same for every policy; a feature turns the current map into one number per candidate. Nothing in this
 room may look at ground truth.
 """
 
 from activestructure_gym.views.candidates import CandidatePool, CandidateTable, ViewConfig
-from activestructure_gym.views.gains import GAINS, Gain, GainContext, evaluate_gains
 from activestructure_gym.views.visibility import visible_planes
 
 __all__ = [
-    "GAINS",
     "CandidatePool",
     "CandidateTable",
-    "Gain",
-    "GainContext",
     "ViewConfig",
-    "evaluate_gains",
     "visible_planes",
 ]

@@ -34,16 +34,16 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """How candidate views are laid out and offered."""
+    """Layout of the candidate pool, and how many views are offered."""
 
     lattice_step_m: float = 0.5  # horizontal distance of lattice positions (ActiveGAMER's fine stage)
     heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # above the start camera; a flying camera uses them all
     directions: int = 15  # K of the Fibonacci lattice (ActiveGAMER's fine stage)
     max_candidates: int = 256  # rows of the candidate table
-    max_revisits: int = 4  # stored keyframe poses offered on top, worst rendered first (method.md 5)
+    max_revisits: int = 4  # stored keyframe poses offered on top, worst rendered first (own choice)
     visited_distance_m: float = 0.3  # a candidate this near to a visited pose ...
     visited_angle_deg: float = 10.0  # ... and turned this little from it counts as visited (GauSS-MI's rule)
-    scoring_scale: float = 0.5  # gains render at this share of the sensor's size; half is rank-safe (dossier A0)
+    scoring_scale: float = 0.5  # features render at this share of the size; half keeps the order (groundwork.md)
     coverage_alpha: float = 0.5  # a pixel is covered where the map's alpha exceeds this (M_c of Sec. 3.4)
 
     def __post_init__(self) -> None:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.compiling.crew import CREW, default_threads
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import SPARED, sight_line
 
-NEAREST_M = 0.2  # closer than this a depth sensor returns nothing (method.md 5)
-FARTHEST_M = 5.0  # distance gate (method.md 5)
-STEEPEST_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter (method.md 5)
+NEAREST_M = 0.2  # closer than this a depth sensor returns nothing
+FARTHEST_M = 5.0  # distance gate of the paper (Sec. 3.4), which names no number: own choice
+STEEPEST_COSINE = float(np.cos(np.radians(80.0)))  # view-angle filter of the paper, likewise
 LEAST_SHARE = 0.1  # of a plane's points that must pass for the plane to count as visible
 _WORTH_A_THREAD = 2000  # pairs of view and plane: less is done before a second thread has woken up
 SAMPLES = 16  # points tested per plane, spread evenly over its stored points
@@ -30,7 +31,7 @@ def visible_planes(
 ) -> np.ndarray:  # [K, P] bool
     """Frustum culling, distance gating and view-angle filtering, as in the paper; a plane is seen from its own side.
 
-    With a ``volume``, points behind an occupied voxel do not count either (beyond the paper, method.md 5).
+    With a ``volume``, points behind an occupied voxel do not count either (beyond the paper).
     """
     if not len(planes) or not len(world_from_camera):
         return np.zeros((len(world_from_camera), len(planes)), dtype=bool)
@@ -63,40 +64,42 @@ def cosines_in_sight(
         blocking, eyes, ends = volume.occupied, volume.in_voxels(poses[:, :3, 3]), volume.in_voxels(points)
     shape = (len(poses), len(points), points.shape[1])
     cosines, counts = np.zeros(shape), np.zeros(shape[:2], np.int64)
-    arguments = (
-        np.zeros(1, np.int64),
+    targets = _Targets(
         points,
         np.ascontiguousarray(normals, dtype=np.float64),
-        poses,
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], dtype=np.float64),
-        np.full(len(points), farthest, dtype=np.float64),
-        blocking,
-        eyes,
         ends,
+        np.full(len(points), farthest, dtype=np.float64),
         min(enough, points.shape[1] + 1),
-        cosines,
-        counts,
     )
-    CREW.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], dtype=np.float64)
+    arguments = (np.zeros(1, np.int64), targets, poses, eyes, lens, blocking, cosines, counts)
+    TEAM.run(_cosines_in_sight, arguments, default_threads() if counts.size >= _WORTH_A_THREAD else 1)
     return cosines, counts
+
+
+class _Targets(NamedTuple):
+    """Sample points of the planes and what decides whether they are in sight."""
+
+    points: np.ndarray  # [P, S, 3] metres, world
+    normals: np.ndarray  # [P, 3]
+    ends: np.ndarray  # [P, S, 3] the points in voxels
+    farthest: np.ndarray  # [P] metres of depth
+    enough: int  # points of a row
 
 
 @kernel
 def _cosines_in_sight(
     tickets: np.ndarray,  # [1] int64, the candidates that threads have taken
-    points: np.ndarray,  # [P, S, 3] metres, world
-    normals: np.ndarray,  # [P, 3]
+    targets: _Targets,
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
-    farthest: np.ndarray,  # [P] metres of depth
-    blocking: np.ndarray,  # [X, Y, Z] bool
     eyes: np.ndarray,  # [K, 3] voxels
-    ends: np.ndarray,  # [P, S, 3] voxels
-    enough: int,
+    lens: np.ndarray,  # [6] fx, fy, cx, cy, width, height
+    blocking: np.ndarray,  # [X, Y, Z] bool
     cosines: np.ndarray,  # [K, P, S], zeros, written to
     counts: np.ndarray,  # [K, P], zeros, written to
 ) -> None:
     """Cheap tests first, the line of sight last; asked in every step of every candidate, hence compiled."""
+    points, normals, ends, farthest, enough = targets
     samples = points.shape[1]
     while True:
         k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]

@@ -14,11 +14,13 @@ What makes the free space safe to move in:
 from __future__ import annotations
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.volume.depth_image import READS_PER_SIDE
 
 UNKNOWN = 0
@@ -34,25 +36,68 @@ _ONE = np.uint64(1)
 _SURE = 1e-3
 
 
+class VoxelFields(NamedTuple):
+    """The arrays of the volume, each [X, Y, Z]."""
+
+    origin: np.ndarray  # [3] lower corner of voxel (0, 0, 0)
+    voxel_size: float  # metres
+    state: np.ndarray  # uint8
+    solidity: np.ndarray  # int16: above 0 = occupied
+    miss_chance: np.ndarray  # float32
+    parts: np.ndarray  # uint64: one bit for each part that is proven free
+    last_hit: np.ndarray  # int32: number of the last image that hit the voxel
+    tsdf: np.ndarray  # float32
+    weight: np.ndarray  # float32
+
+
+class Look(NamedTuple):
+    """A depth image prepared for `carve`."""
+
+    number: int
+    fresh: bool  # seen from another pose than the image before
+    depth: np.ndarray  # [H, W] float32: what was returned
+    pyramid: np.ndarray  # from minimum_pyramid: how far each ray is free
+    levels: np.ndarray
+    lens: Lens
+    camera_from_world: np.ndarray  # [4, 4]
+
+
+class Frustum(NamedTuple):
+    """The inequalities of `frustum_planes`, and the box [lower, upper) of voxels that the frustum can touch."""
+
+    planes: np.ndarray
+    reach: np.ndarray
+    sides: np.ndarray
+    extents: np.ndarray
+    lower: np.ndarray  # [3] int64
+    upper: np.ndarray  # [3] int64
+
+
+class Caution(NamedTuple):
+    """Margins and thresholds of `carve`, as in `VolumeConfig`."""
+
+    margin: float  # metres
+    margin_growth: float  # metres per square metre of range
+    thinnest: float  # metres
+    max_miss_chance: float
+    truncation: float  # metres
+    max_weight: float
+
+
 @kernel
 def mark_hits(
     depth: np.ndarray,  # [H, W] float32
-    intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
+    lens: Lens,
     world_from_camera: np.ndarray,  # [4, 4]
-    origin: np.ndarray,  # [3] lower corner of voxel (0, 0, 0)
-    voxel_size: float,
+    voxels: VoxelFields,
     max_range: float,
-    state: np.ndarray,  # [X, Y, Z] uint8
-    solidity: np.ndarray,  # [X, Y, Z] int16: above 0 = occupied
-    miss_chance: np.ndarray,  # [X, Y, Z] float32
-    parts: np.ndarray,  # [X, Y, Z] uint64: one bit for each part that is proven free
-    last_hit: np.ndarray,  # [X, Y, Z] int32: number of the last image that hit the voxel
     image_number: int,
     gain: int,
     ceiling: int,
 ) -> None:
     """Every ray that returns makes the voxel it ends in occupied (once per image)."""
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy = lens
+    origin, voxel_size, state, solidity, miss_chance, parts, last_hit, _, _ = voxels
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             z = depth[v, u]
@@ -130,38 +175,13 @@ def part_centers() -> np.ndarray:  # [64, 3] in voxels, read-only
 
 
 @kernel
-def carve(
-    depth: np.ndarray,  # [H, W] float32: what was returned, for the TSDF
-    pyramid: np.ndarray,  # from minimum_pyramid: how far each ray is free
-    levels: np.ndarray,
-    intrinsics: np.ndarray,  # [4] fx, fy, cx, cy
-    camera_from_world: np.ndarray,  # [4, 4]
-    planes: np.ndarray,  # from frustum_planes
-    reach: np.ndarray,
-    sides: np.ndarray,
-    extents: np.ndarray,
-    origin: np.ndarray,  # [3]
-    voxel_size: float,
-    margin: float,  # metres
-    margin_growth: float,  # metres per square metre of range
-    thinnest: float,  # metres
-    max_miss_chance: float,
-    truncation: float,  # metres
-    max_weight: float,
-    fresh: bool,  # seen from another pose than the image before
-    image_number: int,
-    lower: np.ndarray,  # [3] int64: box of voxels that the frustum can touch
-    upper: np.ndarray,  # [3] int64, exclusive
-    state: np.ndarray,  # all [X, Y, Z]
-    solidity: np.ndarray,
-    miss_chance: np.ndarray,
-    parts: np.ndarray,
-    last_hit: np.ndarray,
-    tsdf: np.ndarray,
-    weight: np.ndarray,
-) -> None:
+def carve(look: Look, frustum: Frustum, voxels: VoxelFields, caution: Caution) -> None:
     """Update TSDF, free and occupied for every voxel that touches the view frustum."""
-    fx, fy, cx, cy = intrinsics
+    image_number, fresh, depth, pyramid, levels, lens, camera_from_world = look
+    planes, reach, sides, extents, lower, upper = frustum
+    origin, voxel_size, state, solidity, miss_chance, parts, last_hit, tsdf, weight = voxels
+    margin, margin_growth, thinnest, max_miss_chance, truncation, max_weight = caution
+    fx, fy, cx, cy = lens
     height, width = levels[0, 1], levels[0, 2]
     rotation = camera_from_world
     extent_x, extent_y, extent_z = extents

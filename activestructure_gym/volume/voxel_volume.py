@@ -1,4 +1,4 @@
-"""What is known of the space around the agent: unknown, free, occupied; its distance field; a TSDF for evaluation."""
+"""The voxel grid: unknown, free and occupied space, its distance field, and a TSDF for evaluation."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import invert_rigid, rotation_angle
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
@@ -32,13 +32,13 @@ class VolumeConfig:
     """Resolution and caution of the voxel grid."""
 
     voxel_size: float = 0.1
-    """Metres. [sensor_scenes.md 5: 0.1 m costs 5 to 10 times less than 0.05 m and passes a 0.8 m door]"""
+    """Metres. (0.1 m costs 5 to 10 times less than 0.05 m and passes a 0.8 m door: docs/notebook/groundwork.md)"""
     max_range: float = 5.0
     """Metres of depth used; beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
     margin: float = 0.02
     """Metres that a ray must end behind a voxel to prove it free."""
     margin_growth: float = 0.006
-    """Metres per square metre of range, added to the margin: 3 sigma of Kinect noise (0.0019 z^2, Nguyen 2012)."""
+    """Metres per square metre of range, added to the margin: 3 sigma of Kinect noise (0.0019 z^2, [nguyen2012])."""
     thinnest: float = 0.03
     """Metres: the thinnest structure (lamp pole, chair leg) that must not be missed between two rays."""
     max_miss_chance: float = 0.05
@@ -130,17 +130,19 @@ class VoxelVolume:
         depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
         if not np.isfinite(depth).all():
             depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         fresh = self._last_view is None or bool(
             np.linalg.norm(view[:3, 3] - self._last_view[:3, 3]) > 0.02
             or rotation_angle(view, self._last_view) > np.radians(1.0)
         )
         if fresh:
             self._last_view = view.copy()
-        integration.mark_hits(
-            depth, intrinsics, view, self.origin, self.voxel_size, config.max_range, self.state, self._solidity,
-            self._miss_chance, self._parts, self._last_hit, self._images, config.hit_gain, config.hit_ceiling,
+        voxels = integration.VoxelFields(
+            self.origin, self.voxel_size, self.state, self._solidity, self._miss_chance, self._parts, self._last_hit,
+            self.tsdf, self.weight,
         )  # fmt: skip
+        integration.mark_hits(
+            depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
+        )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
         # Where returns are lost, the rays that are left count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
@@ -149,10 +151,13 @@ class VoxelVolume:
         lower, upper = self._frustum_box(frame, float(free_to.max(initial=0.0)))
         pyramid, levels = minimum_pyramid(free_to)
         integration.carve(
-            depth, pyramid, levels, intrinsics, camera_from_world, *planes, self.origin, self.voxel_size, config.margin,
-            config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
-            config.max_weight, fresh, self._images, lower, upper, self.state, self._solidity, self._miss_chance,
-            self._parts, self._last_hit, self.tsdf, self.weight,
+            integration.Look(self._images, fresh, depth, pyramid, levels, camera.lens, camera_from_world),
+            integration.Frustum(*planes, lower, upper),
+            voxels,
+            integration.Caution(
+                config.margin, config.margin_growth, thinnest, config.max_miss_chance, self.truncation,
+                config.max_weight,
+            ),
         )  # fmt: skip
         self._images += 1
         self._changed()
@@ -297,7 +302,7 @@ class VoxelVolume:
 
     @property
     def occupied(self) -> np.ndarray:  # [X, Y, Z] bool
-        """What ends a line of sight, as `distance_field.sight_line` takes it."""
+        """Occupied voxels, in the form that `distance_field.sight_line` takes."""
         return self.state == OCCUPIED
 
     def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3]

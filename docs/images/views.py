@@ -4,7 +4,7 @@
         --frames 300 --out runs/views
     python docs/images/views.py runs/views
 
-Nobody picks seed or view: both are those that the report shows first (docs/report.md).
+Nobody picks seed or view: both are those that the report shows first (docs/guide/report.md).
 """
 
 from __future__ import annotations

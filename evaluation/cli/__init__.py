@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from activestructure_gym.errors import InputError, InputWarning, shown
-from activestructure_gym.evaluation.threads import set_passive_waiting
+from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 
 _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
@@ -28,7 +28,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg compare    run policies on scenes under one budget; ends with a table, curves and pictures
   asg policies   list the policies known by name, or describe one
   asg scenes     list the scenes known by name, or check one
-  asg features   list the gains of a candidate view that a policy can ask for
+  asg features   list the features of a candidate view that a policy can ask for
   asg config     print the configuration of an episode, and what a preset or --set changes
   asg doctor     say what works here, what does not, and which package is missing
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation
@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _exit_code(arguments: Sequence[str]) -> int:
-    """What a command comes to, whatever it raises."""
+    """Run a command; its exit code, with every expected error printed as one line on standard error."""
     try:
         _find_in_working_directory()
         with _doubts_as_lines():
@@ -91,14 +91,14 @@ def _exit_code(arguments: Sequence[str]) -> int:
 
 
 def _one_line(text: str) -> str:
-    """Names may hold anything: newlines, what moves a terminal's cursor, half a file."""
+    """``text`` in one line of printable characters, shortened in the middle."""
     text = " ".join(text.split())
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 200]} ... {text[-150:]}"
 
 
 def _find_in_working_directory() -> None:
-    """Let ``my_policy:MyPolicy`` be found there, but nothing in the place of an installed package."""
+    """Let modules of the working directory be imported, behind all installed packages."""
     try:
         here = os.getcwd()
     except FileNotFoundError:  # deleted meanwhile
@@ -109,7 +109,7 @@ def _find_in_working_directory() -> None:
 
 @contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
-    """End as Ctrl-C does, which cleans up and says how to go on; gives a list that the signal is put into."""
+    """While the block runs SIGTERM raises KeyboardInterrupt; yields a list that then holds the signal's number."""
     came: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> NoReturn:
@@ -128,7 +128,7 @@ def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
 
 @contextmanager
 def _doubts_as_lines() -> Iterator[None]:
-    """What is doubtful about the user's files, each once and as one line; Python would show where it was said."""
+    """While the block runs, print every `InputWarning` once and as one line, without its place in the code."""
     told: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
@@ -145,17 +145,17 @@ def _doubts_as_lines() -> Iterator[None]:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from activestructure_gym.errors import unknown_name
-    from activestructure_gym.evaluation.cli.commands import COMMANDS
-    from activestructure_gym.evaluation.cli.parsing import parse
+    from activestructure_gym.evaluation.cli.commands import find_command
 
     name, *rest = arguments
     if name == "help":
-        name, rest = rest[0], ["--help"]
-    if name not in COMMANDS:
-        raise unknown_name("command", name, COMMANDS)
+        name, rest = rest[0], [*rest[1:], "--help"]
+    kind = find_command(name)
+
+    from activestructure_gym.evaluation.cli.parsing import parse
+
     try:
-        command = parse(COMMANDS[name], name, rest)
+        command = parse(kind, name, rest)
     except SystemExit:  # after help
         return 0
     return command.run()

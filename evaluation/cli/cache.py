@@ -4,34 +4,51 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
+import tyro
 from rich.markup import escape
 
-from activestructure_gym.evaluation.cli.commands import Cache
+from activestructure_gym.evaluation.cli.fields import Switch
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 
-def cache(options: Cache) -> int:
-    """Show or clear; files that are just in use stay."""
-    parts = ("scenes", "kernels") if options.part == "all" else (options.part,)
-    rows = [(_clear if options.what == "clear" else _show)(part) for part in parts]
-    if options.json:
-        print(json.dumps(rows, indent=1))
-        return 0
-    console = make_console()
-    if options.what == "clear":
+@dataclass(frozen=True)
+class Cache:
+    """Show what is kept on disk between runs, or remove it: what scenes share, and compiled kernels.
+
+    The cache of scenes keeps itself below ASG_CACHE_MAX (4GiB if not set): what was used longest ago goes first.
+    """
+
+    what: Annotated[Literal["show", "clear"], tyro.conf.Positional] = "show"
+    """show or clear."""
+    part: Annotated[Literal["all", "scenes", "kernels"], tyro.conf.Positional] = "all"
+    """What to show or to remove; all of it is computed or compiled again when it is needed."""
+    json: Switch = False
+    """For programs."""
+
+    def run(self) -> int:
+        """Show or clear; files that are just in use stay."""
+        parts = ("scenes", "kernels") if self.part == "all" else (self.part,)
+        rows = [(_clear if self.what == "clear" else _show)(part) for part in parts]
+        if self.json:
+            print(json.dumps(rows, indent=1))
+            return 0
+        console = make_console()
+        if self.what == "clear":
+            for row in rows:
+                console.print(f"{row['part']}: {row['files']} files removed, {_megabytes(row['bytes'])}")
+            return 0
+        table = plain_table("Kept between runs", "part", "files", "size", "at most", "where")
         for row in rows:
-            console.print(f"{row['part']}: {row['files']} files removed, {_megabytes(row['bytes'])}")
+            most = "no limit" if row["limit"] is None else _megabytes(row["limit"])
+            place = escape(str(row["place"]))
+            table.add_row(str(row["part"]), str(row["files"]), _megabytes(row["bytes"]), most, place)
+        print_whole(console, table)
+        console.print("Remove: asg cache clear, of one part: asg cache clear scenes, asg cache clear kernels.")
+        console.print("Place and size are set by ASG_CACHE_DIR, ASG_CACHE_MAX and NUMBA_CACHE_DIR.")
         return 0
-    table = plain_table("Kept between runs", "part", "files", "size", "at most", "where")
-    for row in rows:
-        most = "no limit" if row["limit"] is None else _megabytes(row["limit"])
-        table.add_row(row["part"], str(row["files"]), _megabytes(row["bytes"]), most, escape(str(row["place"])))
-    print_whole(console, table)
-    console.print("Remove: asg cache clear, of one part: asg cache clear scenes, asg cache clear kernels.")
-    console.print("Place and size are set by ASG_CACHE_DIR, ASG_CACHE_MAX and NUMBA_CACHE_DIR.")
-    return 0
 
 
 def _show(part: str) -> dict[str, Any]:
@@ -42,7 +59,7 @@ def _show(part: str) -> dict[str, Any]:
         return _row(part, len(sizes), sum(sizes)) | {"limit": cache_limit(), "place": str(cache_directory())}
 
     from activestructure_gym.compiling import cache_place
-    from activestructure_gym.evaluation.warmup import kernel_files
+    from activestructure_gym.evaluation.running.warmup import kernel_files
 
     sizes = [file.stat().st_size for file in kernel_files()]
     place = cache_place()
@@ -61,7 +78,7 @@ def _clear(part: str) -> dict[str, Any]:
     if part == "scenes":
         return _row(part, *clear_cache())
 
-    from activestructure_gym.evaluation.warmup import kernel_files
+    from activestructure_gym.evaluation.running.warmup import kernel_files
 
     count, gone = 0, 0
     for file in kernel_files():

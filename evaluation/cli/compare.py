@@ -7,14 +7,15 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.commands import Compare
+from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, PathName, Switch, Text, option
 from activestructure_gym.evaluation.cli.options import (
     parse_overrides,
     parse_seeds,
@@ -28,7 +29,71 @@ from activestructure_gym.evaluation.cli.options import (
 from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.comparison import Comparison, Result
+    from activestructure_gym.evaluation.running.comparison import Comparison, Result
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Run policies on scenes under one budget; ends with a table, curves and pictures.
+
+    Without any option: `random` against `pixel_only` in a furnished room, in less than a minute.
+    """
+
+    scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
+    """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
+    policies: Names = ("random", "pixel_only")
+    (
+        "Who explores: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A to E), or "
+        '`all`. Options stand behind a question mark: "active_gs?travel=shared" is a planner with everybody\'s travel '
+        "term."
+    )
+    seeds: Annotated[tuple[str, ...], option("N [N ...]")] = ("0",)
+    """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
+    preset: Annotated[str | None, option("fast|default|paper", "(default: default)")] = None
+    """What `asg config PRESET` prints."""
+    frames: Count = None
+    """Frame budget of every episode; the preset's if not given."""
+    out: PathName = None
+    """Directory for the results; runs/<date>-<time> if not given."""
+    resume: Switch = False
+    (
+        "Go on with the comparison in --out: finished runs are kept and not repeated. Scenes, policies or seeds given "
+        "as well are added to it; everything else stays as it was."
+    )
+    trust_code: Switch = False
+    """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
+    engine: Annotated[str, option("local|inline|ray")] = "local"
+    (
+        "local: one process per run, several at a time; inline: one after the other in this process; ray: on a Ray "
+        "cluster."
+    )
+    workers: int = 0
+    """Runs at a time; 0 is one per core."""
+    timeout: float = 0.0
+    """Minutes after which a run is stopped and tried again; 0 is any time."""
+    retries: int = 1
+    """How often a run is tried again that was killed or ran out of time."""
+    start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
+    """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
+    set: Changes = ()
+    """Changes of the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
+    views: Annotated[int | None, option("N", "(default: 64)")] = None
+    """Held-out views that PSNR and SSIM are measured on."""
+    protocols: Names = ("standard",)
+    """What finished maps are measured by: standard always is, activegamer can be as well."""
+    lpips_weights: PathName = None
+    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+    samples: Annotated[int | None, option("N", "(default: 200000)")] = None
+    """Points of the true surface that geometry is measured on, seen or not."""
+    view_source: Literal["free_space", "recorded"] = "free_space"
+    """Drawn in the scene's free space, or recorded with the scene."""
+    baseline: Text = None
+    """The policy the report measures the others against; see `asg report --help`."""
+
+    def run(self) -> int:
+        """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
+        return _compare(self)
+
 
 # What runs without any option: chosen to end within a minute on two cores from a cold start.
 DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples=50_000)
@@ -38,10 +103,9 @@ DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples
 _MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline", "trust_code")
 
 
-def compare(options: Compare) -> int:
-    """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
+def _compare(options: Compare) -> int:
     # Before the slow imports: a directory that cannot be used is known at once.
-    from activestructure_gym.evaluation.store import COMPARISON
+    from activestructure_gym.evaluation.archive.store import COMPARISON
 
     use_trust(options.trust_code)
     console = make_console()
@@ -53,11 +117,11 @@ def compare(options: Compare) -> int:
         options = _with_demo_defaults(options)
     directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
 
-    from activestructure_gym.evaluation.comparison import check_output, jobs_to_resume, run_comparison
-    from activestructure_gym.evaluation.engines import Limits, get_engine
-    from activestructure_gym.evaluation.holding import hold
-    from activestructure_gym.evaluation.jobs import policy_label
-    from activestructure_gym.evaluation.resuming import read_record
+    from activestructure_gym.evaluation.archive.comparison import read_record
+    from activestructure_gym.evaluation.archive.directory_lock import hold
+    from activestructure_gym.evaluation.archive.jobs import policy_label
+    from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
+    from activestructure_gym.evaluation.running.engines import Limits, get_engine
     from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
@@ -77,7 +141,7 @@ def compare(options: Compare) -> int:
     if comparison:
         _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
 
-    from activestructure_gym.evaluation.cli.progress import LiveProgress
+    from activestructure_gym.evaluation.running.live_progress import LiveProgress
 
     try:
         with hold(directory) as held:
@@ -114,8 +178,9 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def _comparison(options: Compare) -> Comparison:
-    from activestructure_gym.evaluation.comparison import Comparison
+    from activestructure_gym.config import known_preset
     from activestructure_gym.evaluation.protocols import StandardProtocol
+    from activestructure_gym.evaluation.running.comparison import Comparison
 
     use_lpips_weights(options.lpips_weights)
     protocol = StandardProtocol(view_source=options.view_source)
@@ -127,7 +192,7 @@ def _comparison(options: Compare) -> Comparison:
         scenes=split_scenes(options.scenes),
         policies=split_policies(options.policies),
         seeds=parse_seeds(options.seeds),
-        preset=options.preset or "default",
+        preset=known_preset(options.preset or "default"),
         frame_budget=options.frames,
         overrides=parse_overrides(options.set),
         start_pose=parse_start(options.start),
@@ -152,9 +217,9 @@ def _announce(
 
 
 def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:
+    from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.report.summary import write_report
     from activestructure_gym.evaluation.report.tables import rich_table, table_rows
-    from activestructure_gym.evaluation.resuming import read_record
 
     if result.skipped:
         console.print(f"{_counted(result.skipped, 'run')} finished before and kept")

@@ -5,36 +5,73 @@ The names stand in the script, so that completing starts no Python; a plug-in th
 
 from __future__ import annotations
 
-import dataclasses
 import shlex
 import typing
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from activestructure_gym.evaluation.cli.commands import COMMANDS, Completion
+from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command, parts_of
 
 
-def completion(options: Completion) -> int:
-    """Print the script."""
-    print({"bash": _bash, "zsh": _zsh, "fish": _fish}[options.shell]())
-    return 0
+@dataclass(frozen=True)
+class Completion:
+    """Print a script that lets a shell complete commands, options and names.
+
+    bash: eval "$(asg completion bash)" in ~/.bashrc; zsh: the same in ~/.zshrc after compinit; fish: asg completion
+    fish > ~/.config/fish/completions/asg.fish
+    """
+
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
+    """The shell."""
+
+    def run(self) -> int:
+        """Print the script."""
+        print({"bash": _bash, "zsh": _zsh, "fish": _fish}[self.shell]())
+        return 0
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class _Entry:
-    """An option, or what may stand in the place of one."""
+    """An option or a positional argument, and the words it takes."""
 
     name: str  # "" for what stands alone
     words: Sequence[str] | None  # that it takes; () takes none, None is a file
 
 
-def _entries(kind: type) -> list[_Entry]:
+@dataclass(frozen=True)
+class _Place:
+    """A command, or one of those that a command is split into: ``train``, ``train bc``."""
+
+    words: tuple[str, ...]
+    about: str
+    entries: list[_Entry]
+    parts: tuple[str, ...] = ()
+
+
+def _places() -> Iterator[_Place]:
     names = _names()
+    for command in COMMANDS:
+        kind = find_command(command)
+        parts = parts_of(kind)
+        entries = [_Entry("--help", ()), _Entry("", tuple(parts))] if parts else _entries(kind, names)
+        yield _Place((command,), _about(kind), entries, tuple(parts))
+        for part, options in parts.items():
+            yield _Place((command, part), _about(options), _entries(options, names))
+
+
+def _about(kind: type) -> str:
+    return (kind.__doc__ or "").partition("\n")[0].partition(";")[0]
+
+
+def _entries(kind: type, names: Mapping[str, Sequence[str]]) -> list[_Entry]:
     entries = [_Entry("--help", ())]
     for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        base, *about = typing.get_args(hint) if typing.get_origin(hint) is typing.Annotated else (hint,)
+        if typing.get_origin(hint) is typing.ClassVar:
+            continue
+        base, *about = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
         choices = [word for part in (base, *typing.get_args(base)) for word in _literals(part)]
         alone = any(part is tyro.conf.Positional for part in about)
         words: Sequence[str] | None = choices or names.get(f"{kind.__name__}.{name}") or names.get(name)
@@ -57,12 +94,12 @@ def _is_number(hint: Any) -> bool:
 def _names() -> dict[str, Sequence[str]]:
     """Per option the names it takes."""
     from activestructure_gym.config import PRESETS, ReconstructionConfig
-    from activestructure_gym.evaluation.cli.listing import leaves
+    from activestructure_gym.evaluation.cli.config import leaves
+    from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes import SCENES
-    from activestructure_gym.views import GAINS
 
-    scenes, gains = list(SCENES), list(GAINS)
+    scenes, features = list(SCENES), list(FEATURES)
     return {
         "Policies.name": list(POLICIES),
         "Scenes.spec": scenes,
@@ -72,8 +109,8 @@ def _names() -> dict[str, Sequence[str]]:
         "scenes": scenes,
         "scene": scenes,
         "preset": list(PRESETS),
-        "gains": gains,
-        "teacher": ["oracle", *gains],
+        "gains": features,
+        "teacher": ["oracle", *features],
         "engine": ["local", "inline", "ray"],
         "protocols": ["standard", "activegamer"],
         "protocol": ["standard", "activegamer"],
@@ -81,18 +118,25 @@ def _names() -> dict[str, Sequence[str]]:
 
 
 def _bash() -> str:
-    cases, alone = [], []
-    for command, kind in COMMANDS.items():
-        entries = _entries(kind)
-        for entry in entries:
+    cases, alone, split = list[str](), list[str](), list[str]()
+    for place in _places():
+        where = " ".join(place.words)
+        for entry in place.entries:
+            option = shlex.quote(f"{where}:{entry.name}")
             if entry.name and entry.words:
-                cases.append(f"    {command}:{entry.name}) words={shlex.quote(' '.join(entry.words))} ;;")
+                cases.append(f"    {option}) words={shlex.quote(' '.join(entry.words))} ;;")
             elif entry.name and entry.words is None:
-                cases.append(f"    {command}:{entry.name}) files=1 ;;")
-        words = [entry.name for entry in entries if entry.name]
-        words += [word for entry in entries if not entry.name for word in entry.words or ()]
-        alone.append(f"    {command}) words={shlex.quote(' '.join(words))} ;;")
-    return _BASH.format(commands=" ".join((*COMMANDS, "help")), cases="\n".join(cases), alone="\n".join(alone))
+                cases.append(f"    {option}) files=1 ;;")
+        words = [entry.name for entry in place.entries if entry.name]
+        words += [word for entry in place.entries if not entry.name for word in entry.words or ()]
+        alone.append(f"    {shlex.quote(where)}) words={shlex.quote(' '.join(words))} ;;")
+        split += place.words if place.parts else ()
+    return _BASH.format(
+        commands=" ".join((*COMMANDS, "help")),
+        split="|".join(split),
+        cases="\n".join(cases),
+        alone="\n".join(alone),
+    )
 
 
 def _zsh() -> str:
@@ -101,38 +145,54 @@ def _zsh() -> str:
 
 def _fish() -> str:
     lines = ["complete -c asg -n __fish_use_subcommand -f"]
-    for command, kind in COMMANDS.items():
-        text = (kind.__doc__ or "").partition("\n")[0].partition(";")[0]
-        lines.append(f"complete -c asg -n __fish_use_subcommand -a {command} -d {shlex.quote(text)}")
-        here = f"-n '__fish_seen_subcommand_from {command}'"
-        for entry in _entries(kind):
-            if not entry.name:
-                lines += [f"complete -c asg {here} -a {shlex.quote(' '.join(entry.words))}"] if entry.words else []
-            else:
+    places = list(_places())
+    for place in places:
+        about = shlex.quote(place.about)
+        if len(place.words) == 1:
+            lines.append(f"complete -c asg -n __fish_use_subcommand -a {place.words[0]} -d {about}")
+        else:
+            command, part = place.words
+            first = next(
+                f"not __fish_seen_subcommand_from {' '.join(p.parts)}" for p in places if p.words == (command,)
+            )
+            lines.append(
+                f"complete -c asg -n '__fish_seen_subcommand_from {command}; and {first}' -a {part} -d {about}"
+            )
+        here = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in place.words)
+        # `asg policies`, and not `asg bench policies`
+        above = [other.words[0] for other in places if len(place.words) == 1 and place.words[0] in other.parts]
+        here = f"-n '{here}{''.join(f'; and not __fish_seen_subcommand_from {word}' for word in above)}'"
+        for entry in place.entries:
+            if entry.name:
                 takes = {True: f" -x -a {shlex.quote(' '.join(entry.words or ()))}", False: ""}[bool(entry.words)]
                 lines.append(f"complete -c asg {here} -l {entry.name[2:]}" + (" -r" if entry.words is None else takes))
+            elif entry.words and not place.parts:
+                lines.append(f"complete -c asg {here} -a {shlex.quote(' '.join(entry.words))}")
     return "\n".join(lines)
 
 
 # The words of a list stand behind commas, too: only what follows the last comma is completed.
 _BASH = """_asg() {{
-  local cur="${{COMP_WORDS[COMP_CWORD]}}" option="" words="" files="" i
+  local cur="${{COMP_WORDS[COMP_CWORD]}}" command="${{COMP_WORDS[1]}}" option="" words="" files="" i
   COMPREPLY=()
   if (( COMP_CWORD == 1 )); then
     COMPREPLY=($(compgen -W "{commands} --help --version" -- "$cur"))
     return
   fi
+  case "$command" in
+    {split}) if (( COMP_CWORD > 2 )); then command+=" ${{COMP_WORDS[2]}}"; fi ;;
+  esac
   for (( i = COMP_CWORD - 1; i > 1; i-- )); do
     if [[ "${{COMP_WORDS[i]}}" == --* ]]; then option="${{COMP_WORDS[i]}}"; break; fi
   done
-  if [[ "${{COMP_WORDS[1]}}" == help ]]; then words="{commands}"; option=""; fi
+  if [[ "$command" == help ]]; then words="{commands}"; option=""; fi
   if [[ "$cur" != -* && -n "$option" ]]; then
-    case "${{COMP_WORDS[1]}}:$option" in
+    case "$command:$option" in
 {cases}
     esac
   fi
   if [[ -z "$words$files" ]]; then
-    case "${{COMP_WORDS[1]}}" in
+    case "$command" in
 {alone}
     esac
   fi

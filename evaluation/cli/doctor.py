@@ -3,37 +3,42 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import dataclass
 
 from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 
-def doctor() -> int:
-    """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
-    from activestructure_gym.evaluation import machine
+@dataclass(frozen=True)
+class Doctor:
+    """Say what works here, what does not, and which package is missing."""
 
-    console = make_console()
-    hardware = machine.hardware()
-    console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
-    with console.status("trying every backend"):
-        needed, rows = _states()
-    table = plain_table("What works here", "part", "backend", "state")
-    for part, backend, state in rows:
-        good = state.startswith("works")
-        table.add_row(part, escape(backend), f"{'[green]✓[/]' if good else '[yellow]–[/]'} {escape(state)}")
-    print_whole(console, table)
-    versions = plain_table("Versions", "package", "version")
-    for package, version in machine.versions().items():
-        versions.add_row(package, version if version != "missing" else "[red]missing[/]")
-    print_whole(console, versions)
-    broken = [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
-    if broken:
-        console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
-        return 1
-    console.print("[green]✓[/] `asg compare` can run")
-    console.print("Help: asg COMMAND --help; of the package: python -m pydoc activestructure_gym")
-    return 0
+    def run(self) -> int:
+        """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
+        from activestructure_gym.evaluation.machine import hardware as machine
+
+        console = make_console()
+        hardware = machine.hardware()
+        console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
+        with console.status("trying every backend"):
+            needed, rows = _states()
+        table = plain_table("What works here", "part", "backend", "state")
+        for part, backend, state in rows:
+            good = state.startswith("works")
+            table.add_row(part, escape(backend), f"{'[green]✓[/]' if good else '[yellow]–[/]'} {escape(state)}")
+        print_whole(console, table)
+        versions = plain_table("Versions", "package", "version")
+        for package, version in machine.versions().items():
+            versions.add_row(package, version if version != "missing" else "[red]missing[/]")
+        print_whole(console, versions)
+        broken = [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
+        if broken:
+            console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
+            return 1
+        console.print("[green]✓[/] `asg compare` can run")
+        console.print("Help: asg COMMAND --help; of the package: python -m pydoc activestructure_gym")
+        return 0
 
 
 def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
@@ -54,10 +59,10 @@ def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
 
 
 def _kernels_state() -> tuple[str, str]:
-    """Where compiled kernels are kept, and whether what is there can be used."""
+    """Directory of the compiled kernels, and whether its files can be used."""
     from activestructure_gym.compiling import cache_place
     from activestructure_gym.compiling.files import is_whole
-    from activestructure_gym.evaluation.warmup import kernel_files
+    from activestructure_gym.evaluation.running.warmup import kernel_files
 
     place = cache_place()
     if place is None:

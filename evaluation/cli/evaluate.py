@@ -3,75 +3,101 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.commands import Evaluate
+from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.store import Run
+    from activestructure_gym.evaluation.archive.store import Run
 
 _SHOWN = (
     "accuracy_cm", "completion_cm", "completion_ratio", "precision", "psnr", "ssim", "ms_ssim", "lpips", "depth_l1_cm"
 )  # fmt: skip
 
 
-def evaluate(options: Evaluate) -> int:
-    """Print stored and new numbers; 0 if all stored ones are identical to the last bit and all new ones are kept."""
-    use_trust(options.trust_code)
-    use_lpips_weights(options.lpips_weights)
-    if options.map is not None:
-        return _evaluate_map(options)
-    if options.scene or options.poses or options.out:
-        raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
-    from activestructure_gym.evaluation.remeasure import differing, measure_again, protocols_of
-    from activestructure_gym.evaluation.store import write_evaluation
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure finished runs again, from their stored maps alone, and say whether the numbers are the same.
 
-    console = make_console()
-    runs = _open(options.runs)
-    table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
-    different, added = 0, 0
-    lost = list[str]()
-    reasons: dict[str, str] = {}
-    for run in runs:
-        for protocol, stored in protocols_of(run, split_list(options.protocol)):
-            with console.status(escape(f"measuring {run.job.title} by {protocol.name}")):
-                numbers = measure_again(run, protocol)
-            wrong = differing(stored, numbers) if stored is not None else []
-            different += bool(wrong)
-            if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
-                try:
-                    write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
-                    added += 1
-                except InputError as error:  # to have measured for nothing would be worse
-                    lost.append(str(error))
-            reasons |= numbers["notes"]
-            mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
-            table.add_row(escape(run.job.title), protocol.name, *(_text(numbers.get(name)) for name in _SHOWN), mark)
-    print_whole(console, table)
-    _print_reasons(console, reasons)
-    if added:
-        console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
-    for reason in lost:
-        console.print(f"[red]✗[/] not kept: {escape(reason)}", soft_wrap=True)
-    if different:
-        console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
-        return 1
-    console.print("[green]✓[/] every stored number is identical, bit for bit")
-    return 1 if lost else 0
+    With --map and --scene: measure a map of any origin.
+    """
+
+    runs: Runs = ()
+    """Run directories, or a comparison's directory for all of its runs."""
+    protocol: NoNames = ()
+    """standard, activegamer, or both; those that the run was measured by if not given. New numbers are kept."""
+    map: PathName = None
+    """A map file instead of runs: 3DGS PLY, SplaTAM's params.npz, or a run's map.npz."""
+    scene: Annotated[str | None, option("SCENE", "")] = None
+    """The scene of --map."""
+    poses: PathName = None
+    """The trajectory.npz that --map was made along; without it there is no TSDF surface."""
+    out: PathName = None
+    """Write the numbers of --map to this JSON file."""
+    trust_code: Switch = False
+    """Let the runs' files name code, package.module:Name, that is run."""
+    lpips_weights: PathName = None
+    """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
+
+    def run(self) -> int:
+        """Print stored and new numbers; 0 if all stored ones are bit-identical and all new ones are kept."""
+        use_trust(self.trust_code)
+        use_lpips_weights(self.lpips_weights)
+        if self.map is not None:
+            return _evaluate_map(self)
+        if self.scene or self.poses or self.out:
+            raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
+        from activestructure_gym.evaluation.archive.store import write_evaluation
+        from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
+
+        console = make_console()
+        runs = _open(self.runs)
+        table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
+        different, added = 0, 0
+        lost = list[str]()
+        reasons: dict[str, str] = {}
+        for run in runs:
+            for protocol, stored in protocols_of(run, split_list(self.protocol)):
+                with console.status(escape(f"measuring {run.job.title} by {protocol.name}")):
+                    numbers = measure_again(run, protocol)
+                wrong = differing(stored, numbers) if stored is not None else []
+                different += bool(wrong)
+                if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
+                    try:
+                        write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
+                        added += 1
+                    except InputError as error:  # to have measured for nothing would be worse
+                        lost.append(str(error))
+                reasons |= numbers["notes"]
+                mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
+                values = (_text(numbers.get(name)) for name in _SHOWN)
+                table.add_row(escape(run.job.title), protocol.name, *values, mark)
+        print_whole(console, table)
+        _print_reasons(console, reasons)
+        if added:
+            console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
+        for reason in lost:
+            console.print(f"[red]✗[/] not kept: {escape(reason)}", soft_wrap=True)
+        if different:
+            console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
+            return 1
+        console.print("[green]✓[/] every stored number is identical, bit for bit")
+        return 1 if lost else 0
 
 
 def _evaluate_map(options: Evaluate) -> int:
     """Score a map file of any origin on a scene."""
+    from activestructure_gym.evaluation.archive.store import write_json, writing
     from activestructure_gym.evaluation.protocols import get_protocol
-    from activestructure_gym.evaluation.remeasure import measure_file
-    from activestructure_gym.evaluation.store import write_json, writing
+    from activestructure_gym.evaluation.running.remeasure import measure_file
 
     if options.runs:
         raise InputError("give finished runs, or a map with --map FILE --scene SPEC, not both")
@@ -102,9 +128,8 @@ def _evaluate_map(options: Evaluate) -> int:
 
 
 def _open(names: tuple[str, ...]) -> list[Run]:
-    from activestructure_gym.evaluation.comparison import open_comparison
-    from activestructure_gym.evaluation.resuming import read_record
-    from activestructure_gym.evaluation.store import COMPARISON, read_run
+    from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
+    from activestructure_gym.evaluation.archive.store import COMPARISON, read_run
 
     if not names:
         raise InputError("asg evaluate needs the directory of a comparison or of a run, or --map FILE --scene SPEC")

@@ -2,51 +2,71 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.commands import Export
+from activestructure_gym.evaluation.cli.fields import PathName, option
 
 _FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}
 _NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}
 
 
-def export(options: Export) -> int:
-    """Write the file and say what is in it."""
-    from activestructure_gym.evaluation.protocols import CameraPath
-    from activestructure_gym.evaluation.store import read_run
-    from activestructure_gym.mapping.ply import write_ply
-    from activestructure_gym.mapping.splat_file import write_splat
-    from activestructure_gym.mapping.splatam_file import write_splatam
-    from activestructure_gym.mapping.turning import FILE_FROM_WORLD, turned_map
+@dataclass(frozen=True)
+class Export:
+    """Write a run's map in a format that other programs read."""
 
-    out, form = destination(options)
-    if form == "splatam" and options.up != "z":
-        raise InputError(
-            f"--up {options.up} is for ply and splat: SplaTAM's params.npz lies in the frame of its first camera"
-        )
-    run = read_run(Path(options.run_directory))
-    gaussians = run.gaussians
-    if options.up != "z":
-        gaussians = turned_map(gaussians, FILE_FROM_WORLD[options.up])
-    try:
-        if out.is_dir():
-            raise InputError(f"'{out}' is a folder; give the name of the file to write")
-        if not out.parent.is_dir():
-            raise InputError(f"'{out}' cannot be written: there is no folder '{out.parent}'")
-        if form == "ply":
-            write_ply(gaussians, out, up=options.up)
-        elif form == "splat":
-            write_splat(gaussians, out)
-        else:
-            path = run.trajectory
-            camera = CameraPath.from_arrays(path).camera
-            write_splatam(gaussians, out, path["world_from_camera"], camera, path["keyframes"])
-    except OSError as error:
-        raise InputError(f"'{out}' cannot be written: {error.strerror}") from error
-    frame = "in its first camera's frame" if form == "splatam" else f"{options.up} up"
-    print(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}")
-    return 0
+    run_directory: Annotated[str, tyro.conf.Positional, option("RUN")]
+    """The directory of a finished run."""
+    format: Annotated[Literal["ply", "splat", "splatam"] | None, option("ply|splat|splatam", "")] = None
+    """ply: 3D Gaussian splatting PLY, which every splat viewer opens; splat: 32 bytes per Gaussian, for web pages;
+    splatam: SplaTAM's params.npz, with the path. If not given, what the name in --out ends with says it, else ply."""
+    out: PathName = None
+    """The file, which ends with .ply, .splat or .npz (splatam); map.ply, map.splat or params.npz in the working
+    directory if not given."""
+    up: Literal["z", "y", "-y"] = "z"
+    """What is up in the file: z as in the scene, -y for SuperSplat and most viewers of splats, y for three.js and game
+    engines. The map is turned about the scene's origin."""
+
+    def run(self) -> int:
+        """Write the file and say what is in it."""
+        from activestructure_gym.evaluation.archive.store import read_run
+        from activestructure_gym.evaluation.protocols import CameraPath
+        from activestructure_gym.mapping.ply import write_ply
+        from activestructure_gym.mapping.splat_file import write_splat
+        from activestructure_gym.mapping.splatam_file import write_splatam
+        from activestructure_gym.mapping.turning import FILE_FROM_WORLD, turned_map
+
+        out, form = destination(self)
+        if form == "splatam" and self.up != "z":
+            raise InputError(
+                f"--up {self.up} is for ply and splat: SplaTAM's params.npz lies in the frame of its first camera"
+            )
+        run = read_run(Path(self.run_directory))
+        gaussians = run.gaussians
+        if self.up != "z":
+            gaussians = turned_map(gaussians, FILE_FROM_WORLD[self.up])
+        try:
+            if out.is_dir():
+                raise InputError(f"'{out}' is a folder; give the name of the file to write")
+            if not out.parent.is_dir():
+                raise InputError(f"'{out}' cannot be written: there is no folder '{out.parent}'")
+            if form == "ply":
+                write_ply(gaussians, out, up=self.up)
+            elif form == "splat":
+                write_splat(gaussians, out)
+            else:
+                path = run.trajectory
+                camera = CameraPath.from_arrays(path).camera
+                write_splatam(gaussians, out, path["world_from_camera"], camera, path["keyframes"])
+        except OSError as error:
+            raise InputError(f"'{out}' cannot be written: {error.strerror}") from error
+        frame = "in its first camera's frame" if form == "splatam" else f"{self.up} up"
+        print(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}")
+        return 0
 
 
 def destination(options: Export) -> tuple[Path, str]:

@@ -1,4 +1,4 @@
-"""From the words behind ``asg COMMAND`` to its options; what cannot be read is one sentence, and no box."""
+"""Parse the words behind ``asg COMMAND`` with tyro; what cannot be parsed is an `InputError` of one sentence."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
+from itertools import takewhile
 from typing import Any, TypeVar
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.evaluation.cli.commands import parts_of
 
 T = TypeVar("T")
 _SHELLS = ("bash", "zsh", "tcsh", "fish")
@@ -30,6 +32,7 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
             raise InputError(f"asg {name}: {shown(word)} holds bytes that are no text")
     if words and words[0].replace("_", "-") in ("--tyro-print-completion", "--tyro-write-completion"):
         raise InputError(f"asg {name} has no option {words[0]}; asg completion {'|'.join(_SHELLS[:2])} prints a script")
+    part = words[0] if words and words[0] in parts_of(kind) else ""
     said = io.StringIO()
     helped = any(word in ("-h", "--help") for word in words)
     try:
@@ -38,28 +41,57 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     except SystemExit as end:
         if end.code in (None, 0):
             raise
-    raise InputError(f"{sentence(said.getvalue())}; asg {name} --help shows the options")
+    command = f"asg {name} {part}".rstrip()
+    raise InputError(f"{sentence(said.getvalue(), part)}; {command} --help shows the options")
 
 
-def sentence(box: str) -> str:
-    """What tyro says in a box of many lines, in one."""
+def sentence(box: str, part: str = "") -> str:
+    """tyro's boxed error message as one sentence; ``part`` is the subcommand of a command that has some."""
     lines = re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()[1:]  # without the colours and the title
-    parts: list[list[str]] = [[]]
+    blocks: list[list[str]] = [[]]
     for row in (line.strip("│ \t") for line in lines):
         if not _RULE.fullmatch(row):
-            parts[-1] += [row] if row else []
-        elif parts[-1]:
-            parts.append([])
-    said = " ".join(parts[0]).removeprefix("Error parsing ").rstrip(".")
+            blocks[-1] += [row] if row else []
+        elif blocks[-1]:
+            blocks.append([])
+    said = " ".join(blocks[0]).removeprefix("Error parsing ").rstrip(".")
     said = re.sub(r"\.? \(required\)$", "", said)
-    meant = [part[1].split(",")[0].split()[0] for part in parts[1:] if len(part) > 1 and _SUGGESTS.match(part[0])]
+    said = _APPLIED.sub(",", said).partition(", Arguments are applied to")[0].replace(" or misplaced", "", 1)
+    given = said.partition(": ")[2].split(", ")
+    parts = next((found[1].split(", ") for block in blocks[1:] if (found := _PARTS.fullmatch(" ".join(block)))), None)
+    if parts:
+        return str(unknown_name("part", given[0], parts))
     if len(said) > 300:
         said = f"{said[:260]}... ({len(said)} characters)"
-    said = said[:1].lower() + said[1:]
-    return said + (f"; did you mean {' and '.join(meant)}?" if meant else "")
+    return "; ".join([said[:1].lower() + said[1:], *_hints(blocks[1:], given, part)])
 
 
+_APPLIED = re.compile(r" \(applied to asg [a-z -]+\)")
+_PARTS = re.compile(r"Available subcommands: (.+)")
 _SUGGESTS = re.compile(r"Perhaps you meant|Arguments? similar to")
+_ELSEWHERE = re.compile(r"in asg ([a-z-]+) --help")
+
+
+def _hints(blocks: Sequence[Sequence[str]], given: Sequence[str], part: str) -> Iterator[str]:
+    """Sentences on options that could have been meant, and on given ones that belong to another subcommand."""
+    meant = []
+    for rows in blocks:
+        if len(rows) > 1 and _SUGGESTS.match(rows[0]):
+            option = rows[1].split(",")[0].split()[0]
+            places = _places(rows[1:], option)
+            of = f" of {', '.join(places)}" if places and part not in places else ""
+            if of and option in given:
+                yield f"{option} is an option{of}" + ("" if part else " and stands behind that name")
+            else:
+                meant.append(option + of)
+    if meant:
+        yield f"did you mean {' and '.join(meant)}?"
+
+
+def _places(rows: Sequence[str], option: str) -> list[str]:
+    """Names of the subcommands that have ``option``, from the rows of tyro's message that are about it."""
+    about = takewhile(lambda row: not row.startswith("--") or row.split()[0].rstrip(",") == option, rows)
+    return [found[1] for row in about if (found := _ELSEWHERE.fullmatch(row))]
 
 
 def _encodable(word: str) -> bool:
@@ -72,7 +104,7 @@ def _encodable(word: str) -> bool:
 
 @contextmanager
 def _columns(number: int) -> Iterator[None]:
-    """As wide as this is the terminal, as far as tyro can tell."""
+    """While the block runs, let tyro format for a terminal of this many columns."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(number)
     try:
@@ -95,7 +127,7 @@ def _columns_of_help() -> int:
 
 
 def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) -> Callable[[PrimitiveTypeInfo], Any]:
-    """How a value of one kind is read, and where an option may be left away, a value of this kind or None."""
+    """tyro's rule to parse one type: values of ``kind`` that are ``good``, or None where the option is optional."""
 
     def read(texts: list[str]) -> Any:
         try:

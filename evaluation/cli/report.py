@@ -1,39 +1,57 @@
-"""``asg report``: from finished runs to the page and the tables."""
+"""``asg report``: write the report page and tables of finished runs."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.commands import Report
+from activestructure_gym.evaluation.cli.fields import PathName, Text, option
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
 
 
-def report(options: Report) -> int:
-    """Write the report and print the overview; 0 if every run that was asked for is in it, 1 if some are missing."""
-    from activestructure_gym.evaluation.store import COMPARISON
+@dataclass(frozen=True)
+class Report:
+    """Write the report of finished runs: one page that needs nothing else, and tables as Markdown, CSV and LaTeX."""
 
-    if not options.runs:
-        raise InputError("asg report needs the directory of a comparison or of a run")
-    directories = [Path(name) for name in options.runs]
-    alone = len(directories) == 1 and (directories[0] / COMPARISON).is_file()
-    out = Path(options.out or (directories[0] if alone else time.strftime("runs/report-%Y%m%d-%H%M%S")))
-    if out.exists() and not out.is_dir():
-        raise InputError(f"the output '{out}' is a file; give a directory")
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, option("RUN [RUN ...]", "")]
+    """Directories of comparisons, of single runs, or both; made under the same conditions."""
+    out: PathName = None
+    """Directory for the report; that of the comparison if one is given, else runs/report-<date>-<time>."""
+    baseline: Text = None
+    (
+        "The policy the others are measured against; if not given, the first of activestructure-a, pixel_only and "
+        "random that took part."
+    )
 
-    from activestructure_gym.evaluation.report.results import gather
-    from activestructure_gym.evaluation.report.summary import write_results
-    from activestructure_gym.evaluation.report.tables import rich_table, table_rows
+    def run(self) -> int:
+        """Write the report, print the overview; 0 if every run asked for is in it, 1 if some are missing."""
+        from activestructure_gym.evaluation.archive.store import COMPARISON
 
-    console = make_console()
-    results = gather(directories, options.baseline)
-    with console.status("drawing"):
-        files = write_results(out, results)
-    print_whole(console, rich_table(table_rows(results.runs), title=f"{len(results.runs)} runs"))
-    for name, why in results.missing.items():
-        console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")
-    console.print(f"\nOpen [bold]{escape(str(files[-1]))}[/] in a browser; tables for papers are beside it, in tables/")
-    return 1 if results.missing else 0
+        if not self.runs:
+            raise InputError("asg report needs the directory of a comparison or of a run")
+        directories = [Path(name) for name in self.runs]
+        alone = len(directories) == 1 and (directories[0] / COMPARISON).is_file()
+        out = Path(self.out or (directories[0] if alone else time.strftime("runs/report-%Y%m%d-%H%M%S")))
+        if out.exists() and not out.is_dir():
+            raise InputError(f"the output '{out}' is a file; give a directory")
+
+        from activestructure_gym.evaluation.report.results import gather
+        from activestructure_gym.evaluation.report.summary import write_results
+        from activestructure_gym.evaluation.report.tables import rich_table, table_rows
+
+        console = make_console()
+        results = gather(directories, self.baseline)
+        with console.status("drawing"):
+            files = write_results(out, results)
+        print_whole(console, rich_table(table_rows(results.runs), title=f"{len(results.runs)} runs"))
+        for name, why in results.missing.items():
+            console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")
+        page = escape(str(files[-1]))
+        console.print(f"\nOpen [bold]{page}[/] in a browser; tables for papers are beside it, in tables/")
+        return 1 if results.missing else 0

@@ -1,79 +1,94 @@
-"""``asg scenes``: which scenes there are, and whether one is what its user thinks it is."""
+"""``asg scenes``: list the registered scenes, or check one."""
 
 from __future__ import annotations
 
 import inspect
 import json
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.errors import InputError, InputWarning
-from activestructure_gym.evaluation.cli.commands import Scenes
+from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 _MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
 
-def scenes(options: Scenes) -> int:
-    """List the registered scenes, or describe one and draw it if asked to."""
-    console = make_console()
-    if options.spec is None:
-        if options.picture is not None:
-            raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
-        if options.json:
-            print(json.dumps(_registered(), indent=1, default=str))
-            return 0
-        table = plain_table("Scenes known by name", "name", "options")
-        for row in _registered():
-            shown = (name if value is None else f"{name}={value}" for name, value in row["options"].items())
-            table.add_row(escape(row["name"]), escape(", ".join(shown)))
-        print_whole(console, table)
-        console.print(
-            "Options are written as in apartment?seed=3&rooms=4. Any glb, gltf, obj, ply, stl or dae file is a scene "
-            "too, and so is the folder of a Replica or Matterport3D scene: asg scenes FILE checks it."
-        )
-        return 0
-    _check_picture(options.picture)
-    with console.status(f"loading {escape(options.spec)}") as status:
-        facts = describe(options.spec, status.update)
-    if options.json:
-        notes = [text for name, text in facts["lines"] if name == "note"]
-        print(json.dumps({**dict(facts["lines"]), "note": notes}, indent=1, ensure_ascii=False))
-    else:
-        table = Table.grid(padding=(0, 2))
-        for name, text in facts["lines"]:
-            table.add_row(f"[bold]{name}[/]", escape(text))
-        print_whole(console, table)
-    if options.picture is not None:
-        from activestructure_gym.evaluation.report.scene_picture import scene_picture
-        from activestructure_gym.evaluation.store import writing
-        from activestructure_gym.mapping.whole_file import whole_file
+@dataclass(frozen=True)
+class Scenes:
+    """List the scenes known by name, or check one: size, free space, what of it can be seen."""
 
-        with console.status("drawing"):
-            picture = scene_picture(facts["scene"])
-            with writing(options.picture), whole_file(options.picture) as file:
-                picture.save(file, "PNG")
-        if not options.json:
-            console.print(f"picture: {escape(options.picture)}", soft_wrap=True)
-    return 0
+    spec: Annotated[str | None, tyro.conf.Positional, option("[SCENE]", "")] = None
+    """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=auto) or a folder."""
+    picture: PathName = None
+    """Write a picture of the scene to this PNG file."""
+    json: Switch = False
+    """For programs."""
+
+    def run(self) -> int:
+        """List the registered scenes, or describe one and draw it if asked to."""
+        console = make_console()
+        if self.spec is None:
+            if self.picture is not None:
+                raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
+            if self.json:
+                print(json.dumps(_registered(), indent=1, default=str))
+                return 0
+            table = plain_table("Scenes known by name", "name", "options")
+            for row in _registered():
+                shown = (name if value is None else f"{name}={value}" for name, value in row["options"].items())
+                table.add_row(escape(row["name"]), escape(", ".join(shown)))
+            print_whole(console, table)
+            console.print(
+                "Options are written as in apartment?seed=3&rooms=4. Any glb, gltf, obj, ply, stl or dae file is a "
+                "scene too, and so is the folder of a Replica or Matterport3D scene: asg scenes FILE checks it."
+            )
+            return 0
+        _check_picture(self.picture)
+        with console.status(f"loading {escape(self.spec)}") as status:
+            facts = describe(self.spec, status.update)
+        if self.json:
+            notes = [text for name, text in facts["lines"] if name == "note"]
+            print(json.dumps({**dict(facts["lines"]), "note": notes}, indent=1, ensure_ascii=False))
+        else:
+            table = Table.grid(padding=(0, 2))
+            for name, text in facts["lines"]:
+                table.add_row(f"[bold]{name}[/]", escape(text))
+            print_whole(console, table)
+        if self.picture is not None:
+            from activestructure_gym.evaluation.archive.store import writing
+            from activestructure_gym.evaluation.report.scene_picture import scene_picture
+            from activestructure_gym.files import replaced
+
+            with console.status("drawing"):
+                picture = scene_picture(facts["truth"])
+                with writing(self.picture), replaced(self.picture) as file:
+                    picture.save(file, "PNG")
+            if not self.json:
+                console.print(f"picture: {escape(self.picture)}", soft_wrap=True)
+        return 0
 
 
 def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
-    """The loaded ``scene``, and ``lines`` of (name, text) about it."""
+    """The ``truth`` of the loaded scene, and ``lines`` of (name, text) about it."""
+    from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.scenes import load_scene
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)  # they stand in the scene's notes
         scene = load_scene(spec)
     notify("finding free space")
-    space = scene.free_space
+    known = ground_truth_of(scene)
+    space = known.free_space
     notify("finding what can be seen")
-    seen = scene.observable_surface
+    seen = known.observable_surface
     extent = scene.bounds[1] - scene.bounds[0]
     lines = [
         ("scene", scene.name),
@@ -89,7 +104,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
     bottomless = float(np.isinf(space.height[space.clearance > 0]).mean())
     if bottomless > _MOST_BOTTOMLESS:
         lines.append(("note", f"{100 * bottomless:.0f} % of the free space has no floor below; is one missing?"))
-    return {"scene": scene, "lines": lines}
+    return {"truth": known, "lines": lines}
 
 
 def _registered() -> list[dict[str, Any]]:

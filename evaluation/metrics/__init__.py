@@ -1,4 +1,4 @@
-"""What a number means: distances between point sets, and differences between images. Pure functions of arrays."""
+"""Metrics: distances between point sets, and differences between images. Pure functions of arrays."""
 
 from activestructure_gym.evaluation.metrics.geometry import (
     GeometryScores,

@@ -1,18 +1,19 @@
 """A surface out of depth images: truncated signed distances on blocks of voxels, and triangles where they change sign.
 
-Curless and Levoy (1996) with projective distances and equal weights. Only blocks that some depth image's surface runs
+[curless1996] with projective distances and equal weights. Only blocks that some depth image's surface runs
 through are kept; each of them is carved by every image that looks through it.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
 _SIDE = 8  # voxels of a block
@@ -62,9 +63,8 @@ def fused_surface(
 
     def integrate(start: int) -> None:
         part = slice(start, start + _CHUNK)
-        _integrate(
-            depth, intrinsics, camera_from_world, origin, voxel, truncation, blocks[part], distance[part], weight[part]
-        )
+        own = _Blocks(blocks[part], distance[part], weight[part])
+        _integrate(depth, intrinsics, camera_from_world, origin, voxel, truncation, own)
 
     def extract(start: int) -> np.ndarray:
         part = blocks[start : start + _CHUNK]
@@ -83,7 +83,7 @@ def fused_surface(
 
 
 def triangle_areas(triangles: np.ndarray) -> np.ndarray:  # [T] m^2
-    """Of each of the triangles [T, 3, 3]."""
+    """Area of each of the triangles [T, 3, 3]."""
     areas = np.empty(len(triangles))
     _areas(np.ascontiguousarray(triangles, np.float64), areas)
     return areas
@@ -148,6 +148,14 @@ def _mark(
                     marked[where[0], where[1], where[2]] = True
 
 
+class _Blocks(NamedTuple):
+    """Some blocks of voxels and what is known in them."""
+
+    places: np.ndarray  # [B, 3]
+    distance: np.ndarray  # [B, 8, 8, 8] mean of the distances seen, metres, cut at +truncation
+    weight: np.ndarray  # [B, 8, 8, 8] how many
+
+
 @kernel
 def _integrate(
     depth: np.ndarray,  # [K, H, W]
@@ -156,10 +164,9 @@ def _integrate(
     origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
     voxel: float,
     truncation: float,
-    blocks: np.ndarray,  # [B, 3]
-    distance: np.ndarray,  # [B, 8, 8, 8] out, mean of the distances seen, metres, cut at +truncation
-    weight: np.ndarray,  # [B, 8, 8, 8] out, how many
+    own: _Blocks,  # changed
 ) -> None:
+    blocks, distance, weight = own
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape[1], depth.shape[2]
     block = 8 * voxel

@@ -73,7 +73,37 @@ def geometry_scores(
     threshold_m: float = 0.05,  # "5 cm" of all the literature; a distance must be below it (strictly)
     to_samples: bool = True,  # also measure to the nearest sample
 ) -> GeometryScores:
-    """Acc, Com., C.R., precision and F-score of a set of points against the true surface."""
+    """Acc, Com., C.R., precision and F-score of a set of points against the true surface.
+
+    Parameters
+    ----------
+    reconstructed
+        [P, 3] points, metres, world.
+    surface
+        Samples of the true surface.
+    threshold_m
+        Metres; a distance must be below it (strictly). "5 cm" of all the literature.
+    to_samples
+        Also measure to the nearest true sample.
+
+    Returns
+    -------
+    GeometryScores
+        Centimetres and percent; None where a number is not defined.
+
+    Notes
+    -----
+    Source of precision, recall (here the completion ratio) and F-score: Knapitsch et al., "Tanks and Temples", ACM TOG
+    2017.
+
+    Examples
+    --------
+    >>> floor = np.stack([*np.meshgrid(np.arange(10) / 10, np.arange(10) / 10), np.zeros((10, 10))], -1).reshape(-1, 3)
+    >>> surface = SurfaceSamples(floor, np.tile([0.0, 0.0, 1.0], (100, 1)), 1.0)
+    >>> scores = geometry_scores(floor[:50] + [0.0, 0.0, 0.02], surface)
+    >>> round(scores.accuracy_cm, 3), scores.completion_ratio, scores.precision
+    (2.0, 50.0, 100.0)
+    """
     reconstructed = np.asarray(reconstructed, dtype=np.float64).reshape(-1, 3)
     to_points = completion_distances(surface, reconstructed)
     ratio = _percent(to_points < threshold_m)

@@ -10,7 +10,7 @@ from activestructure_gym.evaluation.metrics.windows import window_means
 # Two equal images have no finite PSNR; an 8-bit truth cannot be met better than this anyway.
 _SMALLEST_MSE = 1e-10
 
-# Wang et al. (2003), section 3.2: the exponent of each of the five scales.
+# [ms_ssim], section 3.2: the exponent of each of the five scales.
 _SCALE_WEIGHTS = np.array([0.0448, 0.2856, 0.3001, 0.2363, 0.1333])
 TAPS = 11  # pixels across the window of SSIM, at every scale
 # The window must fit into the image that has been halved four times.
@@ -18,7 +18,23 @@ MS_SSIM_SIDE = (TAPS - 1) * 2 ** (len(_SCALE_WEIGHTS) - 1) + 1  # pixels of the 
 
 
 def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
-    """Pooled PSNR: one mean squared error over all pixels and channels of two images in 0..1; at most 100 dB."""
+    """Pooled PSNR: one mean squared error over all pixels and channels of two images in 0..1; at most 100 dB.
+
+    Parameters
+    ----------
+    rendered, true
+        Images of one shape, in 0..1.
+
+    Returns
+    -------
+    float
+        dB.
+
+    Examples
+    --------
+    >>> psnr(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)))
+    100.0
+    """
     error = np.mean((np.asarray(rendered, np.float64) - np.asarray(true, np.float64)) ** 2)
     return float(-10.0 * np.log10(max(float(error), _SMALLEST_MSE)))
 
@@ -26,7 +42,7 @@ def psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
 def channel_psnr(rendered: np.ndarray, true: np.ndarray) -> float:  # dB
     """Mean over the channels of each channel's PSNR, images [H, W, C]; at most 100 dB each.
 
-    Never below `psnr`, and far above it where the channels differ in their error (peers_active.md, section 4.5).
+    Never below `psnr`, and far above it where the channels differ in their error ([activegamer, code] takes this one).
     """
     x, y = np.ascontiguousarray(rendered, np.float64), np.ascontiguousarray(true, np.float64)
     sums = np.zeros(x.shape[2])
@@ -39,17 +55,55 @@ def ssim(rendered: np.ndarray, true: np.ndarray) -> float:
     """Mean structural similarity of two images [H, W, C] in 0..1, over all whole windows and the channels.
 
     Equals scikit-image's with ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1``.
-    Raises ValueError below 11 x 11 pixels, where no whole window fits.
+
+    Parameters
+    ----------
+    rendered, true
+        Images [H, W, C] of one shape, in 0..1, at least 11 x 11 pixels.
+
+    Returns
+    -------
+    float
+        At most 1, for equal images.
+
+    Raises
+    ------
+    ValueError
+        The images differ in shape, or no whole window fits.
+
+    Notes
+    -----
+    Source: Wang et al., "Image quality assessment: from error visibility to structural similarity", IEEE TIP 2004,
+    eq. 13.
+
+    Examples
+    --------
+    >>> ssim(np.full((16, 16, 3), 0.5), np.full((16, 16, 3), 0.5))
+    1.0
     """
     x, y = _pair(rendered, true)
     return float(window_means(x, y)[0].mean())
 
 
 def ms_ssim(rendered: np.ndarray, true: np.ndarray) -> float | None:
-    """Multi-scale structural similarity of two images [H, W, C] in 0..1; None where a side is below 161 pixels.
+    """Multi-scale structural similarity of two images [H, W, C] in 0..1.
 
-    Wang et al. (2003) as ``pytorch_msssim.ms_ssim(data_range=1)`` computes it, which the tables of SplaTAM and of
+    [ms_ssim] as ``pytorch_msssim.ms_ssim(data_range=1)`` computes it, which the tables of SplaTAM and of
     ActiveGAMER call SSIM: five scales, each half as wide as the last, negative terms cut off at 0.
+
+    Parameters
+    ----------
+    rendered, true
+        Images [H, W, C] of one shape, in 0..1.
+
+    Returns
+    -------
+    float or None
+        None where a side is below 161 pixels.
+
+    Notes
+    -----
+    Source: Wang et al., "Multiscale structural similarity for image quality assessment", Asilomar 2003, eq. 7.
     """
     return similarities(rendered, true)[1]
 
@@ -101,10 +155,27 @@ def depth_l1(
     rendered: np.ndarray,  # [H, W] metres, 0 = the map has nothing there
     true: np.ndarray,  # [H, W] metres, 0 = no surface
 ) -> float | None:  # metres
-    """Mean depth error over the pixels where there is a surface; None where there is none.
+    """Mean depth error over the pixels where there is a surface.
 
     A hole counts with the whole true depth, as in SplaTAM's and ActiveGAMER's evaluation, so that leaving a region
     out is never an advantage.
+
+    Parameters
+    ----------
+    rendered
+        [H, W] metres along the optical axis; 0 = the map has nothing there.
+    true
+        [H, W] metres; 0 = no surface.
+
+    Returns
+    -------
+    float or None
+        Metres; None where there is no surface.
+
+    Examples
+    --------
+    >>> depth_l1(np.array([[1.0, 0.0, 5.0]]), np.array([[1.5, 2.0, 0.0]]))
+    1.25
     """
     mask = true > 0
     if not mask.any():

@@ -1,4 +1,4 @@
-"""LPIPS with AlexNet, version 0.1 (Zhang et al. 2018), with weights that the user supplies.
+"""LPIPS with AlexNet, version 0.1 ([lpips]), with weights that the user supplies.
 
 Two files, known by their SHA-256: torchvision's AlexNet, and the five linear layers of lpips 0.1.4. They are looked for
 where ``ASG_LPIPS_WEIGHTS`` (or ``--lpips-weights``) says, else among the checkpoints of torch's hub. Files of other
@@ -39,7 +39,7 @@ class WeightFile:
 
 
 # torchvision's file carries the first digits of its hash in its name. The second is `weights/v0.1/alex.pth` of the
-# package lpips 0.1.4; both hashes as recorded in libraries.md, section 5, and by several public evaluation records.
+# package lpips 0.1.4; both hashes as several public evaluation records have them.
 PUBLISHED = (
     WeightFile(
         "torchvision's AlexNet",
@@ -149,7 +149,7 @@ def load(paths: list[Path]) -> Lpips:
 
 @contextmanager
 def measuring(notes: dict[str, str]) -> Iterator[Distance | None]:
-    """The distance, or None and the reason under ``notes["lpips"]``.
+    """Context: the LPIPS distance of two images, or None with the reason under ``notes["lpips"]``.
 
     Inside, torch uses one thread per call: the views are measured side by side, and a sum that is split over threads
     need not come out the same on another machine.

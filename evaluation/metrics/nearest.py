@@ -8,16 +8,28 @@ the tree is never looked at. The answer does not depend on the order, nor on the
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.evaluation.machine.threads import thread_cap
 
 _LEAF = 8  # points
 _CHUNK = 8192  # queries that one thread takes at a time
 _DEEPEST = 64  # entries of the stack: one per level, and 2^64 leaves are out of reach
 _BITS = 16  # per axis of the curve
+
+
+class _Tree(NamedTuple):
+    """What the search reads of a `PointTree`."""
+
+    points: np.ndarray  # [N, 3] sorted
+    normals: np.ndarray  # [N, 3], or [0, 3] without discs
+    radius: float
+    discs: bool
+    first_leaf: int
+    boxes: np.ndarray  # [2 first_leaf, 6] lower and upper corners; 1 is the root, 2 n and 2 n + 1 are below n
 
 
 class PointTree:
@@ -51,16 +63,14 @@ class PointTree:
         index = np.full(len(queries), -1, np.int64)
         if not len(self) or not len(queries):
             return distance, index
+        tree = _Tree(self._points, self._normals, self._radius, self._discs, self._first_leaf, self._boxes)
         order = curve_order(queries)
         ordered = queries[order]
         near, which = np.empty(len(queries)), np.empty(len(queries), np.int64)
 
         def work(first: int) -> None:
             part = slice(first, first + _CHUNK)
-            _search(
-                self._points, self._normals, self._radius, self._discs, self._first_leaf, self._boxes,
-                ordered[part], near[part], which[part],
-            )  # fmt: skip
+            _search(tree, ordered[part], near[part], which[part])
 
         starts = range(0, len(queries), _CHUNK)
         threads = min(thread_cap(), len(starts))
@@ -89,7 +99,7 @@ def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
 
 
 def _spread(value: np.ndarray) -> np.ndarray:
-    """The 16 bits of every number, three apart."""
+    """The lowest 16 bits of every number, moved to every third bit, for a Morton code."""
     for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
         value = (value | (value << np.uint64(shift))) & np.uint64(mask)
     return value
@@ -110,7 +120,7 @@ def _build(points: np.ndarray, first_leaf: int, boxes: np.ndarray) -> None:
 
 @kernel
 def _box_distance(boxes: np.ndarray, node: int, x: float, y: float, z: float, spare: float) -> float:
-    """Squared distance to a box, at least ``spare`` nearer than measured."""
+    """Squared distance from (x, y, z) to a box, after ``spare`` metres are taken off the distance."""
     dx = max(max(boxes[node, 0] - x, x - boxes[node, 3]), 0.0)
     dy = max(max(boxes[node, 1] - y, y - boxes[node, 4]), 0.0)
     dz = max(max(boxes[node, 2] - z, z - boxes[node, 5]), 0.0)
@@ -136,16 +146,12 @@ def _squared(
 
 @kernel
 def _search(
-    points: np.ndarray,  # [N, 3] sorted
-    normals: np.ndarray,  # [N, 3], or [0, 3] without discs
-    radius: float,
-    discs: bool,
-    first_leaf: int,
-    boxes: np.ndarray,  # [2 first_leaf, 6] lower and upper corners; 1 is the root, 2 n and 2 n + 1 are below n
+    tree: _Tree,
     queries: np.ndarray,  # [Q, 3] sorted
     near: np.ndarray,  # [Q] out, squared metres
     which: np.ndarray,  # [Q] out, index into points
 ) -> None:
+    points, normals, radius, discs, first_leaf, boxes = tree
     stack = np.empty(64, np.int64)
     below = np.empty(64)
     best_index = 0

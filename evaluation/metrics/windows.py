@@ -6,7 +6,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 
-# As Wang et al. (2004) define it: an 11-tap Gaussian window of 1.5 pixels, population covariance.
+# As [ssim] defines it: an 11-tap Gaussian window of 1.5 pixels, population covariance.
 _SIGMA = 1.5
 _OFFSETS = np.arange(11) - 5
 _WINDOW = np.exp(-0.5 * (_OFFSETS / _SIGMA) ** 2)

@@ -1,4 +1,4 @@
-"""What is measured, against what, with which constants. Every result file names its protocol and all parameters."""
+"""Protocols: what is measured, against what, with which constants. Result files name protocol and parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,28 @@ PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
-    """The protocol of that name with its usual constants; raises `InputError` for an unknown one."""
+    """The protocol of that name with its usual constants.
+
+    Parameters
+    ----------
+    name
+        ``"standard"`` or ``"activegamer"``.
+
+    Returns
+    -------
+    EvaluationProtocol
+        With its usual constants.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+
+    Examples
+    --------
+    >>> get_protocol("standard").version
+    2
+    """
     if name not in PROTOCOLS:
         raise unknown_name("protocol", name, PROTOCOLS)
     return PROTOCOLS[name]()

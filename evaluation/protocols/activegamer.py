@@ -1,4 +1,4 @@
-"""The protocol ``activegamer``: what ActiveGAMER's evaluation prints, rebuilt from its code (peers_active.md, 4).
+"""The protocol ``activegamer``: what ActiveGAMER's evaluation prints, rebuilt from [activegamer, code].
 
 For numbers beside those of papers that used it. It cannot see floaters: read `standard` for what a map is worth.
 """
@@ -24,11 +24,13 @@ from activestructure_gym.ranges import check_ranges
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
-    from activestructure_gym.evaluation.views import HeldOutViews
+    from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import Scene
 
-# Centre in metres and radius of the circle of novel views: `generate_{Replica,MP3D}_NVS_data.py`, dossier table 4.4.
+# Centre in metres and radius of the circle of novel views: `src/data/generate_{Replica,MP3D}_NVS_data.py` of
+# [activegamer, code].
 CIRCLES: dict[str, tuple[tuple[float, float, float], float]] = {
     "office0": ((0.0, 0.0, 0.0), 1.0),
     "office1": ((0.0, 0.0, 0.5), 0.5),
@@ -52,7 +54,7 @@ _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 @dataclass(frozen=True)
 class MatchedTruth:
-    """What a map of one scene is compared with."""
+    """Thinned surface and true views of one scene, for comparison with a map."""
 
     points: np.ndarray  # [G, 3] metres: one sample of the whole surface per voxel
     centres: np.ndarray  # [G, 3] metres: the centres of these voxels
@@ -102,24 +104,26 @@ class ActiveGamerProtocol:
         full = PinholeCamera(_WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2, _HEIGHT / 2)
         return full.resized(_WIDTH // self.image_divisor, _HEIGHT // self.image_divisor)
 
-    def circle(self, scene: Scene) -> tuple[tuple[float, float, float], float]:
+    def circle(self, known: GroundTruth) -> tuple[tuple[float, float, float], float]:
         """Centre and radius of the views: as given, the original's for its 13 scenes, else around the roomiest place.
 
         Raises `InputError` where the scene has no free space.
         """
-        from activestructure_gym.evaluation.views import roomiest_circle
+        from activestructure_gym.evaluation.protocols.held_out_views import roomiest_circle
 
         if self.center is not None and self.radius is not None:
             return self.center, self.radius
-        return CIRCLES.get(scene.name) or CIRCLES.get(scene.name.replace("_", "")) or roomiest_circle(scene)
+        name = known.scene.name
+        return CIRCLES.get(name) or CIRCLES.get(name.replace("_", "")) or roomiest_circle(known.free_space)
 
-    def truth(self, scene: Scene) -> MatchedTruth:
+    def truth(self, known: GroundTruth) -> MatchedTruth:
         """The thinned surface and the views of a scene (both cached by its content)."""
-        from activestructure_gym.evaluation.views import posed_views
+        from activestructure_gym.evaluation.protocols.held_out_views import posed_views
 
+        scene = known.scene
         samples = even_samples(scene, self.surface_samples)
         chosen, centres = nearest_per_voxel(samples, self.voxel_m)
-        centre, radius = self.circle(scene)
+        centre, radius = self.circle(known)
         poses = circle_poses(centre, radius)
         views = posed_views(scene, poses, camera=self.camera, supersample=self.view_supersample)
         near = float(np.mean((views.depth > 0) & (views.depth < _TOO_NEAR)))

@@ -1,4 +1,4 @@
-"""What every protocol can do: name its constants, fetch the truth of a scene, measure a finished map."""
+"""The interface of protocols: name the constants, fetch the truth of a scene, measure a finished map."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 
 if TYPE_CHECKING:
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
-    from activestructure_gym.scenes import Scene
 
 
 @dataclass(frozen=True)
 class CameraPath:
-    """Where a map was made from: all that a measurement may know of an episode besides its map."""
+    """The camera and its poses that a map was made from: all that a protocol reads of an episode besides its map."""
 
     camera: PinholeCamera
     start: np.ndarray  # [4, 4] world_from_camera of the first frame
@@ -25,7 +25,7 @@ class CameraPath:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
-        """From the arrays of ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
+        """The path in the arrays of ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
         poses = arrays["world_from_camera"]
         width, height = (int(side) for side in arrays["image_size"])
         return cls(
@@ -44,13 +44,13 @@ class EvaluationProtocol(Protocol):
 
     @property
     def version(self) -> int:
-        """Moves whenever the same map would get another number."""
+        """Raised whenever the same map would get another number."""
 
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant, for the result file."""
 
-    def truth(self, scene: Scene) -> Any:
-        """What a map of the scene is compared with (cached by the scene's content)."""
+    def truth(self, known: GroundTruth) -> Any:
+        """The reference data of a scene that maps are compared with (cached by the scene's content)."""
 
     def evaluate(self, gaussians: GaussianMap, truth: Any, path: CameraPath | None = None) -> dict[str, Any]:
         """All numbers of a finished map; what is not defined is None, and its reason stands under ``notes``."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from activestructure_gym.evaluation.threads import thread_cap
+from activestructure_gym.evaluation.machine.threads import thread_cap
 
 T = TypeVar("T")
 

@@ -1,10 +1,10 @@
-"""The protocol ``standard``: what this project measures unless asked for something else (method.md, section 8)."""
+"""The protocol ``standard``: what this project measures unless asked for something else."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -23,23 +23,23 @@ from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarit
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.ground_truth.surface_samples import samples_by_area
 from activestructure_gym.ranges import check_ranges
-from activestructure_gym.scenes.surface_samples import samples_by_area
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.metrics.lpips import Distance
-    from activestructure_gym.evaluation.views import HeldOutViews
+    from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
-    from activestructure_gym.scenes import Scene
     from activestructure_gym.splatting.cpu import Rendering
 
-POINTS_SOURCES = ("both", "means")
-VIEW_SOURCES = ("free_space", "recorded")
+PointsSource = Literal["both", "means"]
+ViewSource = Literal["free_space", "recorded"]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a map of one scene is compared with."""
+    """Surface samples and true views of one scene, for comparison with a map."""
 
     surface: SurfaceSamples
     views: HeldOutViews
@@ -71,28 +71,30 @@ class StandardProtocol:
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
     # On the whole mesh, where those that some free pose can see are the truth, about half; and on the TSDF surface.
     surface_samples: int = 200_000
-    views: int = 64
+    views: int = 64  # held-out ones
     view_width: int = 320  # pixels, whatever the sensor's size: numbers of other sizes cannot be compared
-    view_height: int = 180
+    view_height: int = 180  # pixels
     view_fov_deg: float = 90.0  # horizontal
     view_supersample: int = 4  # rays per pixel and axis in the true views
-    view_source: str = "free_space"  # or "recorded": the views that came with the scene
+    view_source: ViewSource = "free_space"  # or "recorded": the views that came with the scene
     coverage_alpha: float = 0.5  # a rendered pixel shows the map where its alpha is above this
-    points_source: str = "both"  # "means" leaves the TSDF surface out
+    points_source: PointsSource = "both"  # "means" leaves the TSDF surface out
     tsdf_voxel_m: float = 0.03  # metres
     tsdf_truncation_m: float = 0.1  # metres
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
-        if self.points_source not in POINTS_SOURCES:
-            raise InputError(f"points_source must be one of {', '.join(POINTS_SOURCES)}, got '{self.points_source}'")
+        if self.points_source not in get_args(PointsSource):
+            raise InputError(
+                f"points_source must be one of {', '.join(get_args(PointsSource))}, got '{self.points_source}'"
+            )
         if self.tsdf_voxel_m > self.tsdf_truncation_m:
             raise InputError(
                 f"tsdf_truncation_m must be at least tsdf_voxel_m ({self.tsdf_voxel_m}), got {self.tsdf_truncation_m}"
             )
-        if self.view_source not in VIEW_SOURCES:
-            raise InputError(f"view_source must be one of {', '.join(VIEW_SOURCES)}, got '{self.view_source}'")
+        if self.view_source not in get_args(ViewSource):
+            raise InputError(f"view_source must be one of {', '.join(get_args(ViewSource))}, got '{self.view_source}'")
 
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant, for the result file."""
@@ -103,16 +105,16 @@ class StandardProtocol:
         """The camera of the views drawn in free space."""
         return PinholeCamera.from_size(self.view_width, self.view_height, self.view_fov_deg)
 
-    def truth(self, scene: Scene) -> Truth:
+    def truth(self, known: GroundTruth) -> Truth:
         """The observable surface and the held-out views of a scene (both cached by its content)."""
-        from activestructure_gym.evaluation.views import free_space_views, recorded_views
-        from activestructure_gym.scenes.observable import observable_surface_of
+        from activestructure_gym.evaluation.protocols.held_out_views import free_space_views, recorded_views
+        from activestructure_gym.ground_truth.observable import observable_surface_of
 
-        seen = observable_surface_of(scene, samples=self.surface_samples)
+        seen = observable_surface_of(known.scene, known.free_space, self.surface_samples)
         surface = SurfaceSamples(seen.points, seen.normals, seen.area)
         if self.view_source == "recorded":
-            return Truth(surface, recorded_views(scene, count=self.views))
-        views = free_space_views(scene, count=self.views, camera=self.camera, supersample=self.view_supersample)
+            return Truth(surface, recorded_views(known.scene, count=self.views))
+        views = free_space_views(known, count=self.views, camera=self.camera, supersample=self.view_supersample)
         return Truth(surface, views)
 
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:

@@ -1,14 +1,21 @@
-"""Line charts and interval charts as SVG: no library, sharp at any size, in the page's colours by day and by night."""
+"""Line charts and interval charts as SVG: sharp at any size, in the page's colours by day and by night.
+
+The SVG of a chart is a sixth to a third of what matplotlib writes, takes the page's colours when these change, and says
+where its axes lie, so that the page can read a curve off (docs/notebook/performance.md).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
-from activestructure_gym.evaluation.report.html import Html, element
+from activestructure_gym.evaluation.report.html import render
+from activestructure_gym.evaluation.report.layout import Judgement
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
@@ -25,6 +32,35 @@ _MARKS = (
     "M-4.6 -2.8L-2.8 -4.6L0 -1.8L2.8 -4.6L4.6 -2.8L1.8 0L4.6 2.8L2.8 4.6L0 1.8L-2.8 4.6L-4.6 2.8L-1.8 0z",
     "M0 -5.2L1.4 -1.7L5 -1.7L2.1 .7L3.1 4.4L0 2.2L-3.1 4.4L-2.1 .7L-5 -1.7L-1.4 -1.7z",
 )  # fmt: skip
+
+
+class _Shape(NamedTuple):
+    """An SVG element of a chart, by its attributes."""
+
+    attributes: dict[str, str | None]
+
+
+class _Words(NamedTuple):
+    """A text element of a chart."""
+
+    text: str
+    x: float
+    y: float
+    anchor: str
+    kind: str | None
+    transform: str | None
+
+
+_Part = _Shape | _Words
+
+
+class _Group(NamedTuple):
+    """The elements of one policy."""
+
+    attributes: dict[str, str]
+    parts: Sequence[_Part]
+    below: Sequence[_Part] = ()  # painted before what all groups share
+    says: str = ""
 
 
 @dataclass(frozen=True)
@@ -48,10 +84,10 @@ class Bar:
     value: float
     low: float | None
     high: float | None
-    tone: str = ""  # "good" or "bad": the interval excludes 0
+    tone: Judgement = ""  # good or bad: the interval excludes 0
 
 
-def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()) -> Html:
+def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()) -> Markup:
     """Curves with bands; the vertical axis reaches what it ``holds``, wherever the curves are.
 
     The horizontal axis begins at 0, or where the first curve does if that would leave too much of it empty.
@@ -73,7 +109,7 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
     def y_of(value: float) -> float:
         return height - _BOTTOM - (value - y_range[0]) / (y_range[1] - y_range[0]) * (height - _TOP - _BOTTOM)
 
-    parts: list[Html] = [element("title", title)]
+    parts: list[_Part] = []
     for tick in y_ticks:
         parts.append(_stroke("grid", left, y_of(tick), width - _RIGHT, y_of(tick)))
         parts.append(_words(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
@@ -84,26 +120,25 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
     parts.append(_words(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
     middle = (_TOP + height - _BOTTOM) / 2
     parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
+    groups = []
     for line in lines:
         places = [x_of(float(x)) for x in line.x]
-        own: list[Html] = []
+        own: list[_Part] = []
         if line.low is not None and line.high is not None:
             edge = [*zip(places, line.high), *reversed(list(zip(places, line.low)))]
-            own.append(element("path", class_="band", d=_path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
+            own.append(_shape("band", _path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
         curve = [(x, y_of(float(y))) for x, y in zip(places, line.y)]
-        own.append(element("path", class_="curve", d=_path(curve), stroke_dasharray=_DASHES[line.index % len(_DASHES)]))
-        mark = _MARKS[line.index % len(_MARKS)]
-        own.append(
-            element("path", class_="mark", d=mark, transform=f"translate({curve[-1][0]:.1f} {curve[-1][1]:.1f})")
-        )
+        own.append(_shape("curve", _path(curve), **{"stroke-dasharray": _DASHES[line.index % len(_DASHES)] or None}))
+        own.append(_mark(line.index, *curve[-1]))
         kind = f"series s{line.index} p{line.index % len(COLOURS)}"
-        parts.append(element("g", *own, class_=kind, data_name=line.name))
-    frame = f"{left} {_TOP} {width - _RIGHT} {height - _BOTTOM}"
-    return element(
-        "svg", *parts, class_="chart", viewBox=f"0 0 {width} {height}", role="img", aria_label=title,
-        data_frame=frame, data_x=f"{x_range[0]:g} {x_range[1]:g}", data_y=f"{y_range[0]:g} {y_range[1]:g}",
-        data_unit=f"{x_label}|{y_label}",
-    )  # fmt: skip
+        groups.append(_Group({"class": kind, "data-name": line.name}, own))
+    data = {
+        "data-frame": f"{left} {_TOP} {width - _RIGHT} {height - _BOTTOM}",
+        "data-x": f"{x_range[0]:g} {x_range[1]:g}",
+        "data-y": f"{y_range[0]:g} {y_range[1]:g}",
+        "data-unit": f"{x_label}|{y_label}",
+    }
+    return _chart("chart", (width, height), title, axes=parts, groups=groups, data=data)
 
 
 def span(lines: Sequence[Line], holds: Sequence[float] = ()) -> tuple[float, float]:
@@ -115,7 +150,7 @@ def span(lines: Sequence[Line], holds: Sequence[float] = ()) -> tuple[float, flo
     return float(everything.min()), float(everything.max())
 
 
-def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, columns: int = 5) -> Html:
+def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, columns: int = 5) -> Markup:
     """A panel per policy: its own curve with its band before the curves of all others.
 
     For more policies than can be told apart in one chart. All panels have the axes of the first chart's kind: from 0
@@ -136,39 +171,41 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
         upwards = np.clip((y - y_low) / (y_high - y_low), 0.0, 1.0)
         return list(zip((x / right * panel_width).tolist(), ((1.0 - upwards) * panel_height).tolist()))
 
-    parts: list[Html] = [element("title", title)]
     others = "".join(_path(places(line.x, line.y)) for line in lines)
     mark = "others-" + "".join(letter if letter.isalnum() else "-" for letter in title)
-    parts.append(element("defs", element("path", id_=mark, class_="others", d=others)))
+    groups = []
     for number, line in enumerate(lines):
         column, row = number % columns, number // columns
         lowest = number + columns >= len(lines)  # nothing stands below it
-        own: list[Html] = []
+        below: list[_Part] = []
         for tick in y_ticks:
             y = panel_height * (1.0 - (tick - y_low) / (y_high - y_low))
-            own.append(_stroke("grid", 0.0, y, panel_width, y))
+            below.append(_stroke("grid", 0.0, y, panel_width, y))
             if column == 0:
-                own.append(_words(tick_text(tick, y_ticks), -7, y + 4, "end"))
+                below.append(_words(tick_text(tick, y_ticks), -7, y + 4, "end"))
         if lowest:
             for tick in x_ticks:
                 x = tick / right * panel_width
                 anchor = "start" if x < 15 else "end" if x > panel_width - 15 else "middle"  # panels stand close
-                own.append(_words(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
-        own.append(element("use", href=f"#{mark}"))
+                below.append(_words(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
+        own: list[_Part] = []
         if line.low is not None and line.high is not None:
             edge = [*places(line.x, line.high), *reversed(places(line.x, line.low))]
-            own.append(element("path", class_="band", d=_path(edge) + "Z"))
-        own.append(element("path", class_="curve", d=_path(places(line.x, line.y))))
+            own.append(_shape("band", _path(edge) + "Z"))
+        own.append(_shape("curve", _path(places(line.x, line.y))))
         own.append(_words(shortened(line.name, _LETTERS), 0, -6, "start", "label"))
         place = f"translate({_LEFT + column * (panel_width + _BETWEEN[0])} {20 + row * (panel_height + _BETWEEN[1])})"
-        parts.append(element("g", *own, class_=f"panel p{line.index % len(COLOURS)}", transform=place))
-    parts.append(_words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"))
+        groups.append(_Group({"class": f"panel p{line.index % len(COLOURS)}", "transform": place}, own, below))
     middle = height / 2
-    parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
-    return element("svg", *parts, class_="chart panels", viewBox=f"0 0 {width} {height}", role="img", aria_label=title)
+    labels = [
+        _words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"),
+        _words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"),
+    ]
+    shared = {"id": mark, "d": others}
+    return _chart("chart panels", (width, height), title, groups=groups, labels=labels, shared=shared)
 
 
-def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Html:
+def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Markup:
     """A row per policy: its difference and interval, around a line at 0."""
     letters = max((len(shortened(bar.name, _LETTERS)) for bar in bars), default=0)
     width, row, name_width = _SIZE[0], 26, max(132, 18 + 7 * letters)
@@ -183,72 +220,77 @@ def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Html:
         return name_width + (value - low) / (high - low) * (width - name_width - _RIGHT)
 
     floor = height - _BOTTOM
-    parts: list[Html] = [element("title", title)]
+    parts: list[_Part] = []
     for tick in x_ticks:
         parts.append(_stroke("grid", x_of(tick), _TOP, x_of(tick), floor))
         parts.append(_words(tick_text(tick, x_ticks, signed=True), x_of(tick), floor + 17, "middle"))
     parts.append(_stroke("zero", x_of(0.0), _TOP - 4, x_of(0.0), floor))
     parts.append(_words(label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
+    groups = []
     for number, bar in enumerate(bars):
         y = _TOP + row * (number + 0.5)
-        own = [_words(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
+        own: list[_Part] = [_words(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
         if bar.low is not None and bar.high is not None:
             own.append(_stroke("interval", x_of(bar.low), y, x_of(bar.high), y))
             own += [_stroke("interval end", x_of(end), y - 5, x_of(end), y + 5) for end in (bar.low, bar.high)]
-        mark = _MARKS[bar.index % len(_MARKS)]
-        own.append(element("path", class_="mark", d=mark, transform=f"translate({x_of(bar.value):.1f} {y:.1f})"))
+        own.append(_mark(bar.index, x_of(bar.value), y))
         says = f"{bar.name}: {bar.value:+.3g}"
         if bar.low is not None and bar.high is not None:
             says += f", 95 % interval {bar.low:+.3g} to {bar.high:+.3g}"
-        own.append(element("title", says))
-        parts.append(element("g", *own, class_=f"row {bar.tone} p{bar.index % len(COLOURS)}"))
-    return element(
-        "svg", *parts, class_="chart intervals", viewBox=f"0 0 {width} {height}", role="img", aria_label=title
-    )
+        groups.append(_Group({"class": f"row {bar.tone} p{bar.index % len(COLOURS)}"}, own, says=says))
+    return _chart("chart intervals", (width, height), title, axes=parts, groups=groups)
 
 
-def key_mark(index: int) -> Html:
+def key_mark(index: int) -> Markup:
     """A policy's line and mark, for a legend."""
-    dash = _DASHES[index % len(_DASHES)]
-    line = element("path", class_="curve", d="M1 7H33", stroke_dasharray=dash)
-    mark = element("path", class_="mark", d=_MARKS[index % len(_MARKS)], transform="translate(17 7)")
-    return element("svg", line, mark, class_=f"key p{index % len(COLOURS)}", viewBox="0 0 34 14", aria_hidden="true")
+    line = _shape("curve", "M1 7H33", **{"stroke-dasharray": _DASHES[index % len(_DASHES)] or None})
+    mark = _shape("mark", _MARKS[index % len(_MARKS)], transform="translate(17 7)")
+    return render("key_mark.svg.j2", kind=f"key p{index % len(COLOURS)}", parts=[line, mark])
 
 
-def standalone(charts: Sequence[Sequence[Html]], names: Sequence[str], *, title: str) -> str:
+def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, title: str) -> str:
     """Rows of charts as one SVG file with a legend of ``names``, for pages that are not ours."""
-    parts = [element("style", Html(chart_style())), _words(title, 12, 24, "start", "heading")]
-    right, y = 0.0, 40.0
+    placed, right, y = [], 0.0, 40.0
     for row in charts:
         sizes = [_size(chart) for chart in row]
         x = 0.0
         for chart, (width, height) in zip(row, sizes):
-            place = f'<svg x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"'
-            parts.append(Html(chart.replace("<svg", place, 1)))
+            placed.append(_placed(chart, x, y, width, height))
             x += width
         right, y = max(right, x), y + max(height for _, height in sizes)
-    x, y = 16.0, y + 8
+    x, y, legend = 16.0, y + 8, []
     for index, name in enumerate(names):
         needed = 64 + 7.2 * len(name)
         if x > 16.0 and x + needed > right:
             x, y = 16.0, y + 22
-        place = f'<svg x="{x:g}" y="{y:g}" width="34" height="14"'
-        parts.append(Html(key_mark(index).replace("<svg", place, 1)))
-        parts.append(_words(name, x + 40, y + 11, "start"))
+        legend.append((_placed(key_mark(index), x, y, 34, 14), _words(name, x + 40, y + 11, "start")))
         x += needed
     right, y = max(right, math.ceil(x)), y + 26 if names else y
-    whole = element("svg", *parts, xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {right:g} {y:g}")
-    return whole.replace("<svg", f'<svg width="{right:g}" height="{y:g}"', 1) + "\n"
+    whole = render(
+        "standalone.svg.j2",
+        width=f"{right:g}",
+        height=f"{y:g}",
+        style=Markup(chart_style()),
+        heading=[_words(title, 12, 24, "start", "heading")],
+        charts=placed,
+        legend=legend,
+    )
+    return whole + "\n"
 
 
-def _size(chart: Html) -> tuple[float, float]:
+def _placed(chart: Markup, x: float, y: float, width: float, height: float) -> Markup:
+    """A chart within another one: an inner ``svg`` with its place and its size."""
+    return Markup(f'<svg x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"{chart[len("<svg") :]}')
+
+
+def _size(chart: Markup) -> tuple[float, float]:
     """Width and height of a chart's view box."""
     _, _, width, height = chart.split('viewBox="', 1)[1].split('"', 1)[0].split()
     return float(width), float(height)
 
 
 def chart_style() -> str:
-    """What a chart looks like outside of the page: its own paper, ink and colours."""
+    """CSS of a chart that stands outside of the page: background, ink and colours."""
     colours = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS))
     by_night = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS_BY_NIGHT))
     return (
@@ -295,9 +337,35 @@ def _path(points: Sequence[tuple[float, float]]) -> str:
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
 
 
-def _stroke(kind: str, x1: float, y1: float, x2: float, y2: float) -> Html:
-    return element("path", class_=kind, d=f"M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}")
+def _shape(kind: str, d: str, **attributes: str | None) -> _Shape:
+    return _Shape({"class": kind, "d": d, **attributes})
 
 
-def _words(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> Html:
-    return element("text", text, class_=kind, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, transform=transform)
+def _stroke(kind: str, x1: float, y1: float, x2: float, y2: float) -> _Shape:
+    return _shape(kind, f"M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}")
+
+
+def _mark(index: int, x: float, y: float) -> _Shape:
+    return _shape("mark", _MARKS[index % len(_MARKS)], transform=f"translate({x:.1f} {y:.1f})")
+
+
+def _words(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> _Words:
+    return _Words(text, x, y, anchor, kind, transform)
+
+
+def _chart(
+    kind: str,
+    size: tuple[float, float],
+    title: str,
+    *,
+    axes: Sequence[_Part] = (),
+    groups: Sequence[_Group] = (),
+    labels: Sequence[_Part] = (),
+    data: Mapping[str, str] | None = None,
+    shared: Mapping[str, str] | None = None,  # a path that every group has
+) -> Markup:
+    width, height = size
+    return render(
+        "chart.svg.j2", kind=kind, width=width, height=height, title=title, axes=axes, groups=groups, labels=labels,
+        data=data or {}, shared=shared,
+    )  # fmt: skip

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import io
+from typing import Literal
 
+from markupsafe import Markup
 from PIL import Image
 
-from activestructure_gym.evaluation.report.html import Html, element
+from activestructure_gym.evaluation.report.html import render
 
 _WIDEST = 560  # pixels; drawings that are larger are made smaller
 _QUALITY = 80  # of JPEG
@@ -28,13 +30,13 @@ def data_uri(image: Image.Image, *, drawing: bool = False, widest: int = _WIDEST
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def picture(image: Image.Image, alt: str, *, drawing: bool = False, widest: int = _WIDEST) -> Html:
+def picture(image: Image.Image, alt: str, *, drawing: bool = False, widest: int = _WIDEST) -> Markup:
     """An ``img`` that needs nothing but the page."""
     source = data_uri(image, drawing=drawing, widest=widest)
-    return element("img", src=source, alt=alt, width=image.width, height=image.height)
+    return render("picture.html.j2", source=source, alt=alt, width=image.width, height=image.height)
 
 
-def _encoded(image: Image.Image, kind: str, **options: int | bool) -> bytes:
+def _encoded(image: Image.Image, kind: Literal["JPEG", "PNG"], **options: int | bool) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, kind, **options)
     return buffer.getvalue()

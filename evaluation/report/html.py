@@ -1,112 +1,109 @@
-"""Writing HTML and SVG without a template engine: elements are functions, and text is escaped unless it is markup."""
+"""The page's markup: templates of Jinja2, in which everything is escaped that is not markup already."""
 
 from __future__ import annotations
 
+import functools
+import re
 from collections.abc import Sequence
-from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2.ext import Extension
+from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.layout import Cell, Table
+from activestructure_gym.evaluation.report.places import without_places
 
-_VOID = ("img", "br", "meta", "hr", "input", "link")
-
-
-class Html(str):
-    """Text that is markup already."""
-
-    __slots__ = ()
+_TEMPLATES = Path(__file__).with_name("templates")
+# A line break beside a tag, with the indentation after it: there for whoever reads the template.
+_BREAK_AT_TAG = re.compile(r"(?:(?<=>)|(?<=%\})|(?<=#\}))\s*\n\s*|\s*\n\s*(?=<|\{%|\{#)")
+_BREAK = re.compile(r"\s*\n\s*")
 
 
-def element(name: str, /, *children: str | None, **attributes: str | int | float | bool | None) -> Html:
-    """``<name attributes>children</name>``; children that are not `Html` are escaped, None is left out.
+class _LinesJoined(Extension):
+    """Line breaks of templates: none beside tags, a space within text. Ninety runs' worth of indentation is no use."""
 
-    Of attribute names a trailing underscore is dropped and the others become hyphens; True stands alone, and an
-    attribute that is None, False or empty is left out.
-    """
-    written = [name]
-    for key, value in attributes.items():
-        if value is None or value is False or value == "":
-            continue
-        key = key.rstrip("_").replace("_", "-")
-        written.append(key if value is True else f'{key}="{escape(str(value), quote=True)}"')
-    opening = f"<{' '.join(written)}>"
-    return Html(opening) if name in _VOID else Html(f"{opening}{joined(*children)}</{name}>")
+    def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
+        """See `jinja2.ext.Extension`."""
+        return _BREAK.sub(" ", _BREAK_AT_TAG.sub("", source.strip()))
 
 
-def joined(*children: str | None) -> Html:
-    """Children one after the other."""
-    return Html("".join(child if isinstance(child, Html) else escape(child) for child in children if child is not None))
-
-
-def folded(summary: str, *children: str | None, open_: bool = False, class_: str | None = None) -> Html:
-    """Content behind a line that opens it."""
-    return element("details", element("summary", summary), *children, open=open_, class_=class_)
-
-
-def html_table(table: Table, *, colours: Sequence[str] = ()) -> Html:
-    """A table with its caption; policies named in ``colours`` carry their colour. Sortable where rows stand alone."""
-    head = []
-    if table.groups:
-        head.append(
-            element("tr", *(element("th", text, colspan=span, scope="colgroup") for text, span in table.groups))
-        )
-    cells = []
-    for k, heading in enumerate(table.headings):
-        content: str = heading.text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑")  # no arrow begins a line
-        if table.sortable:
-            content = element("button", content, type="button", data_column=k)
-        cells.append(element("th", content, scope="col", class_="n" if heading.numeric else None, title=heading.note))
-    head.append(element("tr", *cells))
-    blocks: list[list[Html]] = [[]]
-    for index, row in enumerate(table.rows):
-        if index in table.blocks:
-            blocks.append([])
-        blocks[-1].append(_row(table, index, row, colours))
-    bodies = [element("tbody", *block) for block in blocks]
-    whole = element("table", element("thead", *head), *bodies, class_="sortable" if table.sortable else None)
-    # The script shows the hint while there are columns to the right.
-    hint = element("span", "more columns: scroll sideways →", class_="hint", aria_hidden="true")
-    caption = element(
-        "figcaption", element("b", f"{table.title}."), f" {table.caption}." if table.caption else "", hint
+@functools.cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, extensions=[_LinesJoined]
     )
-    return element(
-        "figure", caption, element("div", whole, class_="wide", tabindex="0", role="region", aria_label=table.title),
-        class_="table", id_=f"table-{table.name}",
-    )  # fmt: skip
+    environment.filters |= {
+        "counted": counted,
+        "place": "{:.1f}".format,
+        "with_its_arrow": lambda text: text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑"),  # none begins a line
+        "without_places": without_places,
+    }
+    return environment
 
 
-def _row(table: Table, index: int, row: Sequence[Cell], colours: Sequence[str]) -> Html:
+def render(template: str, **content: Any) -> Markup:
+    """One of ``templates/`` with its content."""
+    return Markup(_environment().get_template(template).render(content))
+
+
+def counted(number: int, one: str, many: str | None = None) -> str:
+    """``1 run``, ``2 runs``."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+class _Shown(NamedTuple):
+    """One cell of a table, as the fields that the template reads."""
+
+    tag: str
+    attributes: dict[str, Any]
+    text: str
+    spread: str  # interval or deviation, set smaller
+    dot: int | None  # of the policy it names
+
+
+def html_table(table: Table, *, colours: Sequence[str] = ()) -> Markup:
+    """A table with its caption; policies named in ``colours`` carry their colour. Sortable where rows stand alone."""
+    ends = [0, *table.blocks, len(table.rows)]
+    blocks = [
+        [_row(table, index, end, colours) for index in range(start, end)] for start, end in zip(ends[:-1], ends[1:])
+    ]
+    return render("table.html.j2", table=table, blocks=blocks)
+
+
+def _row(table: Table, index: int, end: int, colours: Sequence[str]) -> list[_Shown]:
+    """A row of the block that ends before row ``end``; a first cell that repeats the one above it is left out."""
     cells = []
-    for column, cell in enumerate(row):
-        heading = table.headings[column]
-        kind = " ".join(
-            part for part in ("n" if heading.numeric else "", f"r{cell.rank}" if cell.rank else "", cell.tone) if part
-        )
-        rows_below = None
+    for column, cell in enumerate(table.rows[index]):
+        rows_below = 1
         if column == 0 and table.blocks:
             if table.shown(index, 0) == "":
                 continue
-            ends = [end for end in table.blocks if end > index]
-            rows_below = (ends[0] if ends else len(table.rows)) - index
-            same = [i for i in range(index, index + rows_below) if table.rows[i][0].text == cell.text]
-            rows_below = len(same)
-        text: str = cell.text
-        for spread in (" [", " ± "):
-            if heading.numeric and spread in text:
-                value, _, rest = text.partition(spread)
-                text = joined(value, element("small", f"{spread}{rest}"))
-        name = cell.note or cell.text
-        if not heading.numeric and name in colours:
-            text = joined(element("i", class_=f"dot p{colours.index(name) % 8}", aria_hidden="true"), cell.text)
-        says = {1: "1st", 2: "2nd", 3: "3rd"}.get(cell.rank, cell.note if cell.note != cell.text else None)
-        cells.append(
-            element(
-                "th" if column == 0 else "td",
-                text,
-                class_=kind,
-                title=says,
-                scope="row" if column == 0 else None,
-                rowspan=rows_below if rows_below and rows_below > 1 else None,
-                data_value=repr(cell.value) if cell.value is not None else None,
-            )  # fmt: skip
-        )
-    return element("tr", *cells)
+            rows_below = sum(row[0].text == cell.text for row in table.rows[index:end])
+        cells.append(_shown(cell, column, table, rows_below, colours))
+    return cells
+
+
+def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[str]) -> _Shown:
+    numeric, name = table.headings[column].numeric, cell.note or cell.text
+    kinds = ("n" if numeric else "", f"r{cell.rank}" if cell.rank else "", cell.tone)
+    text, spread = _parted(cell.text) if numeric else (cell.text, "")
+    attributes = {
+        "class": " ".join(filter(None, kinds)) or None,
+        "title": {1: "1st", 2: "2nd", 3: "3rd"}.get(cell.rank, cell.note if cell.note != cell.text else "") or None,
+        "scope": "row" if column == 0 else None,
+        "rowspan": rows if rows > 1 else None,
+        "data-value": repr(cell.value) if cell.value is not None else None,
+    }
+    dot = colours.index(name) if not numeric and name in colours else None
+    return _Shown("th" if column == 0 else "td", attributes, text, spread, dot)
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """A cell's text as (number, interval or deviation behind it); the second is empty where there is none."""
+    for mark in (" [", " ± "):
+        number, found, rest = text.partition(mark)
+        if found:
+            return number, mark + rest
+    return text, ""

@@ -1,16 +1,15 @@
-"""The words that stand below the numbers: what was measured, and how the statistics are defined."""
+"""Texts of the page about the method: what was measured, and how the statistics are defined."""
 
 from __future__ import annotations
 
 from activestructure_gym.evaluation.report.columns import QUALITY, aspects, measured, reason_of, value_of
-from activestructure_gym.evaluation.report.html import Html, element
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import resampling
 
 
 def meanings(results: Results) -> dict[str, str]:
-    """What each of the quality columns says, by its header."""
+    """Explanation of each quality column, by its header."""
     protocol = results.runs[0].job.protocol
     near = f"{100 * protocol.threshold_m:g} cm"
     every = {
@@ -53,15 +52,15 @@ def protocol_texts(results: Results) -> list[str]:
     texts = [protocol_text(results)]
     if "activegamer" in results.runs[0].protocols:
         texts.append(
-            "Protocol `activegamer` follows the evaluation code of ActiveGAMER: means matched to "
-            "the 1 cm voxels of the whole surface, seen or not, so that floaters do not count; images masked where the "
-            "truth has no depth, from one small circle of views; PSNR by channel."
+            "Protocol `activegamer` follows the evaluation code of ActiveGAMER: means matched to the 1 cm voxels of "
+            "the whole surface, seen or not, so that floaters do not count; images masked where the truth has no "
+            "depth, from one small circle of views; PSNR by channel."
         )
     return texts
 
 
 def protocol_text(results: Results) -> str:
-    """How the protocol measures, in words; what its numbers mean stands in `meanings`."""
+    """How the protocol measures, in sentences; `meanings` explains its numbers."""
     run = results.runs[0]
     protocol = run.job.protocol
     views = (
@@ -112,12 +111,6 @@ def machine_text(results: Results) -> str:
     )
 
 
-def definitions(results: Results) -> list[Html]:
-    """All of it as paragraphs."""
-    texts = [*protocol_texts(results), *statistics_text(), machine_text(results)]
-    return [_paragraph(text) for text in texts]
-
-
-def _paragraph(text: str) -> Html:
-    parts = text.split("`")
-    return element("p", *(element("code", part) if k % 2 else part for k, part in enumerate(parts)))
+def definitions(results: Results) -> list[str]:
+    """All texts of this module, a paragraph each; code stands between backticks."""
+    return [*protocol_texts(results), *statistics_text(), machine_text(results)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from activestructure_gym.evaluation.plane_record import GraphArrays, seen_cells
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays, seen_cells
 
 _PAD = 2  # unseen cells around a grid, so that its outline closes
 _EDGE_ON = 1e-3  # of the largest possible screen area; a plane seen more steeply than this shows no pixel
@@ -25,11 +25,11 @@ class Projection:
     size: tuple[int, int]  # width, height in pixels
 
     def pixels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 2]
-        """Where points of the world stand in the picture."""
+        """Image position of world points, in pixels."""
         return points @ self.rows.T + self.shift
 
     def nearness(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] metres, larger = nearer to the eye
-        """Order along the line of sight."""
+        """Depth of world points along the line of sight."""
         return points @ self.towards
 
 
@@ -121,7 +121,7 @@ def nearest_planes(
 
 
 def silhouette(arrays: GraphArrays, plane: int, view: Projection) -> tuple[Window, np.ndarray] | None:
-    """The first two of `cover`."""
+    """Window and pixels of a plane's seen cells: the first two results of `cover`."""
     found = _covered(arrays, plane, view)
     return None if found is None else found[:2]
 

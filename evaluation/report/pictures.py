@@ -19,31 +19,13 @@ from activestructure_gym.evaluation.report.canvas import (
     write,
 )
 from activestructure_gym.evaluation.report.layout import decimal
-from activestructure_gym.evaluation.report.plan import draw_plan, flight, legend, plan_arrays
+from activestructure_gym.evaluation.report.plan import draw_plan, flight, legend
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
-    from activestructure_gym.evaluation.store import Run
-    from activestructure_gym.reconstruction import Reconstruction
+    from activestructure_gym.evaluation.archive.store import Run
 
-_STORED_VIEWS = 8  # the first of the held-out views, which are in random order
 _SHOWN_VIEWS = 4
 BLACK = "Black: nothing of the map is there."
-
-
-def picture_arrays(
-    protocol: StandardProtocol, truth: Truth, reconstruction: Reconstruction, psnr: Sequence[float]
-) -> dict[str, np.ndarray]:
-    """What a run keeps for its pictures: ``rendered`` and ``true`` [n, H, W, 3] uint8, ``psnr`` [n], and the plan's."""
-    count = min(_STORED_VIEWS, len(truth.views))
-    gaussians = reconstruction.mapper.map
-    rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
-    return {
-        "rendered": np.stack([np.rint(255.0 * picture).astype(np.uint8) for picture in rendered]),
-        "true": truth.views.rgb[:count],
-        "psnr": np.asarray(psnr[:count], dtype=np.float64),
-        **plan_arrays(reconstruction),
-    }
 
 
 def run_views(arrays: Mapping[str, np.ndarray], *, title: str) -> Image.Image:
@@ -81,7 +63,7 @@ def compare_views(runs: Sequence[Run], *, title: str) -> Image.Image:
 def compare_plans(runs: Sequence[Run], *, title: str) -> Image.Image:
     """One plan per run, side by side, in one scale."""
     plans = [draw_plan(run.pictures, run.trajectory) for run in runs]
-    labels = [f"{run.job.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
+    labels = [f"{run.policy}: {_cost(run.metrics['metrics'])}" for run in runs]
     # The plan of a closet is narrower than what stands above it.
     width = max(max(plan.width for plan in plans), *(text_width(label, 14) for label in labels))
     size = width, max(plan.height for plan in plans)
@@ -101,13 +83,13 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
         column = _on_page(_rendered_tile(run.pictures, index), size)
         column.paste(plan, ((truth.width - plan.width) // 2, truth.height + GAP))
         columns.append(column)
-        labels.append(f"{run.job.policy}, C.R. {run.metrics['metrics']['completion_ratio']:.1f} %")
+        labels.append(f"{run.policy}, C.R. {run.metrics['metrics']['completion_ratio']:.1f} %")
     page = _with_legend(tile_grid([columns], title=title, column_labels=labels, frames=False))
     return _with_note(page, f"{BLACK} {flight([(run.trajectory, run.graph) for run in runs])}")
 
 
 def typical_view(runs: Sequence[Run]) -> int:
-    """Of the `telling_views` that with the median PSNR, averaged over the runs; of an even number the lower middle."""
+    """The one of the `telling_views` with the median PSNR over the runs; the lower middle of an even number."""
     psnr = np.mean([run.pictures["psnr"] for run in runs], axis=0)
     ordered = sorted(telling_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
     return ordered[(len(ordered) - 1) // 2]
@@ -127,7 +109,7 @@ def _rendered_tile(arrays: Mapping[str, np.ndarray], index: int) -> Image.Image:
 
 
 def _run_label(run: Run, *more: str) -> list[str]:
-    return [run.job.policy, f"seed {run.job.seed}", *more]
+    return [run.policy, f"seed {run.job.seed}", *more]
 
 
 def _cost(metrics: Mapping[str, Any]) -> str:

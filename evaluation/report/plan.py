@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageDraw
 
+from activestructure_gym.evaluation.archive.picture_record import pixel_size, plan_scale
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import MARGIN, text_width, write
 
-if TYPE_CHECKING:
-    from activestructure_gym.reconstruction import Reconstruction
-
-_PIXELS_PER_METRE = 90
-_LONGEST_SIDE = 640  # pixels; larger scenes are drawn smaller
 _SMOOTH = 3  # everything drawn by line is drawn this much larger and averaged
-_BAND_M = 0.5  # free and occupied are those of this height above and below the camera
-_HEADROOM_M = 0.35  # Gaussians higher than this above the camera's start (ceiling, lamps) would hide the rest
 # What shows where the map has no surface.
 FILLS = {
     "not seen": style.UNKNOWN,
@@ -26,31 +19,6 @@ FILLS = {
     "occupied, not mapped": style.OCCUPIED,
 }
 _LEVEL, _FLOOR_M2 = 0.8, 0.5  # a floor's normal has at least this z, and it has been seen on this area
-_ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as parallel
-
-
-def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """What `draw_plan` needs: the volume's plan, and the Gaussian map seen from above in the same frame."""
-    from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
-
-    volume = reconstruction.volume
-    voxel = volume.config.voxel_size
-    height = float(reconstruction.trajectory[0][2, 3])
-    low, high = (int(np.floor((height + side * _BAND_M - volume.origin[2]) / voxel)) for side in (-1, 1))
-    band = volume.state[:, :, max(low, 0) : max(high + 1, 1)]
-    state = np.full(band.shape[:2], UNKNOWN, np.uint8)
-    state[(band == FREE).any(axis=2)] = FREE
-    state[(band == OCCUPIED).any(axis=2)] = OCCUPIED
-    corner = np.asarray(volume.origin[:2], np.float64)
-    extent = np.array(state.shape) * voxel
-    colour, alpha = _from_above(reconstruction, corner, extent, height)
-    return {
-        "plan_state": np.select([state == FREE, state == OCCUPIED], [1, 2], 0).astype(np.uint8),
-        "plan_corner": corner,
-        "plan_extent": extent,
-        "above_rgb": colour,
-        "above_alpha": alpha,
-    }
 
 
 def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray]) -> Image.Image:
@@ -63,7 +31,7 @@ def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndar
 
 
 def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
-    """What was known of the space, and over it the map from above, at ``scale`` pixels per metre."""
+    """Known space and the map from above over it, at ``scale`` pixels per metre."""
     size = pixel_size(arrays["plan_extent"], scale)
     picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
@@ -96,7 +64,7 @@ def legend() -> Image.Image:
 
 
 def flight(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray] | None]]) -> str:
-    """How high the camera flew, of trajectories with their graphs: above the lowest floor that each has seen.
+    """A sentence on the camera's height along trajectories, above the lowest floor in each run's graph.
 
     Without a floor in every graph the heights are the world's z.
     """
@@ -112,37 +80,6 @@ def flight(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarr
 def _floor(graph: Mapping[str, np.ndarray]) -> float | None:
     level = (graph["normals"][:, 2] >= _LEVEL) & (graph["areas"] >= _FLOOR_M2)
     return float(graph["centroids"][level, 2].min()) if level.any() else None
-
-
-def _from_above(
-    reconstruction: Reconstruction, corner: np.ndarray, extent: np.ndarray, height: float
-) -> tuple[np.ndarray, np.ndarray]:  # [h, w, 3] uint8, [h, w] uint8
-    from activestructure_gym.geometry import PinholeCamera, look_along
-    from activestructure_gym.splatting import cpu
-
-    gaussians = reconstruction.mapper.map
-    below = gaussians.parameters[2, : gaussians.count] < height + _HEADROOM_M
-    parameters = np.ascontiguousarray(gaussians.parameters[:, : gaussians.count][:, below])
-    scale = plan_scale(extent)
-    width, rows = pixel_size(extent, scale)
-    altitude = _ALTITUDE * float(extent.max())
-    focal = altitude * scale
-    camera = PinholeCamera(width, rows, focal, focal, width / 2, rows / 2)
-    eye = np.array([*(corner + extent / 2), height + altitude])
-    seen = cpu.render(parameters, parameters.shape[1], camera, look_along(eye, np.array([0.0, 0.0, -1.0])))
-    solid = seen.alpha > 1e-3
-    colour = np.where(solid[..., None], seen.color / np.where(solid, seen.alpha, 1.0)[..., None], 0.0)
-    return np.rint(255 * np.clip(colour, 0, 1)).astype(np.uint8), np.rint(255 * seen.alpha).astype(np.uint8)
-
-
-def plan_scale(extent: np.ndarray) -> float:  # pixels per metre
-    """How large a plan of this extent [2] metres is drawn."""
-    return min(_PIXELS_PER_METRE, _LONGEST_SIDE / float(np.max(extent)))
-
-
-def pixel_size(extent: np.ndarray, scale: float) -> tuple[int, int]:
-    """Width and height of a plan of ``extent`` [2] metres, at least one pixel each."""
-    return max(1, round(float(extent[0]) * scale)), max(1, round(float(extent[1]) * scale))
 
 
 def _ground(arrays: Mapping[str, np.ndarray]) -> Image.Image:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from activestructure_gym.evaluation.plane_record import GraphArrays
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import MARGIN, text_width, write
 

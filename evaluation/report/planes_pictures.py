@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from PIL import Image
 
-from activestructure_gym.evaluation.plane_record import GraphArrays
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import MARGIN, Box, first_row, tile_grid, write
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
@@ -34,7 +34,7 @@ def run_planes_3d(arrays: GraphArrays, *, title: str) -> tuple[Image.Image, list
 
 
 def _counted(arrays: GraphArrays) -> tuple[str, str]:
-    """What stands above the two panels."""
+    """Titles of the two panels, with counts."""
     structural, areas = int(arrays["structural"].sum()), arrays["deficiency_areas"]
     return (
         f"by type: {structural} structural planes, {len(arrays['ids']) - structural} of objects",

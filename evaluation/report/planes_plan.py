@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from activestructure_gym.evaluation.plane_record import GraphArrays, seen_cells
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays, seen_cells
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.patches import Projection, borders, extremes, silhouette
 from activestructure_gym.evaluation.report.plan import draw_scale_bar, pixel_size, plan_base
@@ -28,7 +28,7 @@ Colour = tuple[int, int, int]
 
 
 def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tuple[Image.Image, Image.Image]:
-    """By type with edges and tree, and by deficit with deficiency centres; ``plan`` as in `plan.plan_arrays`.
+    """Planes by type with edges and tree, and by deficit with centres; ``plan`` as of `picture_record.plan_arrays`.
 
     Steep planes are strokes on the side they are seen from, so that both faces of a wall can be told apart. Level
     ones that face up are areas, the floor a faint one; those that face down, the ceiling among them, are outlines.
@@ -80,7 +80,7 @@ def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
 
 @dataclass(frozen=True)
 class _Shape:
-    """What is drawn of one plane, whatever its colour."""
+    """Outline or strokes of one plane, without its colour."""
 
     plane: int
     area: tuple[tuple[int, int], Image.Image] | None = None  # upper left pixel, opacity
@@ -90,7 +90,7 @@ class _Shape:
 
 
 def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
-    """In the order they are drawn."""
+    """The shapes of all planes, in drawing order."""
     rise, height = arrays["normals"][:, 2], arrays["centroids"][:, 2]
     up = [int(k) for k in np.argsort(height, kind="stable") if rise[k] >= _LEVEL]
     lowest = height[up[0]] if up else 0.0
@@ -142,7 +142,7 @@ def _drawn(ground: Image.Image, shapes: Sequence[_Shape], colours: Sequence[Colo
 
 
 def stretches(arrays: GraphArrays, plane: int) -> list[tuple[np.ndarray, np.ndarray]]:  # pairs of [3] metres
-    """Where along the floor plan a steep plane has been seen at any height; gaps narrower than a cell are closed."""
+    """Intervals along a steep plane in the floor plan that were seen at any height; gaps below a cell are closed."""
     cell, axes, normal = float(arrays["cell"]), arrays["patch_axes"][plane], arrays["normals"][plane]
     rows, columns = np.nonzero(seen_cells(arrays, plane))
     cells = np.stack([rows, columns], axis=1) + 0.5

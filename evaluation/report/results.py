@@ -1,4 +1,4 @@
-"""What a report is about: finished runs from one or more places, what is missing among them, and a baseline."""
+"""The data of a report: finished runs from one or more directories, missing ones, and a baseline."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import store
-from activestructure_gym.evaluation.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
+from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
-from activestructure_gym.evaluation.store import Run
 
 _ON_A_SCREEN = 7  # policies side by side
 # Whom the others are measured against if nobody is named: the first of these that took part.
@@ -24,7 +25,7 @@ _BASELINES = ("activestructure-a", "pixel_only", "random")
 
 @dataclass(frozen=True)
 class Source:
-    """Where runs came from."""
+    """A directory that runs were read from."""
 
     directory: Path
     command: str = ""  # empty for a single run's directory
@@ -59,27 +60,27 @@ class Results:
 
     @cached_property
     def policies(self) -> list[str]:
-        """In the order of the runs."""
-        return list(dict.fromkeys(run.job.policy for run in self.runs))
+        """Policies, in the order of the runs."""
+        return list(dict.fromkeys(run.policy for run in self.runs))
 
     @cached_property
     def scenes(self) -> list[str]:
-        """In the order of the runs."""
+        """Scenes, in the order of the runs."""
         return list(dict.fromkeys(run.scene for run in self.runs))
 
     @cached_property
     def seeds(self) -> list[int]:
-        """Ascending."""
+        """Seeds, ascending."""
         return sorted({run.job.seed for run in self.runs})
 
     @cached_property
     def missing(self) -> dict[str, str]:
-        """Jobs that were asked for and have no result, and why."""
+        """Jobs that were asked for and have no result, each with the reason."""
         return {name: why for source in self.sources for name, why in source.missing.items()}
 
     def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:
         """The runs of a policy, of a scene, or of both."""
-        return [run for run in self.runs if policy in (None, run.job.policy) and scene in (None, run.scene)]
+        return [run for run in self.runs if policy in (None, run.policy) and scene in (None, run.scene)]
 
     def cells(self, policy: str, key: str, scene: str | None = None) -> dict[tuple[str, int], float]:
         """A policy's numbers by scene and seed, where they are defined."""
@@ -116,9 +117,9 @@ class Results:
     def foremost(self, scene: str, key: str = "completion_ratio") -> list[Run]:
         """As many of the shown runs as fit on a screen: those with the best result, the baseline in any case."""
         runs = self.shown(scene)
-        ranks = sorted(runs, key=lambda run: (run.job.policy != self.baseline, -(value_of(run, key) or 0.0)))
-        kept = {run.job.policy for run in ranks[:_ON_A_SCREEN]}
-        return [run for run in runs if run.job.policy in kept]
+        ranks = sorted(runs, key=lambda run: (run.policy != self.baseline, -(value_of(run, key) or 0.0)))
+        kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
+        return [run for run in runs if run.policy in kept]
 
     def check_pictures(self) -> None:
         """Raise `InputError` where runs that are shown side by side have not kept the same views."""
@@ -133,7 +134,7 @@ class Results:
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
-    """What must not differ between compared runs, with all values found."""
+    """Values of every condition that compared runs must share, as found in the runs."""
     found: dict[str, dict[str, None]] = {}
     for run in runs:
         job = run.job.as_dict()
@@ -150,9 +151,6 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
 
     A job that stands in two of them counts once. Raises `InputError` for a directory that is neither.
     """
-    from activestructure_gym.evaluation.comparison import open_comparison
-    from activestructure_gym.evaluation.resuming import read_record
-
     runs: dict[str, Run] = {}
     sources = []
     for directory in directories:
@@ -168,7 +166,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             runs.setdefault(run.job.hash, run)
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
-    labels = scene_labels(run.job.scene for run in runs.values())
+    labels = scene_labels({run.job.scene: run.job.scene_hash for run in runs.values()})
     return Results([dataclasses.replace(run, scene=labels[run.job.scene]) for run in runs.values()], sources, baseline)
 
 

@@ -23,6 +23,7 @@ from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.sensors.renderer import make_renderer
 
 if TYPE_CHECKING:
+    from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.scenes import Scene
 
 _HEADROOM_M = 0.6  # faces whose middle is higher than this above the start poses (the ceiling) are left out
@@ -31,9 +32,9 @@ _VIEW = (320, 180)
 _SMOOTH = 3
 
 
-def scene_picture(scene: Scene) -> Image.Image:
+def scene_picture(known: GroundTruth) -> Image.Image:
     """The plan with the start poses on the left, four views from them on the right."""
-    poses = scene.free_space.start_poses
+    scene, poses = known.scene, known.free_space.start_poses
     chosen = [int(index) for index in np.unique(np.linspace(0, len(poses) - 1, 4).round())] if len(poses) else []
     renderer = make_renderer("raycast", scene)
     camera = PinholeCamera.from_size(*_VIEW)
@@ -43,7 +44,7 @@ def scene_picture(scene: Scene) -> Image.Image:
         renderer.close()
     extent = scene.bounds[1] - scene.bounds[0]
     title = f"{scene.name}: {' x '.join(f'{side:.1f}' for side in extent)} m, {len(scene.mesh.faces):,} triangles"
-    plan = _plan(scene, chosen)
+    plan = _plan(scene, poses, chosen)
     if not views:
         return tile_grid([[plan]], title=title)
     for number, view in enumerate(views, start=1):
@@ -61,8 +62,7 @@ def scene_picture(scene: Scene) -> Image.Image:
     return tile_grid([[both]], title=title, frames=False)
 
 
-def _plan(scene: Scene, numbered: list[int]) -> Image.Image:
-    poses = scene.free_space.start_poses
+def _plan(scene: Scene, poses: np.ndarray, numbered: list[int]) -> Image.Image:  # poses [S, 4, 4]
     low, high = scene.bounds
     eye_height = float(np.median(poses[:, 2, 3])) if len(poses) else float(low[2] + 1.3)
     middle = scene.mesh.vertices[scene.mesh.faces, 2].mean(axis=1)

@@ -1,4 +1,4 @@
-"""Everything a report is made of, written into one directory: the page, the tables, and a summary in Markdown."""
+"""Write a report into one directory: the page, the tables, and a summary in Markdown."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from activestructure_gym.evaluation import store
-from activestructure_gym.evaluation.jobs import slug
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import slug
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
+from activestructure_gym.evaluation.report.curve_section import policy_panels
 from activestructure_gym.evaluation.report.curves import chart_rows
 from activestructure_gym.evaluation.report.formats import code, documents, escaped, markdown
 from activestructure_gym.evaluation.report.layout import Table
@@ -28,9 +30,7 @@ from activestructure_gym.evaluation.report.paper_tables import ablation_table, t
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results, source_of
-from activestructure_gym.evaluation.report.scene_section import policy_panels
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
-from activestructure_gym.evaluation.store import Run
 
 PAGE = "report.html"
 TABLES = "tables"  # sub-directory of the tables, each as Markdown, CSV and LaTeX
@@ -43,7 +43,7 @@ def write_report(
 
     A baseline that finished nothing is among the missing, and another one takes its place.
     """
-    baseline = baseline if any(run.job.policy == baseline for run in runs) else None
+    baseline = baseline if any(run.policy == baseline for run in runs) else None
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
@@ -99,7 +99,7 @@ def _written(path: Path, text: str) -> Path:
 
 
 def _endings(scenes: Sequence[str]) -> list[str]:
-    """What the file names of each scene's pictures end with; "a b" and "a?b" look the same in a file name."""
+    """Suffixes of each scene's picture files; different even where names look the same as file names."""
     if len(scenes) == 1:
         return [""]
     endings: list[str] = []
@@ -149,7 +149,7 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
 
 def _link(run: Run, directory: Path) -> str:
     place = os.path.relpath(run.directory, directory).replace(os.sep, "/")
-    return f"[{escaped(run.job.policy)} seed {run.job.seed}](./{quote(place)}/)"
+    return f"[{escaped(run.policy)} seed {run.job.seed}](./{quote(place)}/)"
 
 
 def _summary(results: Results, sections: Sequence[str]) -> str:

@@ -10,21 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import layout
 from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
 from activestructure_gym.evaluation.report.formats import spreadsheet_text
 from activestructure_gym.evaluation.report.layout import Heading, Table
-from activestructure_gym.evaluation.store import Run
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
+_HASH_DIGITS = 16  # of a scene's content
 AVERAGE = "average"  # the name of the last block: the mean over the scenes
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean over the seeds, and how far they lie apart."""
+    """Mean and spread over the seeds."""
 
     mean: float | None  # None: not defined in any run
     deviation: float | None  # sample standard deviation; None with fewer than two runs
@@ -52,12 +53,12 @@ class Row:
 def table_rows(runs: Sequence[Run]) -> list[Row]:
     """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
     scenes = list(dict.fromkeys(run.scene for run in runs))
-    policies = list(dict.fromkeys(run.job.policy for run in runs))
+    policies = list(dict.fromkeys(run.policy for run in runs))
     rows: list[Row] = []
     for scene in scenes:
         block = []
         for policy in policies:
-            cell_runs = [r for r in runs if r.scene == scene and r.job.policy == policy]
+            cell_runs = [r for r in runs if r.scene == scene and r.policy == policy]
             if cell_runs:
                 cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
                 block.append(Row(scene, policy, len(cell_runs), cells))
@@ -69,7 +70,7 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
 
 
 def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
-    """For the terminal; the best numbers are bold and green."""
+    """The table for a terminal; the best numbers are bold and green."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table as RichTable
@@ -97,7 +98,7 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
 
 
 def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[Column] = COLUMNS) -> Table:
-    """The same for documents, with the first three of every block marked; of one scene without its name."""
+    """The table for documents: the first three of every block marked; a single scene is not named."""
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []
     for start, end in zip([0, *blocks], [*blocks, len(rows)]):
@@ -133,8 +134,8 @@ def runs_csv(runs: Sequence[Run]) -> str:
     writer.writerow([*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
     for run, numbers in zip(runs, scalars):
         job = run.job
-        scene, policy = (spreadsheet_text(name) for name in (run.scene, job.policy))
-        identity = [scene, job.scene_hash[:16], policy, job.seed, job.preset, job.protocol.name, job.hash]
+        scene, policy = (spreadsheet_text(name) for name in (run.scene, run.policy))
+        identity = [scene, job.scene_hash[:_HASH_DIGITS], policy, job.seed, job.preset, job.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
         writer.writerow([*identity, *values, run.timing["total"], *seconds])

@@ -5,45 +5,48 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
-from activestructure_gym.evaluation.report.html import Html, element, folded, html_table, joined
+from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
 from activestructure_gym.evaluation.report.phases import bands, chosen_terms
-from activestructure_gym.evaluation.store import Run
 
 _DIGITS = 3
 _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))
 
 
-def run_trace(run: Run) -> Html:
+def run_trace(run: Run) -> Markup:
     """Folded: identity and result in one line; behind it phases, decisions and where the run's files are."""
     numbers = {key: value_of(run, key) for key in ("completion_ratio", "psnr", "metres", "collisions", "seconds")}
-    parts = [f"{run.job.policy}, seed {run.job.seed}"]
+    parts = [f"{run.policy}, seed {run.job.seed}"]
     for key, form in (("completion_ratio", "C.R. {:.1f} %"), ("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
         if (value := numbers[key]) is not None:
             parts.append(form.format(value))
     parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
-    where = element("p", "Job ", element("code", run.job.hash), ", files in ", element("code", run.directory.name), ".")
-    return folded(" · ".join(parts), timeline(run), html_table(trace_table(run)), where, class_="trace")
+    return render(
+        "trace.html.j2",
+        summary=" · ".join(parts),
+        timeline=timeline(run),
+        table=html_table(trace_table(run)),
+        job=run.job.hash,
+        directory=run.directory.name,
+    )
 
 
-def timeline(run: Run) -> Html | None:
+def timeline(run: Run) -> Markup | None:
     """The phases as a strip over the frames, with why each began; None for a policy without phases."""
     found = bands(run.steps)
     if not found:
         return None
-    end = max(band.end for band in found)
-    order = list(dict.fromkeys(band.phase for band in found))
-    pieces, notes = [], []
-    for band in found:
-        share = 100 * (band.end - band.start) / max(end, 1)
-        says = f"{band.phase}: frames {band.start:g} to {band.end:g}"
-        kind = f"phase f{order.index(band.phase) % 4}"
-        pieces.append(element("span", band.phase, class_=kind, style=f"flex:{share:.2f}", title=says))
-        if band.reason:
-            notes.append(element("li", f"Frame {band.start:g}, {band.phase}: {band.reason}"))
-    strip = element("div", *pieces, class_="timeline", role="img", aria_label="phases over the frames")
-    return joined(strip, element("ul", *notes, class_="notes") if notes else None)
+    return render(
+        "timeline.html.j2",
+        bands=found,
+        order=list(dict.fromkeys(band.phase for band in found)),
+        end=max(1, *(band.end for band in found)),
+        notes=[band for band in found if band.reason],
+    )
 
 
 def trace_table(run: Run) -> Table:
@@ -77,7 +80,7 @@ def trace_table(run: Run) -> Table:
         row.append(number(step.get("gaussians"), 0, ""))
         row += [number(check.get("completion_ratio"), 1, ""), number(check.get("psnr"), 2, "")]
         rows.append(row)
-    title = f"Decisions of {run.job.policy} on {run.scene}, seed {run.job.seed}"
+    title = f"Decisions of {run.policy} on {run.scene}, seed {run.job.seed}"
     return Table(f"trace-{run.job.name}", title, headings, rows)
 
 

@@ -1,4 +1,4 @@
-"""Who is better, by how much, and whether that could be chance: tables of the statistics."""
+"""Tables of the statistics: leaders, paired differences, probability of improvement, areas, costs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from activestructure_gym.evaluation.report.layout import (
     MISSING,
     Cell,
     Heading,
+    Judgement,
     Table,
     number,
     ranked,
@@ -34,7 +35,7 @@ _FEW = 6  # pairs; of fewer not even all agreeing passes a two-sided sign test a
 
 @dataclass(frozen=True)
 class Lead:
-    """Who leads in one metric, and by how much over the next."""
+    """The leading policy in one metric, and its difference to the next."""
 
     column: Column
     policy: str
@@ -80,15 +81,15 @@ def differences(results: Results, column: Column) -> dict[str, PairedDifference]
 
 
 def can_tell(results: Results) -> bool:
-    """Whether chance can be judged at all: a policy shares two seeds or more with the baseline wherever both ran."""
+    """Whether intervals exist: a policy shares two seeds or more with the baseline wherever both ran."""
     finished = {policy: {(run.scene, run.job.seed) for run in results.of(policy)} for policy in results.policies}
     theirs = finished.pop(results.baseline or "", set())
     pairs = [Counter(scene for scene, _ in own & theirs) for own in finished.values()]
     return any(shared and min(shared.values()) > 1 for shared in pairs)
 
 
-def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
-    """In words, and its tone: whether the interval excludes 0, and towards which side; nothing without an interval.
+def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
+    """Words and tone for a paired difference: its interval's side of 0; nothing without an interval.
 
     The numbers are judged as they are printed: what is smaller than the last digit is neither better nor worse. A
     resampled interval of very few pairs excludes 0 as soon as all of them agree, so below `_FEW` that is said.
@@ -159,7 +160,7 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         for theirs in policies:
             chance = None if ours == theirs else _improvement(results, ours, theirs, column)
             cell = with_interval(chance, 2)
-            tone = ""
+            tone: Judgement = ""
             if chance is not None and chance.excludes(0.5):
                 tone = "good" if chance.value > 0.5 else "bad"
             row.append(Cell(cell.text, cell.value, tone=tone))
@@ -217,7 +218,7 @@ def area_table(results: Results) -> Table:
 
 
 def cost_table(results: Results) -> Table:
-    """What the episodes cost, planning and mapping apart; a collision is an alarm."""
+    """Costs of the episodes, planning and mapping apart; a collision is marked as an alarm."""
     columns = measured(COSTS, results.runs)
     rows = []
     for policy in results.policies:

@@ -1,8 +1,8 @@
-"""What repeated runs say: aggregates, intervals, paired differences, curves. Pure functions of numbers.
+"""Statistics of repeated runs: aggregates, intervals, paired differences, curves. Pure functions of numbers.
 
 Everywhere a *stratum* is one scene, and its values are those of the scene's runs. Scenes are what is compared on and
-stay fixed; the runs on them are drawn again. Definitions: Agarwal et al., "Deep Reinforcement Learning at the Edge of
-the Statistical Precipice", NeurIPS 2021 (its library is rliable), with scenes for tasks and seeds for runs.
+stay fixed; the runs on them are drawn again. Definitions: [rliable], with scenes for tasks and seeds
+for runs; percentile bootstrap of [efron1979].
 """
 
 from activestructure_gym.evaluation.statistics.aggregates import (

@@ -1,4 +1,4 @@
-"""How likely a run of one policy is better than a run of another."""
+"""Probability of improvement: that a run of one policy is better than a run of another."""
 
 from __future__ import annotations
 
@@ -30,7 +30,40 @@ def probability_of_improvement(
     """P(X > Y) + P(X = Y) / 2 for runs X of ours and Y of theirs on the same scene, averaged over the scenes.
 
     rliable's ``probability_of_improvement``; for the interval the runs of both are drawn again, independently, within
-    every scene. Raises ValueError if the scenes do not match.
+    every scene.
+
+    Parameters
+    ----------
+    ours, theirs
+        One array of runs per scene, the same scenes; larger is better.
+    tie
+        Runs that differ by no more than this are equal.
+    level
+        Share of the resampled statistics inside the interval.
+    repeats
+        Resamples.
+    seed
+        Of the draws.
+
+    Returns
+    -------
+    Estimate
+        In 0..1, with its interval.
+
+    Raises
+    ------
+    ValueError
+        The scenes do not match.
+
+    Notes
+    -----
+    Source: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice", NeurIPS 2021,
+    section 4.3.
+
+    Examples
+    --------
+    >>> probability_of_improvement([np.array([1.0, 2.0])], [np.array([0.0, 1.0])]).value
+    0.875
     """
     if len(ours) != len(theirs) or not ours or min(map(len, (*ours, *theirs))) < 1:
         raise ValueError(f"both need runs on the same scenes, got {[*map(len, ours)]} and {[*map(len, theirs)]} runs")

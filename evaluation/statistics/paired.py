@@ -40,8 +40,32 @@ def paired_difference(
 ) -> PairedDifference | None:
     """The statistic of the differences over the cells both have, pairs drawn again within every scene.
 
-    None if they have no cell in common. What only one of them finished is not counted, and pairs that differ by no
-    more than ``tie`` count as equal.
+    Parameters
+    ----------
+    ours, theirs
+        A number per (scene, seed).
+    statistic
+        Of the differences: `mean`, `median`, `interquartile_mean`.
+    tie
+        Pairs that differ by no more than this count as equal.
+    level
+        Share of the resampled statistics inside the interval.
+    repeats
+        Resamples.
+    seed
+        Of the draws.
+
+    Returns
+    -------
+    PairedDifference or None
+        None if they have no cell in common. What only one of them finished is not counted.
+
+    Examples
+    --------
+    >>> ours = {("room", 0): 3.0, ("room", 1): 4.0, ("room", 2): 9.0}
+    >>> found = paired_difference(ours, {("room", 0): 1.0, ("room", 1): 4.0})
+    >>> found.difference.value, found.higher, found.equal, found.lower
+    (1.0, 1, 1, 0)
     """
     by_scene: dict[str, list[float]] = {}
     for scene, number in sorted(ours.keys() & theirs.keys()):

@@ -45,7 +45,36 @@ def estimate(
 
     Equal ``strata`` give equal intervals: the draws depend on the numbers of runs and on ``seed`` alone, so that
     different metrics of the same runs are resampled alike. With few runs per scene such intervals are too narrow (by
-    a factor of about sqrt((n - 1) / n)). Raises ValueError for no scene or a scene without runs.
+    a factor of about sqrt((n - 1) / n)).
+
+    Parameters
+    ----------
+    strata
+        One array [n] per scene, n at least 1.
+    statistic
+        What is estimated: `mean`, `median`, `interquartile_mean`.
+    level
+        Share of the resampled statistics inside the interval.
+    repeats
+        Resamples.
+    seed
+        Of the draws.
+
+    Returns
+    -------
+    Estimate
+        The statistic and its interval; without one where a scene has a single run.
+
+    Raises
+    ------
+    ValueError
+        No scene, or a scene without runs.
+
+    Examples
+    --------
+    >>> found = estimate([np.array([1.0, 2.0, 3.0]), np.array([5.0, 6.0, 7.0])])
+    >>> found.value, found.runs, found.low < 4.0 < found.high
+    (4.0, 6, True)
     """
     values, sizes = pooled(strata)
     point = float(statistic(values, sizes))

@@ -1,18 +1,22 @@
-"""What decides a training run; equal configurations train equal networks on one machine."""
+"""Configuration of a training run; equal configurations train equal networks on one machine."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from activestructure_gym.envs.observation import feature_columns
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
 
-METHODS = ("bc", "rank", "ppo")
-REWARDS = ("rate", "auc", "env")
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+
+Method = Literal["bc", "rank", "ppo"]
+Reward = Literal["rate", "auc", "env"]
 ORACLE = "oracle"  # the teacher who knows the truth
 _WORLD_RANGES = {
     "layouts": "[1, 1000000]",
@@ -43,14 +47,14 @@ class WorldConfig:
 
     layouts: int = 240  # procedural apartments; GenNBV's main finding is that their number matters most
     rooms: tuple[int, ...] = (1, 2, 3)  # of the layouts, in turn
-    preset: str = "fast"
+    preset: Preset = "fast"
     frames: int | None = None  # frame budget; None = the preset's
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields
-    gains: tuple[str, ...] = ("pixel", "hole_area")  # what the policy is told about every candidate
+    gains: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the policy is told
     max_planes: int = 64
     noise: bool = True  # sensor noise, another one in every episode
     episodes_per_layout: int = 2  # of the expert, in a row; PPO keeps a layout for one iteration of one env
-    reward: str = "rate"
+    reward: Reward = "rate"
 
     def __post_init__(self) -> None:
         for name in ("rooms", "gains"):
@@ -62,15 +66,15 @@ class WorldConfig:
         )
         check_ranges(self, _WORLD_RANGES)
         _check_kinds(self, texts=("preset",), flags=("noise",))
-        if self.reward not in REWARDS:
-            raise unknown_name("reward", self.reward, REWARDS)
+        if self.reward not in get_args(Reward):
+            raise unknown_name("reward", self.reward, get_args(Reward))
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
     """A method, its world and its constants. Wrong values raise `InputError`."""
 
-    method: str = "bc"
+    method: Method = "bc"
     seed: int = 0
     world: WorldConfig = field(default_factory=WorldConfig)
     planes: int = 32  # sizes of the network, see NetworkConfig
@@ -90,7 +94,7 @@ class TrainingConfig:
     bins: int = 15  # of the ordinal targets (VIN-NBV)
     epochs: int = 60
     batch: int = 64  # states
-    # PPO; constants of dossier peers_info_rl C1 where nothing else is said.
+    # PPO; constants of docs/notebook/groundwork.md, "Networks over candidates", where nothing else is said.
     iterations: int = 40
     envs: int = 8  # as many layouts per iteration; none waits long while another builds its own
     steps: int = 128  # per env and iteration
@@ -106,19 +110,22 @@ class TrainingConfig:
     start: str | None = None  # checkpoint to begin from, with its content: FILE@1a2b3c4d
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise unknown_name("method", self.method, METHODS)
+        if self.method not in get_args(Method):
+            raise unknown_name("method", self.method, get_args(Method))
         check_ranges(self, _RANGES)
         _check_kinds(self, texts=("teacher", "start"), flags=("mirror",))
         if self.start is not None and self.method != "ppo":
             raise InputError("a checkpoint to begin from belongs to ppo; bc and rank begin from nothing")
         if (self.envs * self.steps) % self.ppo_batch == 1:
             raise InputError(f"ppo_batch {self.ppo_batch} leaves a batch of one step over: choose another")
-        self.network()
+        self._network(self.world.gains)
 
     def network(self) -> NetworkConfig:
-        """The shape of the network."""
-        return NetworkConfig(self.world.gains, planes=self.planes, candidates=self.candidates, rounds=self.rounds)
+        """The shape of the network, with an input for every column of the features it is told."""
+        return self._network(feature_columns(*self.world.gains))
+
+    def _network(self, gains: tuple[str, ...]) -> NetworkConfig:
+        return NetworkConfig(gains, planes=self.planes, candidates=self.candidates, rounds=self.rounds)
 
     @property
     def rate(self) -> float:

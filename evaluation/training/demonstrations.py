@@ -7,7 +7,6 @@ configuration and its number alone, not on how many processes collect.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,8 @@ import numpy as np
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.schema import Array, Mismatch, check_arrays, table
-from activestructure_gym.evaluation.store import plain, read_json, write_json
+from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
+from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
 from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain
@@ -28,11 +27,13 @@ from activestructure_gym.evaluation.training.world import (
     draw_noise,
     learning_layouts,
     learning_reward,
-    learning_scene,
+    learning_truth,
     make_env,
 )
+from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 from activestructure_gym.planes import PLANE_FEATURES
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
@@ -61,7 +62,7 @@ class Demonstrations:
 
 
 def description(config: TrainingConfig) -> dict[str, Any]:
-    """What the demonstrations depend on."""
+    """The settings that the demonstrations depend on."""
     whole = config.as_dict()
     return {key: whole[key] for key in ("seed", "world", "teacher", "episodes", "explore")}
 
@@ -129,7 +130,7 @@ def _read(file: Path, config: TrainingConfig) -> dict[str, np.ndarray]:
 
 def _layout(config: TrainingConfig) -> dict[str, Array]:
     """Every array of a file: N states, K rows of candidates, of planes as many as the world has."""
-    planes, gains, columns = config.world.max_planes, len(config.world.gains), len(PLANE_FEATURES)
+    planes, gains, columns = config.world.max_planes, len(config.network().gains), len(PLANE_FEATURES)
     shapes: dict[str, tuple[int | str, ...]] = {
         "pose": (7,), "budget": (1,), "candidates": ("K", len(CANDIDATE_FEATURES)), "candidate_gains": ("K", gains),
         "action_mask": ("K",), "plane_features": (planes, columns), "plane_mask": (planes,),
@@ -142,28 +143,29 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     """The content of file ``number``: the episodes of the expert on one layout."""
     world = config.world
-    extra = () if config.teacher == ORACLE or config.teacher in world.gains else (config.teacher,)
+    extra = () if config.teacher == ORACLE else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.gains, *extra))
     rng = np.random.default_rng([config.seed, number])
-    scene = learning_scene(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
+    truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
     columns: dict[str, list[Any]] = {key: [] for key in (*USED_KEYS, "scores", "rewards", "ends")}
     first = number * world.episodes_per_layout
     for _ in range(first, min(first + world.episodes_per_layout, config.episodes)):
         noise = draw_noise(rng) if world.noise else None
-        env = make_env(world, scene, gains=(*world.gains, *extra), noise=noise)
+        env = make_env(world, truth, gains=(*world.gains, *extra), noise=noise)
         for state in _episode(config, env, rng):
             for key, value in state.items():
                 columns[key].append(value)
         env.close()
     if not columns["ends"]:
         raise InputError(
-            f"'{scene.name}' offers no view from any of {STARTS} starts: use other --rooms, or fewer --layouts"
+            f"'{truth.scene.name}' offers no view from any of {STARTS} starts: use other --rooms, or fewer --layouts"
         )
     return {key: np.stack(values) for key, values in columns.items()}
 
 
 def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     observation, info = env.reset(seed=int(rng.integers(2**31)))
+    told = config.network().gains
     for _ in range(STARTS):
         if observation["action_mask"].any():
             break
@@ -176,7 +178,8 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
         action = drawn if explores else expert_choice(gain, observation)
         state = {key: observation[key] for key in USED_KEYS}
-        state["candidate_gains"] = state["candidate_gains"][:, : len(config.world.gains)]
+        candidates = Candidates(observation, env.config.gains)
+        state["candidate_gains"] = np.stack([candidates[name] for name in told], axis=1)
         before, left = info["frames"], float(observation["budget"][0])
         observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated
@@ -192,13 +195,8 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
 
 def _write(config: TrainingConfig, directory: Path, number: int) -> None:
     file = _file(directory, number)
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as stream:
-            np.savez_compressed(stream, **record(config, number))  # type: ignore[arg-type]
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replaced(file) as stream:
+        np.savez_compressed(stream, **record(config, number))  # type: ignore[arg-type]
 
 
 def _file(directory: Path, number: int) -> Path:

@@ -1,4 +1,4 @@
-"""The world in a mirror: twice as many states to learn from, since no view is worth more for lying to the left."""
+"""Data augmentation by mirroring: an observation and its mirror image have the same values of views."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, plane_columns
+from activestructure_gym.envs.observation import candidate_columns, plane_columns
 
 
 def mirrored(observation: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
@@ -22,7 +22,7 @@ def mirrored(observation: Mapping[str, Tensor], which: Tensor) -> dict[str, Tens
     reflected = torch.cat([pose[:, :3] * pose.new_tensor([1.0, -1.0, 1.0]), pose[:, 3:].flip(-1)], dim=-1)
     result["pose"] = torch.where(flip, reflected, pose)
     columns = {
-        "candidates": [CANDIDATE_FEATURES.index(name) for name in ("y", "look_y")],
+        "candidates": candidate_columns("y", "look_y"),
         "plane_features": plane_columns("normal_y", "centroid_y"),
     }
     for key, chosen in columns.items():

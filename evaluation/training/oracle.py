@@ -1,4 +1,4 @@
-"""The truth about the next step: how much unseen surface every candidate would show.
+"""The one-step oracle: how much unseen surface every candidate would show, from ground truth.
 
 For labels to learn from, and for a reference beyond which no one-step planner can go. It looks at the scene, so it is
 no policy: nothing here is registered, and nothing of it reaches an observation.
@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.training.config import ORACLE
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.policies import travel_discount
 from activestructure_gym.policies.base import best_valid
+from activestructure_gym.policies.candidates import Candidates
 
 _SAMPLES = 4000  # of the observable surface, spread evenly: a thousandth of it still shows as 4
 _SIGHT_MARGIN = 2e-3  # metres before a sample that a line of sight spares, as for the observable surface itself
@@ -52,15 +53,15 @@ def newly_seen(env: ReconstructionEnv) -> np.ndarray:  # [K] share of the observ
 
 
 def teacher_gain(teacher: str, env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> np.ndarray:  # [K]
-    """The gain an expert goes by: the truth for "oracle", else the column of that gain."""
+    """The gain an expert goes by: the truth for "oracle", else the feature of that name."""
     if teacher == ORACLE:
         return newly_seen(env)
-    return observation["candidate_gains"][:, env.config.gains.index(teacher)].astype(np.float64)
+    return Candidates(observation, env.config.gains, "the teacher")[teacher].astype(np.float64)
 
 
 def expert_scores(gain: np.ndarray, observation: dict[str, np.ndarray]) -> np.ndarray:  # [K] >= 0
     """Gain times the travel discount that all greedy planners share; 0 in rows without a candidate."""
-    return np.maximum(gain, 0.0) * travel_discount(observation) * (observation["action_mask"] > 0)
+    return np.maximum(gain, 0.0) * travel_discount(observation) * Candidates(observation).valid
 
 
 def expert_choice(gain: np.ndarray, observation: dict[str, np.ndarray]) -> int:

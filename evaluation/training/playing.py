@@ -12,8 +12,8 @@ from activestructure_gym.evaluation.statistics import area_under
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.oracle import oracle_greedy
 from activestructure_gym.evaluation.training.world import make_env
+from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies import Policy
-from activestructure_gym.scenes import Scene
 
 Choose = Callable[[ReconstructionEnv, dict[str, np.ndarray]], int]
 
@@ -45,17 +45,19 @@ def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | 
     return Played(tuple(frames), tuple(coverage), env.config.frame_budget)
 
 
-def play_policy(world: WorldConfig, scene: Scene, policy: Policy, seed: int, start: np.ndarray | None = None) -> Played:
+def play_policy(
+    world: WorldConfig, truth: GroundTruth, policy: Policy, seed: int, start: np.ndarray | None = None
+) -> Played:
     """One episode of a policy, without sensor noise."""
-    env = make_env(world, scene, gains=policy.required_gains)
+    env = make_env(world, truth, gains=policy.required_gains)
     policy.bind(env.config.gains)
     policy.reset(seed)
     return _closed(env, lambda _, observation: policy.act(observation), seed, start)
 
 
-def play_oracle(world: WorldConfig, scene: Scene, seed: int, start: np.ndarray | None = None) -> Played:
+def play_oracle(world: WorldConfig, truth: GroundTruth, seed: int, start: np.ndarray | None = None) -> Played:
     """One episode of the reference that sees the truth."""
-    return _closed(make_env(world, scene, gains=()), oracle_greedy, seed, start)
+    return _closed(make_env(world, truth, gains=()), oracle_greedy, seed, start)
 
 
 def normalised(values: Sequence[float], random: Sequence[float], oracle: Sequence[float]) -> float:

@@ -24,15 +24,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import machine
-from activestructure_gym.evaluation.schema import Mismatch, checked_json, maybe, number, table
-from activestructure_gym.evaluation.store import json_line, plain, read_json, write_json
+from activestructure_gym.evaluation.archive.schema import Mismatch, checked_json, maybe, number, table
+from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
+from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
 from activestructure_gym.evaluation.training.timing import Timing
+from activestructure_gym.features import FEATURES
+from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.policies.learned.checkpoint import LARGEST_WEIGHTS
 from activestructure_gym.registry import refuse_code
-from activestructure_gym.views import GAINS
 
 if TYPE_CHECKING:
     import torch
@@ -66,8 +67,8 @@ def read_config(directory: Path) -> TrainingConfig:
         raise InputError(f"'{file}' is damaged: {error}; {_BEGIN_AGAIN}") from error
     overrides = dict(config.world.overrides).get("gains", ())
     for name in (*config.world.gains, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
-        if isinstance(name, str) and GAINS.imports(name):
-            refuse_code("gain", name, file)
+        if isinstance(name, str) and FEATURES.imports(name):
+            refuse_code("feature", name, file)
     return config
 
 
@@ -94,7 +95,7 @@ class TrainingRun:
 
     @property
     def tensors(self) -> dict[str, torch.Tensor]:
-        """What `save` was given last; empty at the beginning."""
+        """The tensors of the last `save`; empty at the beginning."""
         return self._tensors
 
     def restore(self, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
@@ -196,20 +197,13 @@ class TrainingRun:
 
     def _replace(self, name: str, content: bytes) -> None:
         """Write a file at once."""
-        temporary = self.directory / f".{name}.{os.getpid()}.tmp"
-        try:
-            with open(temporary, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, self.directory / name)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with replaced(self.directory / name, durable=True) as file:
+            file.write(content)
 
     def _load(self) -> None:
         from activestructure_gym.policies.learned.checkpoint import read_tensors
 
-        for temporary in self.directory.glob(".*.tmp"):
+        for temporary in self.directory.glob(UNFINISHED):
             temporary.unlink(missing_ok=True)
         file = self.directory / STATE
         if not file.is_file():
@@ -235,7 +229,7 @@ class TrainingRun:
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """An optimiser's moments and counters under flat names."""
+    """An optimiser's moments and counters under flat names, for a safetensors file."""
     state = optimizer.state_dict()["state"]
     return {f"optimizer.{n}.{key}": value for n, entries in state.items() for key, value in entries.items()}
 

@@ -17,17 +17,17 @@ import numpy as np
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import schema
-from activestructure_gym.evaluation.jobs import absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive import schema
+from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
 from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
-from activestructure_gym.evaluation.store import plain, read_json, write_json
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.evaluation.training.spreading import spread
 
 if TYPE_CHECKING:
-    from activestructure_gym.scenes import Scene
+    from activestructure_gym.ground_truth import FreeSpace, GroundTruth
 
 RANDOM, ORACLE_GREEDY = "random", "oracle-greedy"  # the references: 0 and 1 of the normalised area
 LAYOUTS = "held-out layouts"
@@ -50,7 +50,7 @@ class Cell:
 
     @property
     def file(self) -> str:
-        """Where its results are kept."""
+        """Name of the file with its results."""
         mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # two files may have one label
         start = "" if self.start is None else f"--start{self.start}"
         return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}{start}.json"
@@ -72,7 +72,7 @@ class Row:
 def cells(layouts: int, rooms: Sequence[int], scenes: Sequence[str], seeds: Sequence[int]) -> list[Cell]:
     """One episode on each test layout, and one per seed in each of the scenes, the n-th from its n-th start."""
     found = [Cell(spec, number, LAYOUTS) for number, spec in enumerate(layout_specs("test", layouts, rooms))]
-    labels = scene_labels(scenes)
+    labels = scene_labels(dict.fromkeys(scenes, ""))
     for spec in scenes:
         found += [Cell(absolute_spec(spec), seed, labels[spec], start) for start, seed in enumerate(seeds)]
     if not found:
@@ -106,12 +106,12 @@ def play_cells(
         tell(done, len(todo))
 
 
-def start_pose(scene: Scene, number: int) -> np.ndarray:  # [4, 4] world_from_camera
+def start_pose(space: FreeSpace, number: int) -> np.ndarray:  # [4, 4] world_from_camera
     """The scene's start poses in turn; after the last all of them again, turned by a quarter to the left, and so on.
 
     Drawn by seed, 20 episodes would begin at about 12 of a scene's 16 start poses.
     """
-    poses = scene.free_space.start_poses
+    poses = space.start_poses
     rounds, index = divmod(number, len(poses))
     cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[rounds % 4]
     pose = np.array(poses[index], np.float64)
@@ -147,14 +147,14 @@ def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], base
 
 
 def headings(rows: Sequence[Row], baselines: Sequence[str] = ()) -> list[str]:
-    """Of the table's columns."""
+    """Headings of the table's columns."""
     short = short_policies([row.policy for row in rows])
     names = [short.get(baseline, baseline) for baseline in baselines]
     return ["episodes on", "policy", "n", "starts", "AUC (%)", "normalised", *(f"minus {name}" for name in names)]
 
 
 def entries(rows: Sequence[Row]) -> list[list[str]]:
-    """The table's lines."""
+    """The rows of the table as texts."""
     short = short_policies([row.policy for row in rows])
     lines = []
     for row in rows:
@@ -173,7 +173,7 @@ def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
 
 
 def words(estimate: Estimate | None) -> str:
-    """A value with its interval."""
+    """An estimate with its interval, as text."""
     if estimate is None:
         return ""
     if not estimate.has_interval:
@@ -213,12 +213,13 @@ def _estimate(value: float, resampled: np.ndarray, runs: int) -> Estimate:
     return Estimate(value, float(low), float(high), runs)
 
 
-_loaded: dict[str, Scene] = {}  # the last scene of this process
+_loaded: dict[str, GroundTruth] = {}  # the last scene of this process
 
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
     """Let everybody play one episode who has not yet."""
     from activestructure_gym.evaluation.training.playing import play_oracle, play_policy
+    from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
     from activestructure_gym.scenes import load_scene
 
@@ -229,17 +230,18 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
         return
     if cell.scene not in _loaded:
         _loaded.clear()
-        _loaded[cell.scene] = load_scene(cell.scene)
-    scene = _loaded[cell.scene]
+        _loaded[cell.scene] = ground_truth_of(load_scene(cell.scene))
+    truth = _loaded[cell.scene]
+    scene = truth.scene
     if content.setdefault("scene_hash", scene.content_hash) != scene.content_hash:
         raise InputError(f"'{file}' was played in another scene than '{cell.scene}' is today: choose another --out")
-    start = None if cell.start is None else start_pose(scene, cell.start)
+    start = None if cell.start is None else start_pose(truth.free_space, cell.start)
     content["start"] = "drawn" if start is None else start
     for name in missing:
         if name == ORACLE_GREEDY:
-            played = play_oracle(world, scene, cell.seed, start)
+            played = play_oracle(world, truth, cell.seed, start)
         else:
-            played = play_policy(world, scene, make_policy(name), cell.seed, start)
+            played = play_policy(world, truth, make_policy(name), cell.seed, start)
         content[name] = {"auc": played.auc, "frames": played.frames, "coverage": played.coverage}
     write_json(file, content)
 

@@ -31,7 +31,7 @@ _CRITIC_WEIGHT = 0.5  # of the squared error of the value; it reaches the critic
 class OrdinalRanks(nn.Module):
     """CORAL: one score, and a falling threshold for each border between ranks, P(rank > k) = sigmoid(score + b_k).
 
-    One score for all borders keeps the probabilities in order (Cao et al., "Rank consistent ordinal regression", 2020).
+    One score for all borders keeps the probabilities in order ([cao2020]).
     """
 
     def __init__(self, bins: int) -> None:

@@ -1,4 +1,4 @@
-"""What is learnt from the scores of an expert: probabilities, or ordinal ranks. Pure functions of arrays."""
+"""Targets of learning, from the scores of an expert: probabilities, or ordinal ranks. Pure functions of arrays."""
 
 from __future__ import annotations
 

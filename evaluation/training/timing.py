@@ -1,4 +1,4 @@
-"""What a run took: ``timing.json``, beside the files that are equal after resuming and never in one of them."""
+"""Seconds of a training run: ``timing.json``, beside the files that are equal after resuming, never in one of them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import machine
-from activestructure_gym.evaluation.processes import processor_seconds
-from activestructure_gym.evaluation.schema import number, table
-from activestructure_gym.evaluation.store import read_json, write_json
+from activestructure_gym.evaluation.archive.schema import number, table
+from activestructure_gym.evaluation.archive.store import read_json, write_json
+from activestructure_gym.evaluation.machine import hardware as machine
+from activestructure_gym.evaluation.machine.processes import processor_seconds
 
 _SECONDS = number(0)
 _CHECK = table({

@@ -1,4 +1,4 @@
-"""How good a network is on layouts it was never trained on, between random choice and the one-step oracle."""
+"""Validation of a network on layouts it was never trained on, between random choice and the one-step oracle."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 import torch
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.evaluation import schema
-from activestructure_gym.evaluation.store import read_json, write_json
+from activestructure_gym.evaluation.archive import schema
+from activestructure_gym.evaluation.archive.store import read_json, write_json
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.playing import Choose, normalised, play, play_oracle, play_policy
 from activestructure_gym.evaluation.training.runs import SCORE
-from activestructure_gym.evaluation.training.world import learning_layouts, learning_scene, make_env
+from activestructure_gym.evaluation.training.world import learning_layouts, learning_truth, make_env
+from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies import Random
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import CandidateNetwork, as_tensors
-from activestructure_gym.scenes import Scene
 
 _SEED = 1000  # of the first validation episode; the start poses differ from layout to layout
 _FILE = "references.json"
@@ -28,7 +28,7 @@ _PLAYED = {name: schema.each(schema.number(0, 1)) for name in ("random", "oracle
 
 
 def network_choice(network: CandidateNetwork) -> Choose:
-    """The candidate with the highest score, for envs that offer the network's gains in its order."""
+    """A policy function: the candidate with the highest score, for envs with the network's features in its order."""
 
     def choose(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
         with torch.no_grad():
@@ -44,27 +44,27 @@ class Validation:
     def __init__(self, config: TrainingConfig, directory: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         self._config, self._file, self._tell = config, directory / _FILE, tell
         self._specs = learning_layouts(config.world, "validation", config.validation_layouts)
-        self._scenes: list[Scene] = []
+        self._truths: list[GroundTruth] = []
         self._references: dict[str, list[float]] = {}
 
     def __call__(self, network: CandidateNetwork) -> dict[str, float]:
         """``validation/auc``, and ``validation/normalised`` = (x - random) / (oracle - random)."""
         self._prepare()
         areas = []
-        for number, scene in enumerate(self._scenes):
-            self._tell(f"validating on layout {number + 1} of {len(self._scenes)}")
-            env = make_env(self._config.world, scene)
+        for number, truth in enumerate(self._truths):
+            self._tell(f"validating on layout {number + 1} of {len(self._truths)}")
+            env = make_env(self._config.world, truth)
             areas.append(play(env, network_choice(network), _SEED + number).auc)
             env.close()
         random, oracle = self._references["random"], self._references["oracle"]
         return {SCORE: float(np.mean(areas)), "validation/normalised": normalised(areas, random, oracle)}
 
     def _prepare(self) -> None:
-        if self._scenes:
+        if self._truths:
             return
         for number, spec in enumerate(self._specs):
             self._tell(f"preparing validation layout {number + 1} of {len(self._specs)}")
-            self._scenes.append(learning_scene(spec))
+            self._truths.append(learning_truth(spec))
         stored: dict[str, Any] = {}
         if self._file.is_file():
             again = "delete it, and the references are played again"
@@ -72,9 +72,9 @@ class Validation:
         if stored.get("layouts") != list(self._specs) or any(len(stored[name]) != len(self._specs) for name in _PLAYED):
             stored = {"layouts": list(self._specs), "random": [], "oracle": []}
             world = self._config.world
-            for number, scene in enumerate(self._scenes):
+            for number, truth in enumerate(self._truths):
                 self._tell(f"playing the references on layout {number + 1} of {len(self._specs)}")
-                stored["random"].append(play_policy(world, scene, Random(), _SEED + number).auc)
-                stored["oracle"].append(play_oracle(world, scene, _SEED + number).auc)
+                stored["random"].append(play_policy(world, truth, Random(), _SEED + number).auc)
+                stored["oracle"].append(play_oracle(world, truth, _SEED + number).auc)
             write_json(self._file, stored)
         self._references = stored

@@ -1,8 +1,7 @@
-"""The env that is learnt in: another layout, start pose and sensor noise, all from the seed."""
+"""The training environment: layout, start pose and sensor noise are drawn from the seed of an episode."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,10 +13,11 @@ from activestructure_gym.config import ReconstructionConfig, configure, replaced
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.observation import observation_space
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.training.config import WorldConfig
+from activestructure_gym.evaluation.training.config import Reward, WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
+from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies.learned.config import USED_KEYS
-from activestructure_gym.scenes import Scene, load_scene, observable_surface_of
+from activestructure_gym.scenes import load_scene
 
 _PERFECT_SHARE = 0.3  # of the episodes have a sensor without noise, as the comparisons do
 _DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")
@@ -29,7 +29,7 @@ STARTS = 16  # without a candidate, then another layout
 
 
 def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> ReconstructionConfig:
-    """The configuration of its episodes without noise, with these gains or the world's own."""
+    """The configuration of its episodes without noise, with these features or the world's own."""
     changes: dict[str, Any] = {"gains": tuple(world.gains if gains is None else gains)}
     drawn = [name for name, _ in world.overrides if name in _DRAWN]
     if world.noise and drawn:
@@ -58,17 +58,13 @@ def learning_layouts(world: WorldConfig, use: str, count: int, gains: Sequence[s
     return layout_specs(use, count, world.rooms, lit=sees_colour(world_config(world, gains)))
 
 
-def learning_scene(spec: str) -> Scene:
-    """The scene of a layout to learn on: `load_scene`'s, its surface told by fewer samples."""
-    loaded = load_scene(spec)
-    scene = dataclasses.replace(loaded)  # others may have the loaded one
-    scene.__dict__["raycaster"] = loaded.raycaster
-    scene.__dict__["observable_surface"] = observable_surface_of(scene, _SURFACE_SAMPLES)
-    return scene
+def learning_truth(spec: str) -> GroundTruth:
+    """A layout to learn on: its surface is told by fewer samples than a comparison's."""
+    return GroundTruth(load_scene(spec), _SURFACE_SAMPLES)
 
 
 def make_env(
-    world: WorldConfig, scene: Scene, *, gains: Sequence[str] | None = None, noise: dict[str, Any] | None = None
+    world: WorldConfig, truth: GroundTruth, *, gains: Sequence[str] | None = None, noise: dict[str, Any] | None = None
 ) -> ReconstructionEnv:
     """The full env for one scene. It never ends by how much was seen: that is ground truth.
 
@@ -77,7 +73,7 @@ def make_env(
     """
     config = replaced(world_config(world, gains), {"sensor": noise or {}})
     return ReconstructionEnv(
-        scene, config=config, coverage_target=None, max_planes=world.max_planes, reward={"noise_free": True}
+        truth, config=config, coverage_target=None, max_planes=world.max_planes, reward={"noise_free": True}
     )
 
 
@@ -89,8 +85,8 @@ def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
     return {"depth_noise": "kinect", "noise_multiplier": float(multiplier), "edge_dropout": bool(holes)}
 
 
-def learning_reward(kind: str, *, share: float, frames: int, left: float, env_reward: float) -> float:
-    """What a step is worth to PPO.
+def learning_reward(kind: Reward, *, share: float, frames: int, left: float, env_reward: float) -> float:
+    """The reward of a step for PPO.
 
     ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left on average on the
     way (0..1).
@@ -123,7 +119,7 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         self.observation_space = spaces.Dict({key: whole[key] for key in USED_KEYS})
         self.action_space = spaces.Discrete(config.views.max_candidates)
         self.env: ReconstructionEnv | None = None
-        self._scene: Scene | None = None
+        self._truth: GroundTruth | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -132,15 +128,15 @@ class TrainingEnv(gym.Env[dict[str, Any], np.int64]):
         super().reset(seed=seed)
         observation: dict[str, np.ndarray] = {}
         drawn, attempts = int(self.np_random.integers(len(self.layouts))), 0
-        if seed is not None or self._scene is None:
-            self._scene = learning_scene(self.layouts[(options or {}).get("layout", drawn)])
+        if seed is not None or self._truth is None:
+            self._truth = learning_truth(self.layouts[(options or {}).get("layout", drawn)])
         while not observation or not observation["action_mask"].any():  # nowhere to go: another start
             if attempts and attempts % STARTS == 0:
-                self._scene = learning_scene(self.layouts[int(self.np_random.integers(len(self.layouts)))])
+                self._truth = learning_truth(self.layouts[int(self.np_random.integers(len(self.layouts)))])
             attempts += 1
             self.close()
             noise = draw_noise(self.np_random) if self.world.noise else None
-            self.env = make_env(self.world, self._scene, noise=noise)
+            self.env = make_env(self.world, self._truth, noise=noise)
             observation, info = self.env.reset(seed=int(self.np_random.integers(2**31)))
         self._frames, self._left = info["frames"], float(observation["budget"][0])
         return self._used(observation), {"action_mask": info["action_mask"]}

@@ -1,4 +1,4 @@
-"""ActiveStructure: the paper's planner and the rungs of its ablation (Table 3).
+"""ActiveStructure: the planner of the paper ([activestructure]) and the rungs of its ablation (Table 3).
 
 Read in this order: `information_gain` (Eqs. 11 to 14), `phases` (the three phases and what ends each), `planner`
 (Eq. 15 and the loop). The planes, their quality and their surprise (Eqs. 4 to 10) come with the observation.

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies.activestructure.information_gain import (
     PlaneView,
     Terms,
@@ -16,14 +15,13 @@ from activestructure_gym.policies.activestructure.information_gain import (
 )
 from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, in_pool
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
-
-_REVISIT = CANDIDATE_FEATURES.index("revisit")
 
 
 def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
     """The gain without the revisits: a keyframe always sees the planes it founded. They belong to phase III."""
-    return np.where(observation["candidates"][:, _REVISIT] > 0, 0.0, gain)
+    return np.where(Candidates(observation).revisit, 0.0, gain)
 
 
 class StructurePolicy(Policy):
@@ -41,10 +39,11 @@ class StructurePolicy(Policy):
         return self._choose(discovering(terms.total, observation), terms, observation, {})
 
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
-        """The terms of Eqs. 12 to 14; a gain the rung does not ask for counts as 0."""
-        nothing = np.zeros(len(observation["action_mask"]))
+        """The terms of Eqs. 12 to 14; a feature the rung does not ask for counts as 0."""
+        candidates = self.candidates(observation)
+        nothing = np.zeros(len(candidates))
         pixel, hole_area, deficiency = (
-            self.gain(observation, name).astype(np.float64) if name in self.required_gains else nothing
+            candidates[name].astype(np.float64) if name in self.required_gains else nothing
             for name in ("pixel", "hole_area", "deficiency")
         )
         pixel = hole_area if "hole_area" in self.required_gains else pixel
@@ -130,7 +129,8 @@ class ActiveStructure(StructurePolicy):
     def act(self, observation: Observation) -> int:
         """The best view of the present phase; in phase III the nearest of the keyframes that render worst."""
         machine, planes = self._machine, plane_view(observation)
-        valid = discovering(observation["action_mask"].astype(bool), observation) > 0
+        candidates = self.candidates(observation)
+        valid = candidates.valid & ~candidates.revisit
         terms = self.terms(observation, planes, machine.phase.weights)
         pool = in_pool(terms, valid, machine.phase)
         changed = machine.update(pool)
@@ -145,7 +145,8 @@ class ActiveStructure(StructurePolicy):
 
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
         """The nearest of the worst rendered keyframes on offer; discovery again once nine tenths of all are good."""
-        revisit = (observation["candidates"][:, _REVISIT] > 0) & observation["action_mask"].astype(bool)
+        candidates = self.candidates(observation)
+        revisit = candidates.revisit & candidates.valid
         lowest = float(observation["fidelity"][0])
         more = {**more, "fidelity": lowest}
         if revisit.any() and lowest < GOOD_PSNR:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError, shown
+from activestructure_gym.files import replaced
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.registry import refuse_code
 
@@ -67,7 +68,7 @@ def check_size(file: Path, most: int = LARGEST_WEIGHTS) -> None:
 def read_network_config(weights: Path) -> NetworkConfig:
     """The shape of the network, from the description beside the weights.
 
-    Raises `InputError`, also for gains that are code, see `registry.refuse_code`.
+    Raises `InputError`, also for features that are code, see `registry.refuse_code`.
     """
     file = weights.with_suffix(".json")
     content = _described(weights)["network"]
@@ -76,8 +77,8 @@ def read_network_config(weights: Path) -> NetworkConfig:
     except InputError as error:
         raise InputError(f"'{file}' describes no policy of ours: {error}") from error
     for name in config.gains:
-        if ":" in name:  # no registered gain's name has a colon
-            refuse_code("gain", name, file)
+        if ":" in name:  # no registered feature has a colon in its name
+            refuse_code("feature", name, file)
     return config
 
 
@@ -161,12 +162,5 @@ def _described(weights: Path) -> dict[str, Any]:
 
 def _replace(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replaced(path, durable=True) as file:
+        file.write(content)

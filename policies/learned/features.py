@@ -1,4 +1,4 @@
-"""From observations to the network's inputs, scaled by physical ranges.
+"""The network's inputs from observations, scaled by physical ranges.
 
 No running statistics: those of a set-valued entry would be per row, which breaks equivariance and is spoilt by empty
 rows (stable-baselines3's VecNormalize does so). Places and directions are told in the camera's heading frame (at the
@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES, plane_columns
+from activestructure_gym.envs.observation import candidate_columns, plane_columns
 
 Tensors = Mapping[str, Tensor]
 
@@ -21,7 +21,8 @@ _FARTHEST = 4.0  # of those; what is farther away is as good as there
 _TRAVEL_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
 _SMALLEST_GAIN = 1e-3  # gains are told apart above a thousandth of an image
 
-_PATH, _FRAMES, _REVISIT = (CANDIDATE_FEATURES.index(name) for name in ("path_length", "frames", "revisit"))
+_XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
+_PATH, _FRAMES, _REVISIT = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
 
 # Columns of the plane table that lie in 0..1 already.
 _UNIT_COLUMNS = (
@@ -40,7 +41,7 @@ GLOBAL_INPUTS = 3  # and one for every gain
 
 
 def heading(pose: Tensor) -> tuple[Tensor, Tensor]:  # [B, 7] -> [B, 3] position, [B, 2] (cos, sin) of the yaw
-    """Where the camera is and which way it faces; (0, 0) where it looks straight up or down, which has no yaw."""
+    """Position and yaw direction of the camera; (0, 0) where it looks straight up or down."""
     w, x, y, z = pose[:, 3:].unbind(-1)
     forward = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], -1)  # of the optical axis, horizontal part
     return pose[:, :3], forward / (forward.norm(dim=-1, keepdim=True) + 1e-6)
@@ -89,7 +90,7 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
     """
     table, valid = observation["candidates"], observation["action_mask"][..., None]
     position, yaw = heading(observation["pose"])
-    frames = table[..., _FRAMES, None]
+    frames = table[..., _FRAMES]
     discount = 1.0 / (1.0 + frames / _TRAVEL_FRAMES)
     seen = observation["candidate_planes"]
     deficit, area = observation["plane_features"][..., plane_columns("deficit", "area")].unbind(-1)
@@ -97,12 +98,12 @@ def candidate_inputs(observation: Tensors) -> Tensor:  # [B, K, CANDIDATE_INPUTS
     gains = observation["candidate_gains"]
     inputs = torch.cat(
         [
-            near(turned(table[..., :3] - position[:, None], yaw)),
-            turned(table[..., 3:6], yaw),
-            near(table[..., _PATH, None]),
+            near(turned(table[..., _XYZ] - position[:, None], yaw)),
+            turned(table[..., _LOOK], yaw),
+            near(table[..., _PATH]),
             frames.log1p() / 4,
             discount,
-            table[..., _REVISIT, None],
+            table[..., _REVISIT],
             (seen @ lacking).log1p() / 3,
             gain_sizes(gains),
             _shares(gains, valid),
@@ -124,7 +125,7 @@ def _shares(gains: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> 
 
 
 def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
-    """What is left of the budget, how much there is to choose from, and how much there still is to gain."""
+    """Remaining budget, log counts of candidates and planes, and the largest valid value of every feature."""
     valid = observation["action_mask"]
     counts = [valid.sum(-1, keepdim=True).log1p() / 6, observation["plane_mask"].sum(-1, keepdim=True).log1p() / 4]
     most = (gain_sizes(observation["candidate_gains"]) * valid[..., None]).amax(dim=1)

@@ -1,9 +1,9 @@
 """The candidate-set network: one score per candidate view, and a value of the state.
 
 A flat network over the candidate table learns nothing, since a row's content changes place from step to step; the
-same small head applied to every row reaches a greedy expert within a few thousand steps (dossier peers_info_rl, B and
-C1). Planes pass messages along the edges of the Plane Scene Graph and reach a candidate through the planes it would
-see. Renumbering candidates renumbers the scores, renumbering planes changes nothing.
+same small head applied to every row reaches a greedy expert within a few thousand steps
+(docs/notebook/groundwork.md). Planes pass messages along the edges of the Plane Scene Graph and reach a candidate
+through the planes it would see. Renumbering candidates renumbers the scores, renumbering planes changes nothing.
 """
 
 from __future__ import annotations

@@ -44,12 +44,13 @@ class Learned(Policy):
         return self._network
 
     def scores(self, observation: Observation) -> np.ndarray:  # [K]
-        """What the network holds every candidate to be worth; very low in rows without one."""
+        """The network's score of every candidate; very low in rows without one."""
         import torch
 
         from activestructure_gym.policies.learned.network import as_tensors
 
-        gains = np.stack([self.gain(observation, name) for name in self.required_gains], axis=-1)
+        candidates = self.candidates(observation)
+        gains = np.stack([candidates[name] for name in self.required_gains], axis=-1)
         entries = {key: observation[key][None] for key in USED_KEYS} | {"candidate_gains": gains[None]}
         with torch.no_grad():
             return self.network(as_tensors(entries))[0][0].numpy()

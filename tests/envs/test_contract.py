@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import multiprocessing
 import pickle
 import warnings
@@ -14,7 +15,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from activestructure_gym.envs import ENV_IDS, ReconstructionEnv, tasks
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES, gain_names
+from activestructure_gym.envs.reconstruction_env import EnvOptions
+from activestructure_gym.envs.registration import TASKS
+from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
 
 # SB3 tells that its default extractor would flatten two-dimensional boxes; ours are tables, not images.
@@ -163,3 +168,17 @@ def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None
         line.strip() for line in page.splitlines() if line.strip().startswith("## ")
     ]
     assert f"**{env_id.split('/')[1]}**" in page
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_what_make_takes_stands_in_the_signature_of_the_task(env_id: str) -> None:
+    kind = getattr(tasks, TASKS[env_id.partition("/")[2]])
+    named = inspect.signature(kind).parameters
+    assert set(EnvOptions.__annotations__) | {"scene"} <= set(named)
+    assert set(EnvOptions.__annotations__) == set(inspect.signature(ReconstructionEnv).parameters) - {"scene"}
+    assert all(one.kind is one.KEYWORD_ONLY for one in named.values())
+
+
+def test_a_keyword_that_nobody_knows_is_refused_with_the_nearest() -> None:
+    with pytest.raises(InputError, match=r"unknown keyword of Room-v0 'frame_buget'; did you mean 'frame_budget'\?"):
+        gym.make(ENV_IDS[0], scene="box", frame_buget=3)

@@ -12,9 +12,10 @@ from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import least_frames, observation_keys, observation_table
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError
+from activestructure_gym.features import FEATURES
 from activestructure_gym.motion import MotionConfig
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.views import GAINS, CandidateTable
+from activestructure_gym.views import CandidateTable
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 
@@ -136,7 +137,7 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"frame_budget": 0}, "the frame budget must be at least 1, got 0"),
         ({"preset": "fsat"}, "unknown preset 'fsat'; did you mean 'fast'"),
         ({"config": {"sensor.widht": 3}}, "unknown field of SensorConfig 'widht'; did you mean 'width'"),
-        ({"gains": ("pixle",)}, "unknown gain 'pixle'; did you mean 'pixel'"),
+        ({"gains": ("pixle",)}, "unknown feature 'pixle'; did you mean 'pixel'"),
         ({"reward": {"coverag": 1.0}}, "unknown field of RewardConfig 'coverag'"),
         ({"coverage_target": 0.0}, "coverage_target is a share"),
         ({"scene": []}, "at least one scene"),
@@ -154,11 +155,11 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"frame_budget": 10**5000}, "the frame budget must be at most 1000000, got something of the kind int"),
         ({"frame_budget": float("nan")}, "frame_budget must be a whole number, got nan"),
         ({"frame_budget": True}, "frame_budget must be a whole number, got True"),
-        ({"gains": [1]}, "a gain is given by its name, as a text, got 1"),
-        ({"gains": [["pixel"]]}, "a gain is given by its name"),
-        ({"gains": [b"pixel"]}, "a gain is given by its name"),
-        ({"gains": ["pi\nxel"]}, "unknown gain 'pi\\\\nxel'"),
-        ({"gains": ["os:sep"]}, "gain 'os:sep' must be a function of a GainContext, got '/'"),
+        ({"gains": [1]}, "a feature is given by its name, as a text, got 1"),
+        ({"gains": [["pixel"]]}, "a feature is given by its name"),
+        ({"gains": [b"pixel"]}, "a feature is given by its name"),
+        ({"gains": ["pi\nxel"]}, "unknown feature 'pi\\\\nxel'"),
+        ({"gains": ["os:sep"]}, "feature 'os:sep' must be a function of a FeatureContext, got '/'"),
         ({"gains": 7}, "gains must be a list of names, got 7"),
         ({"gains": {"pixel"}}, "gains must be a list of names"),
         ({"config": [("a", 1)]}, "config must be a dictionary with names as keys"),
@@ -273,7 +274,7 @@ def test_tasks_that_need_a_scene_say_so() -> None:
 
 def test_ground_truth_stays_behind(box_options: dict[str, Any]) -> None:
     """With the true mesh swapped after the frames are recorded, observation and gains stay the same."""
-    env = ReconstructionEnv(**{**box_options, "gains": tuple(GAINS)})
+    env = ReconstructionEnv(**{**box_options, "gains": tuple(FEATURES)})
     env.reset(seed=0)
     before = env._observe()
     env.reconstruction.scene = load_scene("box?seed=3")

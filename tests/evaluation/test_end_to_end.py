@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation import episode, store
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.comparison import open_comparison
 from activestructure_gym.evaluation.protocols import ActiveGamerProtocol, StandardProtocol
+from activestructure_gym.evaluation.running import episode
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """
@@ -55,7 +56,7 @@ def runs(finished):
 def test_two_finish_and_the_third_is_named(finished, runs):
     code, out = finished
     assert code == 1
-    assert [run.job.policy for run in runs] == ["random", "pixel_only"]
+    assert [run.policy for run in runs] == ["random", "pixel_only"]
     summary = (out / "summary.md").read_text()
     assert "box · third_party:Crashing · seed 0: RuntimeError: lost the way (exit code 1)" in summary
     # One log: the two that finished had nothing to say, not even that a kernel is compiled. The warm-up did that.
@@ -70,7 +71,7 @@ def test_the_archive_holds_everything(finished, runs):
     assert files <= {path.name for path in out.iterdir()}
     for run in runs:
         config, metrics = run.config, run.metrics["metrics"]
-        assert config["job"]["policy"] == run.job.policy and config["configuration"]["frame_budget"] == 25
+        assert config["job"]["policy"] == run.policy and config["configuration"]["frame_budget"] == 25
         assert config["scene"]["content_hash"] == run.job.scene_hash == run.metrics["scene"]
         assert run.metrics["protocol"]["name"] == "standard" and run.metrics["protocol"]["opacity_threshold"] == 0.5
         assert config["versions"]["numpy"] == np.__version__
@@ -92,7 +93,7 @@ def test_decisions_path_and_curve_agree(runs):
         assert curve[0]["frames"] == 1 and curve[-1]["frames"] == metrics["frames"]
         assert curve[-1]["completion_ratio"] == pytest.approx(metrics["completion_ratio"], abs=2)
         assert curve[-1]["completion_ratio"] > curve[0]["completion_ratio"]
-    (pixel_only,) = (run for run in runs if run.job.policy == "pixel_only")
+    (pixel_only,) = (run for run in runs if run.policy == "pixel_only")
     step = pixel_only.steps[0]
     assert step["gains"]["pixel"] == pytest.approx(step["trace"]["pixel"])
     assert {"x", "y", "z", "path_length"} <= step["view"].keys()

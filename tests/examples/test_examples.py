@@ -49,7 +49,7 @@ def test_twelve_lines_of_stable_baselines3(capsys: pytest.CaptureFixture[str]) -
     assert "20 frames" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("page", "number"), [("docs/learning.md", 0), ("README.md", 1)])
+@pytest.mark.parametrize(("page", "number"), [("docs/guide/training.md", 0), ("README.md", 1)])
 def test_pages_show_the_lines_that_ran(page: str, number: int) -> None:
     shown = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
     text = (EXAMPLES / "sb3_ppo.py").read_text()

@@ -38,7 +38,8 @@ def asg(*arguments: str) -> int:
 
     said = io.StringIO()
     # All kernels that are needed are compiled when the comparison is made.
-    nothing = mock.patch("activestructure_gym.evaluation.comparison.warming_up", lambda *_: contextlib.nullcontext())
+    warming_up = "activestructure_gym.evaluation.running.comparison.warming_up"
+    nothing = mock.patch(warming_up, lambda *_: contextlib.nullcontext())
     with nothing, contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         code = main(list(arguments))
     text = "".join(line for line in said.getvalue().splitlines(keepends=True) if not line.startswith("asg: note: "))
@@ -84,7 +85,7 @@ def training_run() -> Files:
     """A run of behaviour cloning that was stopped after its first epoch, with the demonstrations it learns from."""
     import torch
 
-    from activestructure_gym.evaluation.store import write_json
+    from activestructure_gym.evaluation.archive.store import write_json
     from activestructure_gym.evaluation.training import demonstrations
     from activestructure_gym.evaluation.training.config import TrainingConfig, WorldConfig
     from activestructure_gym.evaluation.training.layouts import layout_specs

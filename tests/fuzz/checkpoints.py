@@ -122,7 +122,7 @@ def _resume() -> None:
     played = SimpleNamespace(auc=0.5, frames=[1], coverage=[0.5])
     made_up = {
         f"{place}.validation.learning_layouts": lambda world, kind, count, *_: _specs(world, kind, count),
-        f"{place}.validation.learning_scene": lambda spec: SimpleNamespace(),
+        f"{place}.validation.learning_truth": lambda spec: SimpleNamespace(),
         f"{place}.validation.make_env": lambda *_: SimpleNamespace(close=lambda: None),
         f"{place}.validation.play": lambda *_: played,
         f"{place}.validation.play_policy": lambda *_: played,

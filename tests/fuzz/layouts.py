@@ -38,7 +38,7 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
 
 
 def _read(folder: Path, entrance: str, sequence: str) -> None:
-    from activestructure_gym.evaluation.views import recorded_views
+    from activestructure_gym.evaluation.protocols.held_out_views import recorded_views
     from activestructure_gym.scenes import load_scene
 
     if sequence:

@@ -82,13 +82,16 @@ _ENVIRONMENT = {
 
 
 def _arguments(rng: np.random.Generator) -> list[str]:
-    from activestructure_gym.evaluation.cli.commands import COMMANDS
+    from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command, parts_of
 
     if rng.random() < 0.08:
         first = _pick(rng, ("", "help", "--help", "-h", "--version", "compre", "[red]", "-x", "a\nb", "x" * 1000, "--"))
         return [first, *_some(rng, (*COMMANDS, *_TEXTS), 2)]
     name = _pick(rng, (*COMMANDS, "compare", "compare", "compare", "train", "train", "evaluate"))
-    fields = dataclasses.fields(COMMANDS[name])
+    kind = find_command(name)
+    parts = parts_of(kind)
+    part = _pick(rng, tuple(parts)) if parts else ""
+    fields = dataclasses.fields(parts.get(part, kind))
     words = [name]
     for field in [fields[k] for k in rng.permutation(len(fields))[: rng.integers(0, 4)]]:
         values = _values(rng, field.name)
@@ -100,8 +103,8 @@ def _arguments(rng: np.random.Generator) -> list[str]:
             words.append(f"{option}={values[0] if values else ''}")
         else:
             words += [option, *values]
-    if name in ("bench", "train") and rng.random() < 0.8:
-        words.insert(1, _pick(rng, ("bc", "rank", "ppo", "score") if name == "train" else ("sensor", "env", "grid")))
+    if parts and rng.random() < 0.8:  # now and then another part than the one the options are of
+        words.insert(1, part if rng.random() < 0.8 else _pick(rng, tuple(parts)))
     if rng.random() < 0.05:
         words.insert(int(rng.integers(1, len(words) + 1)), _pick(rng, _TEXTS))
     return words
@@ -135,7 +138,7 @@ def _values(rng: np.random.Generator, name: str) -> list[str]:
 
 def _override(rng: np.random.Generator) -> str:
     from activestructure_gym.config import ReconstructionConfig
-    from activestructure_gym.evaluation.cli.listing import leaves
+    from activestructure_gym.evaluation.cli.config import leaves
 
     paths = [path for path, _ in leaves(ReconstructionConfig())]
     path = _pick(rng, paths) if rng.random() < 0.75 else _pick(rng, _PATHS)
@@ -161,7 +164,7 @@ def _run(arguments: list[str], environment: dict[str, str], folder: Path) -> Non
         stack.enter_context(mock.patch.dict(os.environ, environment))
         for place in _WORK:
             stack.enter_context(mock.patch(place, _reach))
-        stack.enter_context(mock.patch(f"{_PACKAGE}.evaluation.comparison.warming_up", _nothing))
+        stack.enter_context(mock.patch(f"{_PACKAGE}.evaluation.running.comparison.warming_up", _nothing))
         stack.enter_context(mock.patch(f"{_PACKAGE}.evaluation.protocols.StandardProtocol.truth", lambda *_: None))
         stack.enter_context(redirect_stderr(said))
         try:
@@ -188,12 +191,12 @@ def _reach(*_: Any, **__: Any) -> Any:
 
 _PACKAGE = "activestructure_gym"
 _WORK = (
-    f"{_PACKAGE}.evaluation.comparison.run_comparison",
-    f"{_PACKAGE}.evaluation.cli.train._run",
+    f"{_PACKAGE}.evaluation.running.comparison.run_comparison",
+    f"{_PACKAGE}.evaluation.cli.train.learning._run",
     f"{_PACKAGE}.evaluation.training.scoring.play_cells",
-    f"{_PACKAGE}.evaluation.cli.bench.bench",
+    f"{_PACKAGE}.evaluation.cli.bench.Bench.run",
     f"{_PACKAGE}.evaluation.cli.scenes.describe",
-    f"{_PACKAGE}.evaluation.cli.doctor.doctor",
-    f"{_PACKAGE}.evaluation.remeasure.measure_file",
+    f"{_PACKAGE}.evaluation.cli.doctor.Doctor.run",
+    f"{_PACKAGE}.evaluation.running.remeasure.measure_file",
     f"{_PACKAGE}.evaluation.cli.cache._clear",
 )

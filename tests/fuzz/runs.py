@@ -63,7 +63,7 @@ def _name_code(rng: np.random.Generator, files: dict[str, bytes], run: str, evil
         else:
             job["overrides"]["gains"] = [f"{evil}:make"]
     if name == "compare.json":  # names go with contents
-        from activestructure_gym.evaluation.jobs import Job
+        from activestructure_gym.evaluation.archive.jobs import Job
 
         content["jobs"] = {Job.from_dict(job).name: job for job in jobs}
         for old, new in zip(runs_of(files), content["jobs"]):
@@ -104,7 +104,7 @@ def _report(out: Path) -> None:
 
 def _resume(run: str, damaged: list[str]) -> None:
     """All that is damaged is made again, unless the record itself is."""
-    from activestructure_gym.evaluation.comparison import open_comparison
+    from activestructure_gym.evaluation.archive.comparison import open_comparison
 
     code = asg("compare", "--out", "all", "--resume", "--engine", "inline")
     runs = open_comparison(Path("all"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 
 ROOM = np.array([4.0, 3.0, 2.5])  # metres, one corner at the origin
 CAMERA = PinholeCamera.from_size(80, 45)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import GaussianMap
 from activestructure_gym.mapping.information import COLUMNS, KeyframeInformation
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting.fisher import view_information
 
 CAMERA = PinholeCamera.from_size(24, 18)

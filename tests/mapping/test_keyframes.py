@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views, viewing_sides
-from activestructure_gym.sensors.frame import Frame
 
 CAMERA = PinholeCamera.from_size(60, 40)  # 90 degrees wide
 

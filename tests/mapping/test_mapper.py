@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import look_along
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import Mapper, MapperConfig
-from activestructure_gym.sensors.frame import Frame
 
 
 def _mapper(seed=0, **config):

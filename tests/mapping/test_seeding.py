@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks, surface_steps, too_coarse
-from activestructure_gym.sensors.frame import Frame
 
 CAMERA = PinholeCamera.from_size(8, 6)  # f = 4, centre (4, 3)
 

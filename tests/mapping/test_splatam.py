@@ -8,9 +8,9 @@ import torch
 from torch.nn.functional import conv2d
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import MAPPERS, Mapper
 from activestructure_gym.mapping.seeding import missing_pixels, seed_balls
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.splatting import cpu
 from activestructure_gym.splatting.reference import rasterize_reference
 

@@ -3,9 +3,10 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping import GaussianMap, write_ply
 from activestructure_gym.mapping.files import map_kind, read_map
-from activestructure_gym.mapping.splatam_file import quaternion_of, read_splatam, splatam_path, turned, write_splatam
+from activestructure_gym.mapping.splatam_file import read_splatam, splatam_path, write_splatam
 
 CAMERA = PinholeCamera.from_size(96, 54)
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, path_lengths, plan_path
-from activestructure_gym.sensors.frame import Frame
 from activestructure_gym.volume import VoxelVolume
 
 CAMERA = PinholeCamera.from_size(160, 90)
@@ -116,7 +117,7 @@ def test_random_episodes_in_scanned_scenes_cross_nothing(name, shared):
     from activestructure_gym.scenes.library import load_scene
 
     scene, metres = load_scene(shared / "scenes" / name, up="z"), 0.0
-    for seed, start in enumerate(scene.free_space.start_poses[:6]):
+    for seed, start in enumerate(ground_truth_of(scene).free_space.start_poses[:6]):
         positions, _ = explore(
             scene.raycaster, scene.bounds, start, np.random.default_rng(seed), frames=100, choose=random_views
         )

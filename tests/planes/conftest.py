@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import PlaneDetectionConfig, PlaneGraphConfig, PlaneSceneGraph
 from activestructure_gym.scenes.raycaster import RayCaster
-from activestructure_gym.sensors.frame import Frame
 
 
 class Rectangles:

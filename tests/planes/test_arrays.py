@@ -44,23 +44,23 @@ def test_all_planes_fit(graph):
     assert not arrays.features[count:].any() and not arrays.edge_weights[count:].any() and not arrays.tree[count:].any()
     assert ((arrays.features >= PLANE_FEATURE_LOW) & (arrays.features <= PLANE_FEATURE_HIGH)).all()
     np.testing.assert_array_equal(arrays.nodes, np.arange(count))
-    np.testing.assert_allclose(column(arrays, "deficit"), graph.deficit, rtol=1e-6)
-    np.testing.assert_allclose(column(arrays, "quality_interior"), graph.quality.modes[:, 7], rtol=1e-6)
-    np.testing.assert_allclose(column(arrays, "centroid_y"), graph.centroids[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(column(arrays, "deficit"), graph.state.deficit, rtol=1e-6)
+    np.testing.assert_allclose(column(arrays, "quality_interior"), graph.state.quality.modes[:, 7], rtol=1e-6)
+    np.testing.assert_allclose(column(arrays, "centroid_y"), graph.state.centroids[:, 1], rtol=1e-6)
     np.testing.assert_allclose(column(arrays, "observations"), [n.observations for n in graph.nodes])
-    np.testing.assert_allclose(column(arrays, "degree"), graph.tree.sum(axis=1))
-    np.testing.assert_array_equal(arrays.edge_weights[:count, :count] > 0, graph.edges)
-    np.testing.assert_array_equal(arrays.tree[:count, :count] == 1, graph.tree)
+    np.testing.assert_allclose(column(arrays, "degree"), graph.state.tree.sum(axis=1))
+    np.testing.assert_array_equal(arrays.edge_weights[:count, :count] > 0, graph.state.edges)
+    np.testing.assert_array_equal(arrays.tree[:count, :count] == 1, graph.state.tree)
 
 
 def test_the_largest_are_kept_when_there_are_too_many(graph):
     arrays = graph.arrays(5)
-    kept = graph.areas[arrays.nodes]
+    kept = graph.state.areas[arrays.nodes]
     assert arrays.mask.tolist() == [1] * 5
     assert (np.diff(arrays.nodes) > 0).all()
-    assert kept.min() >= np.delete(graph.areas, arrays.nodes).max()
+    assert kept.min() >= np.delete(graph.state.areas, arrays.nodes).max()
     np.testing.assert_allclose(column(arrays, "area"), kept, rtol=1e-6)
-    weights = np.where(graph.edges, graph.weights, 0.0)[np.ix_(arrays.nodes, arrays.nodes)]
+    weights = np.where(graph.state.edges, graph.state.weights, 0.0)[np.ix_(arrays.nodes, arrays.nodes)]
     np.testing.assert_allclose(arrays.edge_weights, weights, rtol=1e-6)
 
 
@@ -69,11 +69,11 @@ def test_an_empty_graph_is_all_zero():
     for array in (arrays.features, arrays.mask, arrays.edge_weights, arrays.tree):
         assert not array.any()
     assert arrays.nodes.shape == (0,)
-    assert plane_features(PlaneSceneGraph()).shape == (0, len(PLANE_FEATURES))
+    assert plane_features(PlaneSceneGraph().state).shape == (0, len(PLANE_FEATURES))
 
 
 def test_values_beyond_the_bounds_are_clipped(graph):
-    graph.offsets[0] = -1e9
+    graph.state.offsets[0] = -1e9
     assert graph.arrays(64).features[0, PLANE_FEATURES.index("offset")] == -1000.0
 
 

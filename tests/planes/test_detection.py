@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, transform_points
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import PlaneDetectionConfig, depth_noise_scale, detect_planes, segment_planes
-from activestructure_gym.sensors.frame import Frame
 
 
 def score(room, views, *, noise, size):
@@ -48,7 +48,7 @@ def test_planes_of_a_furnished_room_are_found(furnished_room, furnished_views, n
     found, total, right, segments, angle, offset = score(
         furnished_room, furnished_views[:views], noise=noise, size=size
     )
-    # The dossier's prototype found 46 of 49 (0.94) and was right in 46 of 47 (0.98), at 0.07 deg and 1.5 mm.
+    # The prototype (docs/notebook/groundwork.md) found 46 of 49 (0.94), right in 46 of 47 (0.98), 0.07 deg, 1.5 mm.
     assert found >= 0.97 * total and total > 30
     assert right >= 0.97 * segments
     assert angle < 0.07 and offset < 0.0018  # medians over more planes: the small and far ones are among them

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
 from activestructure_gym.planes.graph import tangent_axes
-from activestructure_gym.sensors.frame import Frame
 
 
 def wander(room, rng, count, *, low, high, pitch=(-0.6, 0.6), **options):
@@ -33,11 +33,11 @@ def test_a_closed_room_has_six_nodes_and_keeps_them(box_room, new_graph, rng, no
     assert counts[20:] == [6] * 100
     # Its areas are those of the room, and it is whole.
     expected = np.sort([4.3 * 3.1, 4.3 * 3.1, 4.3 * 2.5, 4.3 * 2.5, 3.1 * 2.5, 3.1 * 2.5])
-    np.testing.assert_allclose(np.sort(graph.areas), expected, rtol=0.03)
-    assert (graph.quality.modes[:, [0, 3, 4, 5, 7]] > 0.9).all()
+    np.testing.assert_allclose(np.sort(graph.state.areas), expected, rtol=0.03)
+    assert (graph.state.quality.modes[:, [0, 3, 4, 5, 7]] > 0.9).all()
     assert len(graph.deficiencies) == 0
-    assert graph.structural.all()
-    assert graph.tree.sum() == 2 * 5
+    assert graph.state.structural.all()
+    assert graph.state.tree.sum() == 2 * 5
 
 
 def test_a_furnished_room_has_its_planes(furnished_room, furnished_views, new_graph):
@@ -49,8 +49,8 @@ def test_a_furnished_room_has_its_planes(furnished_room, furnished_views, new_gr
     faces = {"table": 7, "cupboard": 10}  # nodes more or less are small faces of furniture
     assert 6 + len(faces) <= len(graph.nodes) <= 30
     for normal, d in sides:
-        near = (np.abs(graph.normals @ normal) > np.cos(np.radians(1.0))) & (
-            np.abs(np.abs(graph.offsets) - abs(d)) < 0.01
+        near = (np.abs(graph.state.normals @ normal) > np.cos(np.radians(1.0))) & (
+            np.abs(np.abs(graph.state.offsets) - abs(d)) < 0.01
         )
         assert near.any()
 
@@ -72,15 +72,16 @@ def test_a_rigid_motion_of_everything_changes_nothing(furnished_room, furnished_
         here.update(frame, space_state=space)
         there.update(replace(frame, world_from_camera=motion @ frame.world_from_camera), space_state=moved_space)
     assert len(here.nodes) == len(there.nodes) > 8
-    np.testing.assert_allclose(there.normals, here.normals @ motion[:3, :3].T, atol=1e-9)
-    np.testing.assert_allclose(there.centroids, here.centroids @ motion[:3, :3].T + motion[:3, 3], atol=1e-9)
-    np.testing.assert_allclose(there.weights, here.weights, atol=1e-9)
-    np.testing.assert_array_equal(there.edges, here.edges)
-    np.testing.assert_array_equal(there.tree, here.tree)
-    np.testing.assert_array_equal(there.structural, here.structural)
-    np.testing.assert_allclose(there.quality.modes, here.quality.modes, atol=1e-6)
-    np.testing.assert_allclose(there.surprise.total, here.surprise.total, atol=1e-6)
-    np.testing.assert_allclose(there.deficit, here.deficit, atol=1e-6)
+    np.testing.assert_allclose(there.state.normals, here.state.normals @ motion[:3, :3].T, atol=1e-9)
+    centroids = here.state.centroids @ motion[:3, :3].T + motion[:3, 3]
+    np.testing.assert_allclose(there.state.centroids, centroids, atol=1e-9)
+    np.testing.assert_allclose(there.state.weights, here.state.weights, atol=1e-9)
+    np.testing.assert_array_equal(there.state.edges, here.state.edges)
+    np.testing.assert_array_equal(there.state.tree, here.state.tree)
+    np.testing.assert_array_equal(there.state.structural, here.state.structural)
+    np.testing.assert_allclose(there.state.quality.modes, here.state.quality.modes, atol=1e-6)
+    np.testing.assert_allclose(there.state.surprise.total, here.state.surprise.total, atol=1e-6)
+    np.testing.assert_allclose(there.state.deficit, here.state.deficit, atol=1e-6)
     np.testing.assert_allclose(
         there.deficiencies.centres, here.deficiencies.centres @ motion[:3, :3].T + motion[:3, 3], atol=1e-6
     )
@@ -94,8 +95,8 @@ def test_the_same_frames_give_the_same_graph(furnished_room, furnished_views, ne
         second.update(frame)
         if k == 3:
             second = pickle.loads(pickle.dumps(second))
-    np.testing.assert_array_equal(first.quality.modes, second.quality.modes)
-    np.testing.assert_array_equal(first.deficit, second.deficit)
+    np.testing.assert_array_equal(first.state.quality.modes, second.state.quality.modes)
+    np.testing.assert_array_equal(first.state.deficit, second.state.deficit)
     np.testing.assert_array_equal(first.deficiencies.centres, second.deficiencies.centres)
     assert [node.id for node in first.nodes] == [node.id for node in second.nodes]
 
@@ -106,11 +107,11 @@ def test_assessed_once_after_several_keyframes_it_is_as_if_after_each(furnished_
         frame = furnished_room.shoot(position, direction)[0]
         each.update(frame)
         once.integrate(frame)
-    assert once.nodes and len(once.areas) == 0  # as of the last assessment
+    assert once.nodes and len(once.state.areas) == 0  # as of the last assessment
     once.assess()
     for name in ("normals", "offsets", "areas", "weights", "edges", "tree", "betweenness", "structural", "deficit"):
-        np.testing.assert_array_equal(getattr(once, name), getattr(each, name))
-    np.testing.assert_array_equal(once.quality.modes, each.quality.modes)
+        np.testing.assert_array_equal(getattr(once.state, name), getattr(each.state, name))
+    np.testing.assert_array_equal(once.state.quality.modes, each.state.quality.modes)
     np.testing.assert_array_equal(once.deficiencies.centres, each.deficiencies.centres)
 
 
@@ -120,15 +121,15 @@ def test_edges_need_a_common_keyframe(rectangles, new_graph):
     graph = new_graph()
     graph.update(scene.shoot((1.4, -0.7, 1.5), (1, 0, 0))[0])
     graph.update(scene.shoot((1.4, 0.7, 1.5), (1, 0, 0))[0])
-    assert len(graph.nodes) == 2 and not graph.edges.any()
-    assert graph.weights[0, 1] < 0.5
-    np.testing.assert_allclose(graph.surprise.connectivity, 1.0)
-    np.testing.assert_allclose(graph.surprise.neighbourhood, [1.0, 1.0], atol=1e-6)
-    before = graph.deficit.copy()
+    assert len(graph.nodes) == 2 and not graph.state.edges.any()
+    assert graph.state.weights[0, 1] < 0.5
+    np.testing.assert_allclose(graph.state.surprise.connectivity, 1.0)
+    np.testing.assert_allclose(graph.state.surprise.neighbourhood, [1.0, 1.0], atol=1e-6)
+    before = graph.state.deficit.copy()
     graph.update(scene.shoot((0.0, 0.0, 1.5), (1, 0, 0))[0])
-    assert graph.edges[0, 1] and graph.tree[0, 1]
-    np.testing.assert_allclose(graph.surprise.neighbourhood, [0.1, 0.1], atol=1e-6)
-    assert (graph.deficit < before).all()
+    assert graph.state.edges[0, 1] and graph.state.tree[0, 1]
+    np.testing.assert_allclose(graph.state.surprise.neighbourhood, [0.1, 0.1], atol=1e-6)
+    assert (graph.state.deficit < before).all()
 
 
 def test_networkx_view_is_the_graph(furnished_room, furnished_views, new_graph):
@@ -137,7 +138,7 @@ def test_networkx_view_is_the_graph(furnished_room, furnished_views, new_graph):
         graph.update(furnished_room.shoot(position, direction)[0])
     view = graph.as_networkx()
     assert list(view.nodes) == [node.id for node in graph.nodes]
-    assert view.number_of_edges() == graph.edges.sum() // 2
+    assert view.number_of_edges() == graph.state.edges.sum() // 2
     forest = nx.minimum_spanning_tree(view)
     total = sum(d["weight"] for _, _, d in view.edges(data=True) if d["tree"])
     assert total == pytest.approx(sum(d["weight"] for _, _, d in forest.edges(data=True)))
@@ -147,8 +148,8 @@ def test_networkx_view_is_the_graph(furnished_room, furnished_views, new_graph):
     expected = nx.betweenness_centrality(tree_only)
     for k, node in enumerate(graph.nodes):
         assert view.nodes[node.id]["betweenness"] == pytest.approx(expected[node.id])
-        assert view.nodes[node.id]["deficit"] == graph.deficit[k]
-        assert len(view.nodes[node.id]["points"]) == graph.point_counts[k]
+        assert view.nodes[node.id]["deficit"] == graph.state.deficit[k]
+        assert len(view.nodes[node.id]["points"]) == graph.state.point_counts[k]
 
 
 def test_points_lie_on_the_surface_they_come_from(box_room, new_graph, rng):
@@ -160,7 +161,7 @@ def test_points_lie_on_the_surface_they_come_from(box_room, new_graph, rng):
     outside = np.maximum(-points, points - [4.3, 3.1, 2.5]).max(axis=-1)
     assert outside.max() < 0.05  # a cell
     for k in range(len(graph.nodes)):
-        np.testing.assert_allclose(points[k] @ graph.normals[k] + graph.offsets[k], 0.0, atol=1e-9)
+        np.testing.assert_allclose(points[k] @ graph.state.normals[k] + graph.state.offsets[k], 0.0, atol=1e-9)
         assert np.abs(np.minimum(np.abs(points[k]), np.abs(points[k] - [4.3, 3.1, 2.5])).min(axis=1)).max() < 0.02
 
 
@@ -169,7 +170,7 @@ def test_nothing_seen_is_an_empty_graph(rectangles):
     frame, _ = rectangles().add((50, 0, 0), (0, 1, 0), (0, 0, 1)).shoot((0, 0, 0), (1, 0, 0))
     update = graph.update(frame)
     assert graph.nodes == [] and update.node_ids == () and graph.keyframes == 1
-    assert graph.weights.shape == (0, 0) and graph.normals.shape == (0, 3)
+    assert graph.state.weights.shape == (0, 0) and graph.state.normals.shape == (0, 3)
     assert graph.as_networkx().number_of_nodes() == 0
     with pytest.raises(KeyError):
         graph.node(0)
@@ -194,9 +195,10 @@ def test_wild_depth_never_raises(new_graph, rng):
         pose = look_along(rng.uniform(-1, 1, 3), rng.standard_normal(3))
         depth = images[k % len(images)].astype(np.float32)
         graph.update(Frame(np.zeros((48, 64, 3), np.uint8), depth, pose, camera))
-        for array in (graph.quality.modes, graph.surprise.total, graph.deficit, graph.weights, graph.centroids):
+        state = graph.state
+        for array in (state.quality.modes, state.surprise.total, state.deficit, state.weights, state.centroids):
             assert np.isfinite(array).all()
-        assert ((graph.quality.modes >= 0) & (graph.quality.modes <= 1)).all()
+        assert ((state.quality.modes >= 0) & (state.quality.modes <= 1)).all()
         assert all(len(node.points) for node in graph.nodes)
         graph.arrays(16)
     assert len(graph.nodes) > 1

@@ -48,7 +48,7 @@ def test_the_faces_of_a_thin_wall_stay_two(rectangles, new_graph):
     looks = [((0.5, 0, 1.2), (1, 0, 0)), ((3.58, 0, 1.2), (-1, 0, 0))] * 3
     graph = watch(new_graph(), scene, looks)
     assert len(graph.nodes) == 2
-    assert graph.normals[0] @ graph.normals[1] == pytest.approx(-1.0, abs=1e-6)
+    assert graph.state.normals[0] @ graph.state.normals[1] == pytest.approx(-1.0, abs=1e-6)
 
 
 def test_a_step_of_twelve_centimetres_is_two_planes(rectangles, new_graph):

@@ -44,14 +44,15 @@ def board_with_window(rectangles, half=0.4):
 
 def board_of(graph):
     """Index of the node at x = 2."""
-    (index,) = np.flatnonzero((np.abs(graph.centroids[:, 0] - 2.0) < 0.1) & (np.abs(graph.normals[:, 0]) > 0.9))
+    state = graph.state
+    (index,) = np.flatnonzero((np.abs(state.centroids[:, 0] - 2.0) < 0.1) & (np.abs(state.normals[:, 0]) > 0.9))
     return index
 
 
 def watch(graph, scene, frames=6, eye=EYE, **options):
     for _ in range(frames):
         graph.update(scene.shoot(eye, AHEAD, **options)[0])
-    return graph.quality.modes[board_of(graph)]
+    return graph.state.quality.modes[board_of(graph)]
 
 
 @pytest.fixture
@@ -115,7 +116,7 @@ def test_scattered_normals_are_normals(good, rectangles, new_graph):
         for a in np.arange(6) * np.pi / 3
     ]
     node.surface.memo.clear()
-    bad = assess_quality(graph.nodes, graph.structural, graph.config.quality).modes[index]
+    bad = assess_quality(graph.nodes, graph.state.structural, graph.config.quality).modes[index]
     assert most_harmed(good, bad) == "normals"
     assert np.delete(np.abs(good - bad), 5).max() < 1e-6
     # All six are 10 deg off their mean: (cos 10 - cos 15) / (1 - cos 15).
@@ -129,9 +130,9 @@ def test_a_plane_that_still_grows_is_stability(rectangles, new_graph):
     for _ in range(5):
         graph.update(scene.shoot((1.0, -0.8, 1.5), AHEAD)[0])
     graph.update(scene.shoot((1.0, 0.8, 1.5), AHEAD)[0])
-    grown = graph.quality.modes[board_of(graph)]
+    grown = graph.state.quality.modes[board_of(graph)]
     graph.update(scene.shoot((1.0, 0.8, 1.5), AHEAD)[0])
-    settled = graph.quality.modes[board_of(graph)]
+    settled = graph.state.quality.modes[board_of(graph)]
     assert most_harmed(settled, grown) == "stability"
     assert grown[6] < 0.01 and settled[6] > 0.99
     assert np.delete(np.abs(settled - grown), 6).max() < 0.01
@@ -278,7 +279,7 @@ def test_scores_weigh_by_type(rectangles, new_graph):
     graph = new_graph()
     watch(graph, board_with_window(rectangles))
     config = graph.config.quality
-    modes = graph.quality.modes
+    modes = graph.state.quality.modes
     as_wall = assess_quality(graph.nodes, np.ones(len(modes), bool), config).scores
     as_object = assess_quality(graph.nodes, np.zeros(len(modes), bool), config).scores
     np.testing.assert_allclose(as_wall, modes @ np.array(config.weights_structural))  # Eq. 7

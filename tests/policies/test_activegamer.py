@@ -65,7 +65,7 @@ def test_the_travel_factor_by_hand() -> None:
 
 
 def test_pathology_the_travel_factor_is_nearly_inert(rng: np.random.Generator) -> None:
-    """With 100 views the gain given up for distance is at most 1.4 % in 95 of 100 cases (peers_active.md, 6)."""
+    """With 100 views the gain given up for distance is at most 1.4 % in 95 of 100 cases."""
     given_up = []
     for _ in range(300):
         gain, distance = rng.uniform(0, 1, 100), rng.uniform(0, 6, 100)

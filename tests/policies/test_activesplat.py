@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
-from activestructure_gym.policies.activesplat import (
+from activestructure_gym.policies.activesplat.nodes import DEFERRED_M, RICH, Nodes, choose_node, node_scores
+from activestructure_gym.policies.activesplat.planner import (
     LATE_AFTER,
     LOCAL_DEG2,
     LOCAL_VIEWS,
     UNARRIVED_M,
     ActiveSplat,
 )
-from activestructure_gym.policies.activesplat_nodes import DEFERRED_M, RICH, Nodes, choose_node, node_scores
-from tests.policies.binding import bound
+from tests.policies.binding import bound, columns
 
+COLUMNS = columns(ActiveSplat)
 AHEAD, BACK = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
 
@@ -119,7 +120,7 @@ def observation(
     table[:, 3:6] = [AHEAD] * count if looks is None else looks
     table[:, CANDIDATE_FEATURES.index("path_length")] = np.linalg.norm(np.subtract(positions, here), axis=1)
     table[:, CANDIDATE_FEATURES.index("frames")] = 10.0 * table[:, CANDIDATE_FEATURES.index("path_length")] + 1.0
-    gains = np.zeros((count, len(ActiveSplat.required_gains)), np.float32)
+    gains = np.zeros((count, len(COLUMNS)), np.float32)
     for name, values in {
         "voronoi_node": node,
         "visited_distance": [2 * UNARRIVED_M] * count if visited is None else visited,
@@ -127,7 +128,7 @@ def observation(
         "activesplat_region": [1.0] * count,
         "activesplat_view": show,
     }.items():
-        gains[:, ActiveSplat.required_gains.index(name)] = values
+        gains[:, COLUMNS.index(name)] = values
     return {
         "candidates": table,
         "candidate_gains": gains,
@@ -198,7 +199,7 @@ def test_revisits_are_neither_local_views_nor_stand_for_a_node() -> None:
                        looks=[BACK, AHEAD, AHEAD])  # fmt: skip
     seen["candidates"][:2, CANDIDATE_FEATURES.index("revisit")] = 1.0
     assert policy().act(seen) == 2
-    seen["candidate_gains"][:, ActiveSplat.required_gains.index("voronoi_node")] = -1.0
+    seen["candidate_gains"][:, COLUMNS.index("voronoi_node")] = -1.0
     assert policy().act(seen) == 2  # nor are they taken where there is no node
 
 

@@ -9,7 +9,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import ActiveINR, AnmS, make_policy
 from activestructure_gym.policies.anm_s import ARRIVED_M, AT_NODE, DEFERRED_M, FORGET_AFTER
-from tests.policies.binding import bound
+from tests.policies.binding import bound, columns
 
 X, Y, Z = np.eye(3)
 
@@ -40,7 +40,7 @@ def node(number: int, at: np.ndarray, *, unarrived=False, horizon=False, cluster
 
 
 def act(policy: AnmS | ActiveINR, rows: list[dict], **options) -> int:
-    return policy.act(observation(rows, tuple(policy.required_gains), **options))
+    return policy.act(observation(rows, columns(policy), **options))
 
 
 def test_the_score_by_hand() -> None:
@@ -52,11 +52,10 @@ def test_the_score_by_hand() -> None:
         node(3, 4 * X),
         node(-1, 5 * X, unarrived=True, horizon=True, clusters=1),
     ]
-    observed = observation(rows, tuple(policy.required_gains))
-    places = observed["candidates"][:, :3].astype(float)
-    np.testing.assert_array_equal(policy.node_score(observed, places)[:5], [6, 4, 2, 0, 0])
+    seen = policy.candidates(observation(rows, columns(policy)))
+    np.testing.assert_array_equal(policy.node_score(seen)[:5], [6, 4, 2, 0, 0])
     policy._failed = np.array([[1.0, AT_NODE - 0.01], [4.0, 0.0]])
-    np.testing.assert_array_equal(policy.node_score(observed, places)[:5], [0, 4, 2, -6, 0])
+    np.testing.assert_array_equal(policy.node_score(seen)[:5], [0, 4, 2, -6, 0])
 
 
 def test_the_highest_score_then_the_shortest_way() -> None:
@@ -221,6 +220,6 @@ def test_the_proxy_is_an_option_that_asks_for_other_gains(name: str) -> None:
     usual, proxy = make_policy(name), make_policy(f"{name}?uncertainty=proxy")
     assert any(gain.startswith(f"{name}_proxy") for gain in proxy.required_gains)
     assert not any("proxy" in gain for gain in usual.required_gains)
-    proxy.bind(tuple(proxy.required_gains))
+    proxy.bind(columns(proxy))
     with pytest.raises(InputError, match="option uncertainty must be perturbation or proxy, got 'guess'"):
         make_policy(f"{name}?uncertainty=guess")

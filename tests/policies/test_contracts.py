@@ -1,4 +1,4 @@
-"""Contracts of every registered policy and gain on observations of a real episode: one for all, played once."""
+"""Contracts of every registered policy and feature on observations of a real episode: one for all, played once."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ import trimesh
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.features import FEATURES, FeatureContext, column_names, evaluate_features
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.mapper import PSNR_RENDERS
 from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.policies import POLICIES, Policy, make_policy
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.scenes import Scene, SceneMesh
 from activestructure_gym.scenes.raycaster import RayCaster
-from activestructure_gym.views import GAINS, GainContext, evaluate_gains
 
 Observation = dict[str, np.ndarray]
 
 NAMES = sorted(POLICIES)
 SPECS = NAMES + [f"{n}?travel=shared" for n in NAMES if "travel" in inspect.signature(POLICIES.get(n)).parameters]
-COLUMNS = tuple(sorted({gain for name in NAMES for gain in POLICIES.get(name).required_gains} | set(GAINS)))
+COLUMNS = column_names(FEATURES)
 STEPS = 8  # until there are several places to go to
 
 
@@ -100,7 +101,7 @@ class Episode:
     env: ReconstructionEnv
     played: list[Observation]
     observations: list[Observation]  # the last four
-    context: GainContext
+    context: FeatureContext
     swapped: Observation
 
 
@@ -132,7 +133,7 @@ def episode() -> Iterator[Episode]:
         swapped = scored_anew(env)
     # Or what is compared would be what was kept.
     assert measured.call_count == voted.call_count == len(reconstruction.keyframe_indices)
-    context = GainContext(
+    context = FeatureContext(
         mapper=reconstruction.mapper, volume=reconstruction.volume, planes=reconstruction.planes,
         camera=reconstruction.scoring_camera, bounds=scene.bounds, coverage_alpha=0.5, max_range=10.0,
         world_from_camera=reconstruction.candidates.world_from_camera,
@@ -240,10 +241,24 @@ def test_every_policy_runs_in_a_vector_env(kind: str, episode: Episode) -> None:
             batch = envs.step(actions)[0]
 
 
-@pytest.mark.parametrize("gain", COLUMNS)
-def test_no_gain_knows_the_true_mesh(gain: str, episode: Episode) -> None:
-    column = COLUMNS.index(gain)
-    before, after = (o["candidate_gains"][:, column] for o in (episode.observations[-1], episode.swapped))
+@pytest.mark.parametrize("name", sorted(FEATURES))
+def test_a_feature_keeps_its_bounds_and_has_the_columns_it_names(name: str, episode: Episode) -> None:
+    feature, names = FEATURES.get(name), FEATURES.columns(name)
+    assert feature.__doc__ and len(names) == len(set(names)) == len(feature.columns)
+    for observation in episode.observations:
+        values = Candidates(observation, COLUMNS).feature(name)[observation["action_mask"] > 0]
+        assert (values >= np.array(feature.low) - 1e-5).all() and (values <= np.array(feature.high) + 1e-5).all()
+        for unit, column in zip(feature.units, values.T):
+            if unit in ("index", "clusters", "views", "0 or 1"):
+                np.testing.assert_array_equal(column, np.round(column))
+    values = Candidates(episode.observations[-1], COLUMNS).feature(name)[: len(episode.context.world_from_camera)]
+    np.testing.assert_array_equal(evaluate_features((name,), episode.context), values)
+    np.testing.assert_array_equal(evaluate_features(names[-1:], episode.context), values[:, -1:])
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+def test_no_feature_knows_the_true_mesh(column: str, episode: Episode) -> None:
+    before, after = (Candidates(o, COLUMNS)[column] for o in (episode.observations[-1], episode.swapped))
     np.testing.assert_array_equal(before, after)
 
 
@@ -254,14 +269,14 @@ def test_no_policy_is_told_of_the_true_mesh(episode: Episode) -> None:
         np.testing.assert_array_equal(value, episode.swapped[key], err_msg=key)
 
 
-def test_the_swap_finds_a_gain_that_peeks(episode: Episode) -> None:
-    @GAINS.register("peeking_for_this_test")
-    def peeking(context: GainContext) -> np.ndarray:
+def test_the_swap_finds_a_feature_that_peeks(episode: Episode) -> None:
+    @FEATURES.register("peeking_for_this_test")
+    def peeking(context: FeatureContext) -> np.ndarray:
         scene = episode.env.reconstruction.scene
         return scene.raycaster.depth(context.camera, context.world_from_camera).mean(axis=(1, 2))
 
     try:
         with pytest.raises(AssertionError, match="a score asked the ground truth"):
-            evaluate_gains(("peeking_for_this_test",), episode.context)
+            evaluate_features(("peeking_for_this_test",), episode.context)
     finally:
-        del GAINS._entries["peeking_for_this_test"]
+        del FEATURES._entries["peeking_for_this_test"]

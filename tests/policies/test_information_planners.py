@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.features import FEATURES
 from activestructure_gym.policies import POLICIES, HGSPlanner
 from activestructure_gym.policies.hgs_planner import WORTH, first_of_tour
-from activestructure_gym.views import GAINS
 from tests.policies.binding import bound
 
 CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")
@@ -31,7 +31,7 @@ def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndar
 @pytest.mark.parametrize("name", [name + form for name in NAMES for form in ("", "_pure")])
 def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
     policy = bound(POLICIES.get(name)())
-    assert policy.required_gains == (name,) and name in GAINS
+    assert policy.required_gains == (name,) and name in FEATURES
     observed = observation([0.5, 0.6, 0.1], [5, 50, 1])
     assert policy.act(observed) == 1
     assert bound(POLICIES.get(name)(travel="shared")).act(observed) == 0

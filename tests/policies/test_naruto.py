@@ -7,7 +7,8 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies import Naruto
-from activestructure_gym.policies.naruto import AT_GOAL, LIST_COLUMNS, forward, looked_at
+from activestructure_gym.policies.candidates import Candidates
+from activestructure_gym.policies.naruto import AT_GOAL, forward, looked_at
 from tests.policies.binding import bound
 
 X, Y, Z = np.eye(3)
@@ -21,7 +22,7 @@ def observation(
     """Rows of (position, direction, score); ``lists`` of targets by row; the camera looks along x, turned about z."""
     count = len(rows)
     candidates = np.zeros((count + 1, len(CANDIDATE_FEATURES)), np.float32)
-    gains = np.zeros((count + 1, 1 + len(LIST_COLUMNS)), np.float32)
+    gains = np.zeros((count + 1, 1 + 30), np.float32)
     for k, (position, direction, score) in enumerate(rows):
         candidates[k, :3], candidates[k, 3:6] = position, np.asarray(direction) / np.linalg.norm(direction)
         gains[k, 0] = score
@@ -57,7 +58,7 @@ def test_a_target_is_looked_at_within_25_degrees() -> None:
     observed = observation([(HERE, X, 0.0)])
     angles = np.radians([0.0, 24.0, 26.0, 90.0, 180.0])
     targets = np.stack([np.cos(angles), np.sin(angles), np.zeros(5)], axis=1)
-    np.testing.assert_array_equal(looked_at(observed, targets)[0], [True, True, False, False, False])
+    np.testing.assert_array_equal(looked_at(Candidates(observed), targets)[0], [True, True, False, False, False])
 
 
 def test_the_goal_is_the_best_score_whatever_the_way() -> None:

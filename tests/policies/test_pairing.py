@@ -45,7 +45,7 @@ def alone() -> dict[str, list[int]]:
 def test_an_unbound_policy_refuses_instead_of_playing_as_another() -> None:
     with pytest.raises(InputError, match=r"^HoleArea does not know which column .* make_env_and_policy\(\.\.\.\)$"):
         played(gym.make(ROOM, scene="box", **SMALL), HoleArea())
-    with pytest.raises(InputError, match="^HoleArea needs the gains hole_area, and the env offers pixel: make the env"):
+    with pytest.raises(InputError, match="^HoleArea needs the features hole_area, and the env offers pixel"):
         HoleArea().bind(gym.make(ROOM, scene="box", **SMALL))
 
 
@@ -94,8 +94,8 @@ def test_scenes_and_envs_as_everywhere(tmp_path: Path) -> None:
         (dict, {}, "a policy is given by its name, as a class derived from Policy"),
         (None, {}, "a policy is given by its name, as a class derived from Policy"),
         ("pixel_only", {"gains": "hole_area"}, "gains must be a list of names, got 'hole_area'"),
-        ("pixel_only", {"gains": ["hole_aera"]}, "unknown gain 'hole_aera'"),
-        ("pixel_only", {"gains": [["pixel"]]}, "a gain is given by its name"),
+        ("pixel_only", {"gains": ["hole_aera"]}, "unknown feature 'hole_aera'"),
+        ("pixel_only", {"gains": [["pixel"]]}, "a feature is given by its name"),
         ("pixel_only", {"preset": "fsat"}, "unknown preset 'fsat'"),
     ],
 )

@@ -16,7 +16,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import POLICIES, HoleArea, PixelOnly, Policy, Random, travel_discount
 from activestructure_gym.policies.base import best_valid, nearest_new
-from tests.policies.binding import bound
+from tests.policies.binding import bound, columns
 
 ALL = sorted(POLICIES)
 
@@ -45,7 +45,7 @@ def test_never_a_masked_row_deterministic_and_picklable(name: str, rng: np.rando
     first.reset(3)
     second.reset(3)
     for valid in (1, 2, 8, 12):
-        observed = observation(rng, valid=valid, gains=max(1, len(first.required_gains)))
+        observed = observation(rng, valid=valid, gains=max(1, len(columns(first))))
         before = {key: value.copy() for key, value in observed.items()}
         choice = first.act(observed)
         assert isinstance(choice, int)
@@ -62,7 +62,7 @@ def test_no_valid_row_is_an_error(name: str, rng: np.random.Generator) -> None:
     policy = bound(POLICIES.get(name)())
     policy.reset(0)
     with pytest.raises(ValueError, match="no candidate is valid"):
-        policy.act(observation(rng, valid=0, gains=max(1, len(policy.required_gains))))
+        policy.act(observation(rng, valid=0, gains=max(1, len(columns(policy)))))
 
 
 def test_random_reaches_every_valid_row_and_no_other(rng: np.random.Generator) -> None:
@@ -124,7 +124,7 @@ def test_gains_are_found_by_name_whatever_their_order_and_whoever_tells_it(
     policy = PixelOnly()
     policy.bind(told_by())
     for bound_one in (policy, pickle.loads(pickle.dumps(policy))):
-        np.testing.assert_array_equal(bound_one.gain(observed, "pixel"), observed["candidate_gains"][:, 2])
+        np.testing.assert_array_equal(bound_one.candidates(observed)["pixel"], observed["candidate_gains"][:, 2])
 
 
 @pytest.mark.parametrize(
@@ -132,14 +132,14 @@ def test_gains_are_found_by_name_whatever_their_order_and_whoever_tells_it(
     [
         (
             ("hole_area",),
-            "PixelOnly needs the gains pixel, and the env offers hole_area: make the env with",
+            "PixelOnly needs the features pixel, and the env offers hole_area: make the env with",
         ),
-        ((), "PixelOnly needs the gains pixel, and the env offers none"),
-        ("pixel", "which gains stand in which column is told by an env, by its observation space or by a list"),
-        (None, "which gains stand in which column is told by an env"),
-        (("pixel", 3), "which gains stand in which column is told by an env"),
-        (Dull(said=False), "this observation space does not say which gains stand in the columns"),
-        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which gains stand in which column is told by an env"),
+        ((), "PixelOnly needs the features pixel, and the env offers none"),
+        ("pixel", "which features stand in which column is told by an env, by its observation space or by a list"),
+        (None, "which features stand in which column is told by an env"),
+        (("pixel", 3), "which features stand in which column is told by an env"),
+        (Dull(said=False), "this observation space does not say which features stand in the columns"),
+        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which features stand in which column is told by an env"),
     ],
 )
 def test_what_a_policy_cannot_be_bound_to(source: Any, message: str) -> None:
@@ -153,13 +153,13 @@ def test_nobody_reads_a_gain_by_its_place(name: str, rng: np.random.Generator) -
     """Unbound, a policy that reads gains refuses; so does one that is bound to an env with more or fewer of them."""
     policy = POLICIES.get(name)()
     policy.reset(0)
-    observed = observation(rng, gains=max(1, len(policy.required_gains)))
+    observed = observation(rng, gains=max(1, len(columns(policy))))
     if not policy.required_gains:
         assert observed["action_mask"][policy.act(observed)] == 1
         return
     with pytest.raises(InputError, match=r"^\w+ does not know which column .* call policy.bind\(env\) before act"):
         policy.act(observed)
-    policy.bind((*policy.required_gains, "more"))
+    policy.bind((*columns(policy), "more"))
     with pytest.raises(InputError, match=r"^\w+ is bound to an env with the gains .*: call policy.bind\(env\) with"):
         policy.act(observed)
 
@@ -167,10 +167,10 @@ def test_nobody_reads_a_gain_by_its_place(name: str, rng: np.random.Generator) -
 def test_a_gain_that_was_not_asked_for_and_gains_that_are_no_names(rng: np.random.Generator) -> None:
     policy = bound(PixelOnly())
     with pytest.raises(InputError, match="reads the gain 'structure', and the env offers pixel"):
-        policy.gain(observation(rng), "structure")
+        policy.candidates(observation(rng))["structure"]
     batch = np.stack([observation(rng)["candidate_gains"]] * 2)
     with pytest.raises(InputError, match=r"candidate_gains has the shape \(2, 12, 1\)"):
-        policy.gain({"candidate_gains": batch}, "pixel")
+        policy.candidates({"candidate_gains": batch})["pixel"]
     for wrong in ("pixel", (1,), None):
         policy.required_gains = wrong  # type: ignore[misc]
         with pytest.raises(InputError, match="required_gains of PixelOnly must be a tuple of names, got"):

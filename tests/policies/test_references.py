@@ -7,7 +7,7 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.policies import POLICIES, ActiveGS, Frontier, Planner, RTGuide, ViewAngle
-from tests.policies.binding import bound
+from tests.policies.binding import bound, columns
 
 LENGTH, FRAMES = CANDIDATE_FEATURES.index("path_length"), CANDIDATE_FEATURES.index("frames")
 
@@ -106,7 +106,7 @@ REVISIT = CANDIDATE_FEATURES.index("revisit")
 @pytest.mark.parametrize("travel", ["native", "shared"])
 def test_a_revisit_is_gone_to_only_where_nothing_else_is_on_offer(name: str, travel: str) -> None:
     policy = bound(POLICIES.get(name)(travel))
-    row = {"rt_guide": [0.9, 0.5, 4.0]}.get(name, [0.9] * len(policy.required_gains))
+    row = {"rt_guide": [0.9, 0.5, 4.0]}.get(name, [0.9] * len(columns(policy)))
     better = observation([row, [0.1 * row[0], *row[1:]], row], [0.0, 2.0, 0.0], [1, 1, 0])
     assert policy.act(better) == 0
     better["candidates"][0, REVISIT] = 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from activestructure_gym.scenes.mesh_loader import load_mesh_scene
+from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 from tests.scenes import independent_readers as independent
 
 DOORWAY = np.array([(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (5, 0), (5, 3), (0, 3)])

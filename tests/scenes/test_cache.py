@@ -194,12 +194,12 @@ def test_a_file_that_is_read_stays(directory, monkeypatch):
 
 def test_what_dead_processes_left_is_removed(directory):
     filled("a")
-    (directory / "old.part").touch()
-    os.utime(directory / "old.part", (1e9, 1e9))
-    (directory / "new.part").touch()
+    (directory / ".old.npz.1.tmp").touch()
+    os.utime(directory / ".old.npz.1.tmp", (1e9, 1e9))
+    (directory / ".new.npz.2.tmp").touch()
     (directory / "thesis.tex").touch()
     clear_cache()
-    assert sorted(file.name for file in directory.iterdir()) == ["new.part", "thesis.tex"]
+    assert sorted(file.name for file in directory.iterdir()) == [".new.npz.2.tmp", "thesis.tex"]
 
 
 def test_nothing_is_kept_where_the_size_is_0(directory, monkeypatch):

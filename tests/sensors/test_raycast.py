@@ -125,7 +125,7 @@ def test_scene_data_are_shared_and_let_go(box_room):
     tables = shading_tables_of(scene)
     assert shading_tables_of(scene) is tables
     for name in ("faces", "colors", "uv", "face_texture"):
-        assert np.shares_memory(getattr(tables, name), getattr(scene.mesh, name)), name
+        assert np.shares_memory(getattr(tables.appearance, name), getattr(scene.mesh, name)), name
     gone = weakref.ref(tables)
     del scene, tables
     gc.collect()

@@ -7,7 +7,7 @@ from activestructure_gym.sensors import make_renderer
 
 def test_recorded_frames_are_redrawn(shared):
     from activestructure_gym.scenes.library import load_scene
-    from activestructure_gym.scenes.sequence import load_sequence
+    from activestructure_gym.scenes.loaders.sequence import load_sequence
 
     fixture = shared / "scenes" / "replica_fixture"
     renderer = make_renderer("raycast", load_scene(f"replica:{fixture / 'room_fix'}"))

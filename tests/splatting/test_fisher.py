@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from activestructure_gym.evaluation.benchmarks.splatting import make_workload
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import fisher_kernels, layout, render
-from activestructure_gym.splatting.benchmark import make_workload
 from activestructure_gym.splatting.fisher import DIAGONAL, full_blocks, view_information
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, project_gaussians, rasterize_reference
 from activestructure_gym.splatting.simd import LANES

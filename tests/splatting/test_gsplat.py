@@ -1,4 +1,4 @@
-"""gsplat on a CUDA device against the float64 reference, within the tolerances of the research notes (backbones 2.3):
+"""gsplat on a CUDA device against the float64 reference, within the tolerances of docs/notebook/groundwork.md:
 pictures 2e-4 but for a thousandth of the pixels (decisions at 1/255 and 1e-4), gradients 1e-3 relative.
 """
 

@@ -5,7 +5,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
-from activestructure_gym.sensors.frame import Frame
+from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
 
 CAMERA = PinholeCamera.from_size(160, 90)

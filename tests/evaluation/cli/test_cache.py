@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation import warmup
 from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.running import warmup
 from activestructure_gym.scenes.cache import cached_arrays
 
 

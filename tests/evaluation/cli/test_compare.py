@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from activestructure_gym.evaluation import comparison
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import compare as module
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.commands import Compare
-from activestructure_gym.evaluation.comparison import Comparison, Result
-from activestructure_gym.evaluation.engines import Limits, Outcome
-from activestructure_gym.evaluation.jobs import Job
-from activestructure_gym.evaluation.store import COMPARISON
+from activestructure_gym.evaluation.cli.compare import Compare
+from activestructure_gym.evaluation.running import comparison
+from activestructure_gym.evaluation.running.comparison import Comparison, Result
+from activestructure_gym.evaluation.running.engines import Limits, Outcome
 
 
 @pytest.fixture
@@ -171,7 +171,7 @@ def test_markup_in_a_directory_s_name_is_shown_as_it_is(jobs):
     from rich.console import Console
 
     from activestructure_gym.evaluation.cli.compare import _announce
-    from activestructure_gym.evaluation.comparison import Comparison
+    from activestructure_gym.evaluation.running.comparison import Comparison
 
     out = io.StringIO()
     comparison = Comparison(scenes=["box"], policies=["random"])

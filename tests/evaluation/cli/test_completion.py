@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.commands import COMMANDS
+from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command, parts_of
 from activestructure_gym.policies import POLICIES
 
 
@@ -35,7 +35,12 @@ def bash_script():
         (["compare", "--preset", ""], {"fast", "default", "paper"}),
         (["compare", "--set", "sensor.wi"], {"sensor.width="}),
         (["compare", "--out", "map"], {"map.ply"}),
-        (["train", ""], None),
+        (["train", ""], {"--help", "bc", "rank", "ppo", "score"}),
+        (["train", "bc", "--ga"], {"--gains", "--gamma"}),
+        (["train", "score", "--ga"], set()),
+        (["train", "bc", "--reward", ""], {"rate", "auc", "env"}),
+        (["bench", "gr"], {"growth", "grid"}),
+        (["bench", "policies", "--q"], {"--quick"}),
         (["train", "p"], {"ppo"}),
         (["train", "bc", "--no-"], {"--no-noise"}),
         (["policies", "naru"], {"naruto"}),
@@ -52,13 +57,14 @@ def test_bash_completes(words, expected, bash_script, tmp_path):
     done = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True)
     assert not done.stderr
     found = set(done.stdout.split())
-    assert found == expected if expected is not None else {"bc", "rank", "ppo", "score", "--gains"} <= found
+    assert found == expected
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_know_every_command_and_option(shell, capsys):
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
-    assert all(name in script for name in (*COMMANDS, "policies", "lpips-weights", "naruto", "no-baseline"))
+    parts = [part for name in COMMANDS for part in parts_of(find_command(name))]
+    assert all(name in script for name in (*COMMANDS, *parts, "lpips-weights", "naruto", "no-baseline", "temperature"))
     if shutil.which(shell):
         assert subprocess.run([shell, "-n", "/dev/stdin"], input=script, text=True).returncode == 0

@@ -6,12 +6,13 @@ import errno
 
 import pytest
 
-from activestructure_gym.evaluation import remeasure, store
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, JOBS
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.jobs import Job
 from activestructure_gym.evaluation.protocols import get_protocol
-from activestructure_gym.evaluation.store import COMPARISON, DONE, JOBS
-from tests.evaluation.archive import write_comparison
+from activestructure_gym.evaluation.running import remeasure
+from tests.evaluation.written_runs import write_comparison
 
 GRID = [Job("room", "random", seed, scene_hash="ab" * 32) for seed in range(2)]
 

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation import store
+from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.mapping import GaussianMap
 from activestructure_gym.mapping.files import map_kind, read_map
 from activestructure_gym.mapping.gaussian_map import ROWS
-from activestructure_gym.scenes.upright import which_way_is_up
+from activestructure_gym.scenes.loaders.upright import which_way_is_up
 
 
 class Opened(SimpleNamespace):

@@ -7,10 +7,9 @@ import pytest
 
 from activestructure_gym.config import ReconstructionConfig, configure
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.listing import field_notes, leaves
+from activestructure_gym.evaluation.cli.config import field_notes, leaves
+from activestructure_gym.features import FEATURES
 from activestructure_gym.policies import POLICIES, Policy, make_policy
-from activestructure_gym.views import GAINS
-from activestructure_gym.views.gains.units import UNITS
 
 
 def said(capsys, *words):
@@ -31,7 +30,7 @@ def test_every_policy_of_ours_says_what_it_decides_by_and_whose_it_is(capsys):
 @pytest.mark.parametrize("name", list(POLICIES))
 def test_a_policy_is_described(name, capsys):
     out = said(capsys, "policies", name)
-    assert out.startswith(name) and "Gains it needs:" in out
+    assert out.startswith(name) and "Features it needs:" in out
     assert "shared/research" not in out and "docs/" not in out and "peers_" not in out
 
 
@@ -68,16 +67,16 @@ def test_a_policy_of_a_user_without_any_of_it_is_listed(capsys, monkeypatch):
         make_policy("mine")
 
 
-def test_every_gain_has_a_unit_and_a_line(capsys):
+def test_every_feature_has_units_and_a_line(capsys):
     rows = json.loads(said(capsys, "features", "--json"))
-    kinds = {name: getattr(GAINS.get(name), "func", GAINS.get(name)) for name in GAINS}
-    ours = [name for name, kind in kinds.items() if kind.__module__.startswith("activestructure_gym")]
-    assert [row["name"] for row in rows] == list(GAINS)
-    assert all(row["unit"] and row["about"] for row in rows if row["name"] in ours)
-    assert set(UNITS) <= set(GAINS)
-    assert len(ours) > 60 and not any("shared/research" in row["about"] or "partial(" in row["about"] for row in rows)
+    assert [row["name"] for row in rows] == list(FEATURES)
+    for row in rows:
+        if FEATURES.get(row["name"]).__module__.startswith("activestructure_gym."):
+            assert row["about"] and all(unit and unit != "-" for unit in row["units"]), row["name"]
+            assert len(row["columns"]) == len(row["units"]) == len(row["low"]) == len(row["high"])
+    assert not any("shared/research" in row["about"] or "partial(" in row["about"] for row in rows)
     out = said(capsys, "features")
-    assert "naruto_look_0_x .. naruto_look_9_z" in out and "hole_area" in out
+    assert "0_x, 0_y .. 9_z (30)" in out and "naruto_look" in out and "hole_area" in out
 
 
 @pytest.mark.parametrize("preset", ["default", "fast", "paper"])

@@ -31,6 +31,18 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     assert all(f"asg {name} " in done.stdout for name in COMMANDS)
 
 
+@pytest.mark.parametrize("command, others", [("train bc", "compare"), ("bench", "train"), ("cache", "bench")])
+def test_help_of_a_command_loads_that_command_alone(command, others):
+    script = (
+        f"import sys; from activestructure_gym.evaluation.cli import main; code = main(['help', *{command.split()}]);"
+        "print([m for m in ('torch', 'numba', 'scipy', 'matplotlib', 'cv2', 'trimesh',"
+        f" 'activestructure_gym.evaluation.cli.{others}') if m in sys.modules], code)"
+    )
+    environment = {"PYTHONPATH": ":".join(sys.path), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+    assert done.stdout.splitlines()[-1] == "[] 0", done.stdout + done.stderr
+
+
 def test_version_and_no_argument(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.split() == ["activestructure-gym", __version__]
     assert main([]) == 0 and capsys.readouterr().out.strip() == HELP
@@ -68,7 +80,7 @@ def bad_meshes(tmp_path):
         (["compare", "--scenes", "text.glb"], ["text.glb"]),
         (["compare", "--scenes", "inches.obj"], ["150 x 120 x 78 m", "units"]),
         (["compare", "--scenes", "box", "--set", "volume.voxel_size=0.001"], ["voxels of 0.001 m"]),
-        (["compare", "--scenes", "box", "--set", 'gains=["deep"]'], ["unknown gain 'deep'"]),
+        (["compare", "--scenes", "box", "--set", 'gains=["deep"]'], ["unknown feature 'deep'"]),
         (["compare", "--scenes", "box", "--set", "sensor=3"], ["sensor must be a group of fields"]),
         (["compare", "--scenes", "box", "--workers", "-1"], ["--workers", "-1"]),
         (["compare", "--scenes", "box", "--seeds", "²"], ["whole number"]),
@@ -113,14 +125,14 @@ def test_bad_input_is_one_sentence_and_two_and_nothing_is_written(arguments, wor
 
 @pytest.mark.parametrize("errno, code", [(28, 1), (30, 1), (13, 2), (36, 2)])
 def test_what_the_file_system_says_is_one_sentence(errno, code, monkeypatch, capsys):
-    from activestructure_gym.evaluation.cli import commands
+    from activestructure_gym.evaluation.cli.doctor import Doctor
 
     def fail(self):
         raise OSError(errno, "as it says", "runs/a\nb")
 
-    monkeypatch.setattr(commands.Doctor, "run", fail)
+    monkeypatch.setattr(Doctor, "run", fail)
     assert main(["doctor"]) == code
-    assert capsys.readouterr().err .startswith("asg: 'runs/a\\nb'")
+    assert capsys.readouterr().err.startswith("asg: 'runs/a\\nb'")
 
 
 def test_an_output_that_is_a_file_is_one_sentence(tmp_path, capsys):
@@ -156,12 +168,12 @@ def test_mistyped_options_end_with_two(option, capsys):
 
 
 def test_ctrl_c_ends_with_130(monkeypatch, capsys):
-    from activestructure_gym.evaluation.cli import commands
+    from activestructure_gym.evaluation.cli.doctor import Doctor
 
     def interrupt(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands.Doctor, "run", interrupt)
+    monkeypatch.setattr(Doctor, "run", interrupt)
     assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "asg: stopped\n"
 
@@ -187,7 +199,7 @@ def test_doctor_fails_where_the_main_job_cannot_run(monkeypatch, capsys):
 
 def test_doctor_counts_damaged_kernels(monkeypatch, capsys, tmp_path):
     from activestructure_gym.compiling import files
-    from activestructure_gym.evaluation import warmup
+    from activestructure_gym.evaluation.running import warmup
 
     whole, damaged = tmp_path / "a.kernel", tmp_path / "b.kernel"
     for file in (whole, damaged):
@@ -221,7 +233,7 @@ def test_a_scene_without_floor_is_noticed(tmp_path, capsys):
 
 
 def test_bench_prints_what_was_measured(monkeypatch, capsys):
-    from activestructure_gym.sensors import benchmark
+    from activestructure_gym.evaluation.benchmarks import sensors as benchmark
 
     rows = [{"scene": "box", "size": (160, 90), "raycast": 123.456, "pyrender": None}]
     monkeypatch.setattr(benchmark, "run_sensor_benchmark", lambda scenes: rows if scenes == ("box",) else [])
@@ -231,7 +243,7 @@ def test_bench_prints_what_was_measured(monkeypatch, capsys):
 
 
 def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
-    from activestructure_gym.evaluation import grid_benchmark
+    from activestructure_gym.evaluation.benchmarks import grid as grid_benchmark
 
     def measured(scenes, **options):
         return [{"repetition": "1", "scenes": scenes, **{name: options[name] for name in ("frames", "repeats")}}]
@@ -243,7 +255,7 @@ def test_bench_of_the_grid_prints_both_ways(monkeypatch, capsys):
 
 
 def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
-    from activestructure_gym.evaluation import policy_benchmark
+    from activestructure_gym.evaluation.benchmarks import policies as policy_benchmark
 
     def measured(scene, **options):
         assert options.pop("notify")
@@ -258,7 +270,7 @@ def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
 
 
 def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
-    from activestructure_gym.evaluation import env_benchmark
+    from activestructure_gym.evaluation.benchmarks import env as env_benchmark
 
     def measured(scenes, *, notify, **options):
         notify("[scene]")
@@ -271,7 +283,7 @@ def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):
 
 
 def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, capsys):
-    from activestructure_gym.planes import benchmark
+    from activestructure_gym.evaluation.benchmarks import planes as benchmark
 
     monkeypatch.setattr(benchmark, "detection_rows", lambda scene, **o: [{"scene": scene.name, "recall": 0.125, **o}])
     monkeypatch.setattr(benchmark, "graph_rows", lambda scene, **o: [{"scene": scene.name, "graph_ms": 7.5, **o}])
@@ -281,8 +293,8 @@ def test_bench_of_planes_prints_what_is_found_and_what_it_costs(monkeypatch, cap
 
 
 def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys):
-    from activestructure_gym.mapping import information_benchmark
-    from activestructure_gym.splatting import benchmark
+    from activestructure_gym.evaluation.benchmarks import information as information_benchmark
+    from activestructure_gym.evaluation.benchmarks import splatting as benchmark
 
     asked = []
     of_keyframes = [{"keyframes": 137, "decision_ms": 20.0}]
@@ -302,6 +314,6 @@ def test_bench_of_the_rasteriser_takes_workloads_and_repeats(monkeypatch, capsys
 
 
 def test_json_of_a_record_is_plain():
-    from activestructure_gym.evaluation import machine
+    from activestructure_gym.evaluation.machine import hardware as machine
 
     json.dumps([machine.versions(), machine.hardware()], allow_nan=False)

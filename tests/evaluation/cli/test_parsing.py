@@ -7,7 +7,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.commands import COMMANDS
+from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command, parts_of
 from activestructure_gym.evaluation.cli.parsing import parse
 
 
@@ -32,8 +32,20 @@ from activestructure_gym.evaluation.cli.parsing import parse
         ("compare --tyro_write_completion zsh file", "no option --tyro_write_completion"),
         ("compare --out=", "--out: expected a text, got ''"),
         ("export", "missing from asg export: RUN The directory of a finished run"),
-        ("bench speed", "invalid choice 'speed'"),
-        ("train --gamma high bc", "--gamma: expected a number, got 'high'"),
+        ("bench speed", "unknown part 'speed'"),
+        ("bench spltting", "unknown part 'spltting'; did you mean 'splatting'"),
+        ("bench", "expected one of {sensor, splatting"),
+        ("bench sensor --quick", "unrecognized options: --quick; --quick is an option of env, evaluation"),
+        ("bench growth --preset fast", "--preset is an option of env; asg bench growth"),
+        ("train ppo --gamma high", "--gamma: expected a number, got 'high'"),
+        ("train ppo --data elsewhere", "--data, elsewhere; --data is an option of bc, rank; asg train ppo"),
+        ("train bc --start runs/a", "--start is an option of ppo;"),
+        ("train rank --temperature 2", "--temperature is an option of bc;"),
+        ("train score --gains pixel", "--gains is an option of bc, ppo, rank;"),
+        ("train rank --temprature 2", r"did you mean --temperature of bc\?"),
+        ("train bc --temprature 2", r"did you mean --temperature\?"),
+        ("train --seed 3 bc", "--seed is an option of bc, ppo, rank and stands behind that name"),
+        ("train bc --tyro-print-completion zsh", "unrecognized options: --tyro-print-completion"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(words, message, capsys):
@@ -42,7 +54,8 @@ def test_what_cannot_be_read_is_one_sentence(words, message, capsys):
     said = capsys.readouterr()
     assert not said.out and said.err.count("\n") == 1 and len(said.err) < 700
     assert re.match(f"asg: .*{message}", said.err), said.err
-    assert said.err.endswith(f"asg {name} --help shows the options\n") or "completion" in said.err
+    part = next((f" {word}" for word in words.split()[1:2] if word in parts_of(find_command(name))), "")
+    assert said.err.endswith(f"asg {name}{part} --help shows the options\n") or "completion" in said.err
     assert not re.search("[│╭]|invalid literal|could not convert|ValueError", said.err)
 
 
@@ -50,7 +63,7 @@ def test_what_cannot_be_read_is_one_sentence(words, message, capsys):
 @pytest.mark.parametrize("option", [["--scenes"], ["--out"], ["--set"], []])
 def test_bytes_that_are_no_text_are_refused(word, option):
     with pytest.raises(InputError, match="holds bytes that are no text"):
-        parse(COMMANDS["compare"], "compare", [*option, word])
+        parse(find_command("compare"), "compare", [*option, word])
 
 
 def test_newlines_and_markup_in_a_value_stay_in_the_sentence(capsys):
@@ -59,10 +72,15 @@ def test_newlines_and_markup_in_a_value_stay_in_the_sentence(capsys):
     assert said.count("\n") == 1 and "[red]1" in said
 
 
-@pytest.mark.parametrize("name", list(COMMANDS))
+EVERY = [
+    name for command in COMMANDS for name in (command, *(f"{command} {p}" for p in parts_of(find_command(command))))
+]
+
+
+@pytest.mark.parametrize("name", EVERY)
 def test_help_is_whole(name, capsys, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert main(["help", name]) == 0
+    assert main(["help", *name.split()]) == 0
     text = capsys.readouterr().out
     assert f"usage: asg {name}" in text
     assert "{None}" not in text and "(default: )" not in text and "None)" not in text and "docs/" not in text
@@ -70,10 +88,15 @@ def test_help_is_whole(name, capsys, monkeypatch):
     if len(options) > 6:
         assert max(map(len, options)) > 80  # no terminal: wider than the 80 columns of a guess
     monkeypatch.setenv("COLUMNS", "70")
-    assert main([name, "--help"]) == 0
+    assert main([*name.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert max(map(len, text[text.index("-h, --help") :].splitlines())) <= 70
     assert os.environ["COLUMNS"] == "70"
+
+
+def test_an_empty_word_is_no_part(capsys):
+    assert main(["train", ""]) == 2
+    assert capsys.readouterr().err.startswith("asg: unknown part ''. Known: bc, ppo, rank, score;")
 
 
 def test_help_of_an_unknown_command_names_the_nearest(capsys):
@@ -90,3 +113,17 @@ def test_the_working_directory_stands_last_on_the_path(tmp_path, monkeypatch, ca
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
     assert main(["scenes", "--picture", "a.png"]) == 2
     assert sys.path[-1] == str(tmp_path)
+
+
+def test_a_part_has_its_own_options_alone():
+    import dataclasses
+
+    train, bench = (parts_of(find_command(name)) for name in ("train", "bench"))
+    assert (
+        list(train) == ["bc", "rank", "ppo", "score"] and "splatting" in bench and not parts_of(find_command("scenes"))
+    )
+    taken = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in (train | bench).items()}
+    assert taken["bc"] - taken["rank"] == {"temperature"} and not taken["rank"] - taken["bc"]
+    assert taken["ppo"] - taken["bc"] == {"start", "iterations", "steps", "envs"}
+    assert not taken["score"] & {"seed", "gains", "noise", "resume", "gamma"}
+    assert taken["splatting"] == {"workloads", "repeats", "baseline"} and taken["sensor"] == {"scene"}

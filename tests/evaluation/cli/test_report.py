@@ -1,9 +1,9 @@
 import pytest
 
+from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.report import results as module
 from activestructure_gym.evaluation.report import summary
-from activestructure_gym.evaluation.store import COMPARISON
 
 
 @pytest.fixture

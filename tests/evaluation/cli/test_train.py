@@ -14,13 +14,12 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.commands import Train
-from activestructure_gym.evaluation.cli.train import training_config
+from activestructure_gym.evaluation.cli.train.methods import Bc, Ppo, Rank, training_config
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.policies.learned import SHIPPED
 
 TINY = [
-    "--layouts", "2", "--frames", "20", "--validation-layouts", "2",
+    "--layouts", "2", "--frames", "20",
     "--set", "sensor.width=48", "sensor.height=27", "views.max_candidates=12", "mapper.iterations=0",
 ]  # fmt: skip
 BOXES = ("box?seed=1", "box?seed=2&size=5,4,2.6")
@@ -45,9 +44,9 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["bc", "--teacher", "deep"], ["unknown gain 'deep'"]),
-        (["bc", "--gains", "pixle"], ["unknown gain 'pixle'", "did you mean 'pixel'"]),
-        (["bc", "--start", "nowhere"], ["no checkpoint", "nowhere"]),
+        (["bc", "--teacher", "deep"], ["unknown feature 'deep'"]),
+        (["bc", "--gains", "pixle"], ["unknown feature 'pixle'", "did you mean 'pixel'"]),
+        (["ppo", "--start", "nowhere"], ["no checkpoint", "nowhere"]),
         (["ppo", "--gamma", "2"], ["gamma", "2"]),
         (["bc", "--episodes", "0"], ["episodes", "from 1 to"]),
         (["rank", "--preset", "quick"], ["unknown preset 'quick'"]),
@@ -59,7 +58,7 @@ def boxes(monkeypatch: pytest.MonkeyPatch) -> None:
         (["score", "--policies", "pixel_only", "--baseline", "hole_area"], ["--baseline is one of"]),
         (["bc", "--set", "sensor.depth_noise=redwood"], ["sensor.depth_noise", "--no-noise"]),
         (["bc", "--set", "gains=pixel"], ["--gains"]),
-        (["ppo", "--data", "elsewhere"], ["--data", "bc and rank"]),
+        (["ppo", "--data", "elsewhere"], ["--data", "bc, rank"]),
         (["bc", "--out", "foreign"], ["holds other files"]),
         (["score", "--out", "foreign"], ["holds other files"]),
     ],
@@ -75,22 +74,23 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(arguments, words, tmp_
 
 
 def test_options_become_a_configuration() -> None:
-    options = Train("rank", seed=3, rooms=(2,), gains=("pixel,structure",), set=("sensor.width=64",), noise=False)
+    options = Rank(seed=3, rooms=(2,), gains=("pixel,structure",), set=("sensor.width=64",), noise=False)
     config = training_config(options)
-    assert training_config(Train("bc", temperature=0.1)).temperature == 0.1 and config.temperature == 0.04
+    assert training_config(Bc(temperature=0.1)).temperature == 0.1 and config.temperature == 0.04
     assert (config.method, config.seed, config.world.rooms, config.world.noise) == ("rank", 3, (2,), False)
     assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
-    listed = training_config(Train("bc", set=("views.heights_m=[0.0,0.4]",)))
+    listed = training_config(Bc(set=("views.heights_m=[0.0,0.4]",)))
     assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
     with pytest.raises(InputError, match="is told pixel, hole_area, not pixel, structure"):
-        training_config(Train("ppo", start=str(SHIPPED), gains=("pixel,structure",)))
-    assert training_config(Train("ppo", start=str(SHIPPED))).world.gains == ("pixel", "hole_area")
+        training_config(Ppo(start=str(SHIPPED), gains=("pixel,structure",)))
+    assert training_config(Ppo(start=str(SHIPPED))).world.gains == ("pixel", "hole_area")
     with pytest.raises(InputError, match="belongs to ppo"):
         TrainingConfig(method="bc", start="x")
 
 
 def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    learn = ["--episodes", "2", "--epochs", "2", "--validate-every", "1", "--workers", "1", *TINY]
+    learn = ["--episodes", "2", "--epochs", "2", "--validate-every", "1", "--validation-layouts", "2"]
+    learn += ["--workers", "1", *TINY]
     assert main(["train", "bc", "--out", "bc", *learn]) == 0
     said = capsys.readouterr().out
     assert "normalised" in said and "learned:bc" in said

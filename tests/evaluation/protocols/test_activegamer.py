@@ -12,8 +12,9 @@ from activestructure_gym.evaluation.protocols.activegamer import (
     circle_poses,
     masked,
 )
-from activestructure_gym.evaluation.views import HeldOutViews, roomiest_circle
+from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews, roomiest_circle
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
 from activestructure_gym.mapping import GaussianMap
 
 SMALL = ActiveGamerProtocol(surface_samples=2000, image_divisor=4)
@@ -44,7 +45,7 @@ def test_the_circle_of_a_known_scene_by_either_spelling(name):
 
     from activestructure_gym.scenes import load_scene
 
-    scene = replace(load_scene("box"), name=name)
+    scene = GroundTruth(replace(load_scene("box"), name=name))
     assert SMALL.circle(scene) == ((0.0, 0.0, 0.0), 1.0)
     assert ActiveGamerProtocol(center=(1.0, 2.0, 3.0), radius=0.5).circle(scene) == ((1.0, 2.0, 3.0), 0.5)
 
@@ -53,10 +54,10 @@ def test_an_unknown_scene_is_looked_at_from_its_roomiest_place():
     from activestructure_gym.scenes import load_scene
 
     scene = load_scene("box")
-    center, radius = roomiest_circle(scene)
+    center, radius = roomiest_circle(ground_truth_of(scene).free_space)
     assert 0.1 < radius <= 1.0
     places = circle_poses(center, radius)[:, :3, 3]
-    assert (scene.free_space.clearance_at(places) > 0.15).all()
+    assert (ground_truth_of(scene).free_space.clearance_at(places) > 0.15).all()
 
 
 def test_a_circle_inside_a_wall_is_refused():
@@ -67,10 +68,10 @@ def test_a_circle_inside_a_wall_is_refused():
     scene = load_scene("box")
     low = scene.bounds[0] + [0.15, 1.0, 1.0]
     with pytest.raises(InputError, match="nearer than 0.2 m"):
-        replace(SMALL, center=tuple(float(x) for x in low), radius=0.05).truth(scene)
+        replace(SMALL, center=tuple(float(x) for x in low), radius=0.05).truth(ground_truth_of(scene))
 
 
-# The dossier's table (peers_active.md, 4.1): a room of 170 m^2 with 1 cm of noise, 200,000 true points.
+# The table of docs/notebook/groundwork.md, "Floaters": a room of 170 m^2 with 1 cm of noise, 200,000 true points.
 SIZE = np.array([10.0, 5.0, 2.3])
 
 
@@ -84,7 +85,7 @@ def room(count: int, rng: np.random.Generator, size: np.ndarray) -> SurfaceSampl
 
 
 def both(points: np.ndarray, truth: SurfaceSamples) -> tuple[dict[str, float], dict[str, float]]:
-    """Acc, Com., C.R. and precision by both protocols; Acc of `standard` to samples, as the dossier's is."""
+    """Acc, Com., C.R. and precision by both protocols; Acc of `standard` to samples, as the table's is."""
     scores = geometry_scores(points, truth)
     camera = PinholeCamera.from_size(16, 16)
     views = HeldOutViews(camera, np.eye(4)[None], np.zeros((1, 16, 16, 3), np.uint8), np.zeros((1, 16, 16), np.float32))
@@ -108,7 +109,7 @@ def table(size: np.ndarray, share_of_points: float):
     rng = np.random.default_rng(1)
     count = int(200_000 * share_of_points)
     truth = room(count, rng, size)
-    count *= 2  # with half as many reconstructed points, Com. comes out a third larger than the dossier's
+    count *= 2  # with half as many reconstructed points, Com. comes out a third larger than the table's
     seen = room(count, rng, size).points
     complete = seen + rng.normal(scale=0.01, size=seen.shape)
     partial = complete[complete[:, 0] < 0.9 * size[0]]
@@ -138,11 +139,11 @@ def check_floaters(rows) -> None:
 
 
 def test_floaters_move_standard_and_not_activegamer():
-    check_floaters(table(SIZE / np.sqrt(10.0), 0.05))  # half the dossier's density, on a tenth of its area
+    check_floaters(table(SIZE / np.sqrt(10.0), 0.05))  # half the table's density, on a tenth of its area
 
 
 @pytest.mark.slow
-def test_the_dossier_s_table():
+def test_the_whole_table():
     rows = table(SIZE, 1.0)
     check_floaters(rows)
     published = {

@@ -6,7 +6,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import SurfaceSamples
 from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
-from activestructure_gym.evaluation.views import HeldOutViews
+from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import GaussianMap
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.jobs import Job, scene_label
-from activestructure_gym.evaluation.store import Run
+from activestructure_gym.evaluation.archive.jobs import Job, scene_label
+from activestructure_gym.evaluation.archive.store import Run
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def _graph() -> dict[str, np.ndarray]:
 @pytest.fixture
 def no_planes() -> dict[str, np.ndarray]:
     """The arrays of a graph without planes."""
-    from activestructure_gym.evaluation.plane_record import graph_arrays
+    from activestructure_gym.evaluation.archive.plane_record import graph_arrays
     from activestructure_gym.planes import PlaneSceneGraph
 
     return graph_arrays(PlaneSceneGraph())

@@ -1,13 +1,25 @@
-from activestructure_gym.evaluation.report.html import Html, element, html_table, joined
+import pytest
+from jinja2 import UndefinedError
+from markupsafe import Markup
+
+from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table
 
 
 def test_text_is_escaped_and_markup_is_not():
-    assert element("p", "a < b", Html("<b>c</b>"), None) == "<p>a &lt; b<b>c</b></p>"
-    assert element("i", title='say "no"', class_="x", hidden=True, id_=None, data_value=0) == (
-        '<i title="say &quot;no&quot;" class="x" hidden data-value="0"></i>'
-    )
-    assert element("br") == "<br>" and joined("&", Html("&")) == "&amp;&"
+    assert render("costs.html.j2", table="a < b") == '<section id="costs"><h2>Costs</h2>a &lt; b</section>'
+    assert "<b>c</b>" in render("costs.html.j2", table=Markup("<b>c</b>"))
+    assert 'alt="say &#34;no&#34;"' in render("picture.html.j2", source="data:,", alt='say "no"', width=1, height=2)
+
+
+def test_what_a_template_lacks_is_an_error():
+    with pytest.raises(UndefinedError):
+        render("costs.html.j2")
+
+
+def test_line_breaks_of_a_template_leave_nothing_beside_tags_and_a_space_within_text():
+    text = render("chart_grid.html.j2", charts=[Markup("<svg></svg>")])
+    assert "\n" not in text and "> " not in text and " <" not in text and "begin where the first decision" in text
 
 
 def table(**changes):

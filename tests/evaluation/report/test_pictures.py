@@ -114,7 +114,7 @@ def test_plans_of_a_closet_leave_room_for_their_labels(make_run):
     for run in runs:
         run.pictures["plan_extent"] = np.array([1.2, 1.2])
     page = compare_plans(runs, title="title")
-    assert page.width > sum(text_width(f"{run.job.policy}: 100 frames, 12.0 m", 14) for run in runs)
+    assert page.width > sum(text_width(f"{run.policy}: 100 frames, 12.0 m", 14) for run in runs)
 
 
 def test_path_colours_rise_in_lightness():

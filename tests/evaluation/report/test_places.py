@@ -15,8 +15,8 @@ from activestructure_gym.evaluation.report.places import without_places
         ("'/home/me' is no scene", "'me' is no scene"),
         ("~/scenes/a.glb and C:\\Users\\me\\a.glb", "a.glb and a.glb"),
         (
-            "../shared/a.glb, runs/mine, ./b and docs/protocols.md",
-            "../shared/a.glb, runs/mine, ./b and docs/protocols.md",
+            "../shared/a.glb, runs/mine, ./b and docs/guide/protocols.md",
+            "../shared/a.glb, runs/mine, ./b and docs/guide/protocols.md",
         ),
         ("12 m/s, 1 / 2, 3/4 and https://example.org/a/b", "12 m/s, 1 / 2, 3/4 and https://example.org/a/b"),
     ],

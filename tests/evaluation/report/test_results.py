@@ -3,8 +3,8 @@ import dataclasses
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation import store
-from activestructure_gym.evaluation.jobs import Job
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.report.results import Results, gather, source_of
 
 
@@ -24,7 +24,7 @@ def test_pictures_side_by_side_are_of_one_seed_that_with_the_median_result(make_
         make_run(policy=p, seed=seed, completion_ratio=r) for p, own in ratios.items() for seed, r in enumerate(own)
     ]
     shown = Results(runs, []).shown("room")
-    assert [(run.job.policy, run.job.seed) for run in shown] == [("a", 1), ("b", 1)]  # of equal ones the first seed
+    assert [(run.policy, run.job.seed) for run in shown] == [("a", 1), ("b", 1)]  # of equal ones the first seed
     odd = Results([run for run in runs if run.job.seed < 3], []).shown("room")
     assert {run.job.seed for run in odd} == {1}
     assert Results(runs, []).shown("box") == []
@@ -33,12 +33,12 @@ def test_pictures_side_by_side_are_of_one_seed_that_with_the_median_result(make_
 def test_a_seed_that_all_have_finished_goes_before_the_median(make_run):
     runs = [make_run(policy="a", seed=seed, completion_ratio=80.0 + seed) for seed in range(3)]
     runs.append(make_run(policy="b", seed=2))
-    assert [(run.job.policy, run.job.seed) for run in Results(runs, []).shown("room")] == [("a", 2), ("b", 2)]
+    assert [(run.policy, run.job.seed) for run in Results(runs, []).shown("room")] == [("a", 2), ("b", 2)]
 
 
 def test_of_many_policies_the_best_and_the_baseline_come_first(make_run):
     runs = [make_run(policy=name, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", start=1)]
-    assert [run.job.policy for run in Results(runs, [], "b").foremost("room")] == list("bdefghi")
+    assert [run.policy for run in Results(runs, [], "b").foremost("room")] == list("bdefghi")
     assert len(Results(runs[:3], []).foremost("room")) == 3
 
 

@@ -90,7 +90,7 @@ def test_chance_can_be_told_from_two_pairs_on_every_scene(make_run, seeds, told)
     counts = dict(zip(("room", "box"), seeds))
     runs = [make_run(scene, policy, seed) for scene, n in counts.items() for policy in "ab" for seed in range(n)]
     assert can_tell(Results(runs, [], "a")) is told
-    assert can_tell(Results([run for run in runs if run.job.policy == "a"], [])) is False
+    assert can_tell(Results([run for run in runs if run.policy == "a"], [])) is False
 
 
 def test_the_table_of_differences(grid, make_run):

@@ -10,6 +10,7 @@ import torch
 
 from activestructure_gym.evaluation.training import oracle
 from activestructure_gym.evaluation.training.mirror import mirrored
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.policies.learned import features
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.network import as_tensors
@@ -67,7 +68,7 @@ def test_the_labels_of_a_mirrored_layout_are_those_of_the_layout() -> None:
         "mirrored", replace(mesh, vertices=mesh.vertices * np.float32([1, -1, 1]), faces=mesh.faces[:, ::-1].copy()), ""
     )
     first, second = make_env(SMALL, scene), make_env(SMALL, other)
-    start = scene.free_space.start_poses[0]
+    start = ground_truth_of(scene).free_space.start_poses[0]
     observation, _ = first.reset(seed=1, options={"start_pose": start})
     second.reset(seed=1, options={"start_pose": REFLECTED @ start @ IMAGE})
     # The other env draws candidates and samples of its own: it is given the reflected ones of the first.

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.processes import processor_seconds
+from activestructure_gym.evaluation.machine.processes import processor_seconds
 from activestructure_gym.evaluation.training import timing
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve
@@ -227,9 +227,10 @@ def test_damage_names_the_file(change: Any, words: str, tmp_path: Path) -> None:
     [
         ({"method": []}, "unknown method"), ({"more": 1}, "no description of a training run"),
         ({"world": {"gains": 3}}, "gains of a training world is a list"),
-        ({"world": {"gains": ["os:system"]}}, "config.json' names the gain 'os:system', and to load it would run code"),
-        ({"teacher": "os:system"}, "config.json' names the gain 'os:system', and to load it would run code"),
-        ({"world": {"overrides": {"gains": ["os:system"]}}}, "names the gain 'os:system'"),
+        ({"world": {"gains": ["os:system"]}},
+         "config.json' names the feature 'os:system', and to load it would run code"),
+        ({"teacher": "os:system"}, "config.json' names the feature 'os:system', and to load it would run code"),
+        ({"world": {"overrides": {"gains": ["os:system"]}}}, "names the feature 'os:system'"),
         ({"world": {"overrides": 3}}, "overrides of a training world are names with values"),
         ({"world": {"preset": ["a"]}}, "preset of a training run is a text"),
         ({"world": {"noise": 3}}, "noise of a training run is true or false"),

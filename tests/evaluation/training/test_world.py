@@ -19,11 +19,12 @@ from activestructure_gym.evaluation.training.playing import play_oracle, play_po
 from activestructure_gym.evaluation.training.world import (
     TrainingEnv,
     learning_layouts,
-    learning_scene,
+    learning_truth,
     make_env,
     sees_colour,
     world_config,
 )
+from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
 from activestructure_gym.policies import POLICIES, Random
 from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.scenes import Scene, load_scene
@@ -99,7 +100,7 @@ def test_a_noisy_sensor_is_paid_for_what_is_there_and_not_for_looking_again(box:
     noise = {"depth_noise": "kinect", "noise_multiplier": 8.0, "edge_dropout": True}
     env, clean = make_env(SMALL, box, noise=noise), make_env(SMALL, box)
     for one in (env, clean):
-        one.reset(seed=3, options={"start_pose": box.free_space.start_poses[0]})
+        one.reset(seed=3, options={"start_pose": ground_truth_of(box).free_space.start_poses[0]})
     assert env.reconstruction.sensor.has_depth_noise and not clean.reconstruction.sensor.has_depth_noise
     np.testing.assert_array_equal(env.coverage.seen, clean.coverage.seen)
     pose = env.reconstruction.pose
@@ -118,14 +119,15 @@ def test_a_noisy_sensor_is_paid_for_what_is_there_and_not_for_looking_again(box:
 
 def test_without_light_nothing_that_is_learnt_from_changes() -> None:
     world = replace(SMALL, frames=80, gains=("pixel", "hole_area", "structure"))
-    lit, unlit = learning_scene("apartment?rooms=1&seed=300000"), load_scene("apartment?rooms=1&seed=300000&lit=false")
+    truth = learning_truth("apartment?rooms=1&seed=300000")
+    lit, unlit = truth.scene, load_scene("apartment?rooms=1&seed=300000&lit=false")
     np.testing.assert_array_equal(lit.mesh.vertices, unlit.mesh.vertices)
     np.testing.assert_array_equal(lit.mesh.faces, unlit.mesh.faces)
     assert lit.mesh.textures[0].size > 3 and unlit.mesh.textures[0].size == 3 and lit.content_hash != unlit.content_hash
     # Drawn with the content as seed; here both shall start at one place and count the same samples.
-    unlit = replace(unlit)
-    unlit.__dict__.update(free_space=lit.free_space, observable_surface=lit.observable_surface)
-    envs = [make_env(world, scene) for scene in (lit, unlit)]
+    same = GroundTruth(unlit)
+    same.__dict__.update(free_space=truth.free_space, observable_surface=truth.observable_surface)
+    envs = [make_env(world, known) for known in (truth, same)]
     assert not sees_colour(envs[0].config)
     first, second = (env.reset(seed=4) for env in envs)
     for action in (5, 2, 0):
@@ -148,10 +150,10 @@ def test_layouts_are_lit_where_a_colour_could_be_seen() -> None:
 
 
 def test_a_layout_to_learn_on_has_fewer_samples_of_the_same_surface(box: Scene) -> None:
-    scene = learning_scene("box")
-    assert 0.2 < len(scene.observable_surface.points) / len(box.observable_surface.points) < 0.3
-    assert scene.observable_surface.area == pytest.approx(box.observable_surface.area, rel=0.02)
-    assert scene.content_hash == box.content_hash
+    few, many = learning_truth("box"), ground_truth_of(box)
+    assert 0.2 < len(few.observable_surface.points) / len(many.observable_surface.points) < 0.3
+    assert few.observable_surface.area == pytest.approx(many.observable_surface.area, rel=0.02)
+    assert few.scene.content_hash == box.content_hash
 
 
 def test_the_end_of_the_budget_is_a_termination_to_a_learner() -> None:
@@ -281,6 +283,14 @@ def test_a_greedy_expert_s_labels_are_its_gain(tiny_layouts: None, tmp_path: Pat
     assert data.scores.max() > 0
 
 
+def test_a_feature_of_several_columns_is_told_with_all_of_them(tiny_layouts: None, tmp_path: Path) -> None:
+    config = TrainingConfig(world=replace(SMALL, layouts=1, gains=("gs_planner", "pixel")), episodes=1, teacher="pixel")
+    assert config.network().gains == ("gs_planner_volume", "gs_planner_loss", "pixel")
+    demonstrations.collect(config, tmp_path)
+    told = demonstrations.load(config, tmp_path).observations["candidate_gains"]
+    assert told.shape[-1] == 3 and told.any(axis=(0, 1))[[0, 2]].all()
+
+
 def test_the_table_is_between_random_and_the_oracle(tiny_layouts: None, tmp_path: Path) -> None:
     played = scoring.cells(2, (1,), ["box"], [0, 1])
     assert [(cell.scene, cell.seed, cell.start) for cell in played] == [
@@ -330,8 +340,9 @@ def test_a_checkpoint_is_shown_by_its_last_names() -> None:
 
 
 def test_the_episodes_of_a_scene_begin_at_every_start_pose_in_turn(box: Scene) -> None:
-    poses = box.free_space.start_poses
-    starts = [scoring.start_pose(box, number) for number in range(4 * len(poses))]
+    space = ground_truth_of(box).free_space
+    poses = space.start_poses
+    starts = [scoring.start_pose(space, number) for number in range(4 * len(poses))]
     assert len({start.tobytes() for start in starts}) == len(starts)
     np.testing.assert_array_equal(starts[: len(poses)], poses)
     turned = starts[len(poses)]
@@ -339,7 +350,7 @@ def test_the_episodes_of_a_scene_begin_at_every_start_pose_in_turn(box: Scene) -
     x, y, z = poses[0][:3, 2]
     np.testing.assert_allclose(turned[:3, 2], [-y, x, z], atol=1e-12)
     for number in (1, len(poses) + 1):
-        played = play_policy(SMALL, box, Random(), 0, starts[number])
+        played = play_policy(SMALL, ground_truth_of(box), Random(), 0, starts[number])
         assert played.frames[0] == 1
     env = make_env(SMALL, box)
     env.reset(seed=0, options={"start_pose": starts[1]})

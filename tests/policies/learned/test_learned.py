@@ -104,7 +104,7 @@ def described(checkpoint: Path, place: Path, **changes: object) -> Path:
         ({"gains": 5}, "a list of gains by name, got 5"),
         ({"gains": "pixel"}, "a list of gains by name, got 'pixel'"),
         ({"gains": ["pixel"] * 65}, "1 to 64 gains, got 65"),
-        ({"gains": ["os:system"]}, "b.json' names the gain 'os:system', and to load it would run code"),
+        ({"gains": ["os:system"]}, "b.json' names the feature 'os:system', and to load it would run code"),
         ({"more": 1}, "a network is described by"),
     ],
 )

@@ -1,0 +1,12 @@
+"""The number of cores that this process may use."""
+
+from __future__ import annotations
+
+import os
+
+
+def core_count() -> int:
+    """Cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

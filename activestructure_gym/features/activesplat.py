@@ -1,0 +1,106 @@
+"""ActiveSplat's features: information and volume missing around Voronoi nodes, and in the views at one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.hole_area import solid_angles
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.voronoi_node import NODE_REACH, floor_graph, voronoi_node
+from activestructure_gym.motion import VoronoiGraph
+from activestructure_gym.sensors import Frame
+from activestructure_gym.views import panorama
+
+RADIUS = 0.2  # metres: of the agent
+REGION_M = 2.0  # metres: average distance at which two groups of nodes are no longer one subregion
+APART_M = 1e3  # metres that count as the way between nodes that no way connects
+VIEW_OPEN = 0.3  # 1 - opacity, for the views at a node
+VIEW_LEAST = 25.0  # square degrees: a smaller gap is no reason to look
+
+
+@FEATURES.register(
+    "activesplat",
+    columns=("information", "volume", "region", "view"),
+    unit=("rad^2 m deg^2", "rad^2 m", "index", "deg^2"),
+    low=(0.0, 0.0, -1.0, 0.0),
+)
+def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
+    """I, V and the subregion of the view's Voronoi node, and the gaps that the view itself would show.
+
+    I: sum over clusters of (hull volume) x (sum of 1 - opacity); V: sum of their hull volumes; both 0 without a node.
+    Numbers of subregions are of this step only, -1 without a node. The last column is `gaps_in_sight`.
+    """
+    information, volume = node_openings(context)
+    region = regions(context.once(floor_graph)).astype(np.float64)
+    of_node = [_of_node(context, information), _of_node(context, volume), _of_node(context, region, nothing=-1.0)]
+    return np.column_stack([*of_node, gaps_in_sight(context)])
+
+
+def gaps_in_sight(context: FeatureContext) -> np.ndarray:  # [K] square degrees
+    """Sum of 1 - opacity over the gaps of more than VIEW_LEAST in the view's own image.
+
+    The original looks for the gaps in the panorama of the node it stands at and turns to their centres; here the
+    directions are given, and each is asked what it would show.
+    """
+    missing = 1.0 - context.alpha
+    degrees = missing * solid_angles(context.camera) * np.degrees(1.0) ** 2
+    total = np.zeros(len(missing))
+    for k, mask in enumerate(missing > VIEW_OPEN):
+        if mask.any():
+            count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+            gaps = np.bincount(labels.ravel(), weights=degrees[k].ravel(), minlength=count)[1:]
+            total[k] = gaps[gaps > VIEW_LEAST].sum()
+    return total
+
+
+def regions(graph: VoronoiGraph) -> np.ndarray:  # [N] int64, from 1
+    """Subregions: average linkage of 0.5 way + 0.5 straight distance between nodes, cut at REGION_M."""
+    if len(graph) < 2:
+        return np.ones(len(graph), dtype=np.int64)
+    straight = np.linalg.norm(graph.nodes[:, None] - graph.nodes, axis=2)
+    distance = 0.5 * np.minimum(graph.distances, APART_M) + 0.5 * straight
+    tree = linkage(squareform(0.5 * (distance + distance.T), checks=False), method="average")
+    return fcluster(tree, REGION_M, criterion="distance").astype(np.int64)
+
+
+def looked_around(place: np.ndarray, keyframes: list[Frame]) -> bool:  # [2] metres
+    """Whether the keyframes at a place show all azimuths: a full turn."""
+    seen = np.zeros(36, dtype=bool)
+    bins = np.radians(10.0) * (np.arange(36) + 0.5)
+    for frame in keyframes:
+        pose, camera = frame.world_from_camera, frame.camera
+        if np.linalg.norm(pose[:2, 3] - place) <= NODE_REACH:
+            turned = (bins - np.arctan2(pose[1, 2], pose[0, 2]) + np.pi) % (2.0 * np.pi) - np.pi
+            seen |= np.abs(turned) <= np.arctan(0.5 * camera.width / camera.fx)
+    return bool(seen.all())
+
+
+def node_openings(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [N], [N]
+    """I and V of every node that some view stands for; 0 of those too near an obstacle or looked around at already."""
+    graph, keyframes = context.once(floor_graph), context.mapper.keyframes
+    information, volume = np.zeros(len(graph)), np.zeros(len(graph))
+    wanted = [
+        int(n)
+        for n in np.unique(context.once(voronoi_node))
+        if n >= 0 and graph.clearance[int(n)] > 2.0 * RADIUS and not looked_around(graph.nodes[int(n)], keyframes)
+    ]
+    if not wanted:
+        return information, volume
+    height = keyframes[0].world_from_camera[2, 3]
+    positions = np.column_stack([graph.nodes[wanted], np.full(len(wanted), height)])
+    images = context.mapper.render_depth_alpha(panorama.camera(), panorama.poses(positions))
+    depths, alphas = (panorama.side_by_side(image) for image in images)
+    for n, depth, alpha in zip(wanted, depths, alphas):
+        found = panorama.openings(alpha, depth)
+        information[n] = sum(opening.volume * opening.missing for opening in found)
+        volume[n] = sum(opening.volume for opening in found)
+    return information, volume
+
+
+def _of_node(context: FeatureContext, values: np.ndarray, nothing: float = 0.0) -> np.ndarray:  # [N] -> [K]
+    node = context.once(voronoi_node).astype(np.int64)
+    return np.append(values, nothing)[np.where(node >= 0, node, -1)]

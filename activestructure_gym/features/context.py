@@ -1,0 +1,83 @@
+"""`FeatureContext`: the parts of the reconstruction that a feature may read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.mapping import Mapper
+from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.views.visibility import visible_planes
+from activestructure_gym.volume import VoxelVolume
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class FeatureContext:
+    """The reconstruction and the candidates of one step. No scene is in here: no feature can reach ground truth."""
+
+    mapper: Mapper  # the Gaussian map and its keyframes
+    volume: VoxelVolume  # known free, occupied and unknown space
+    planes: PlaneSceneGraph  # as of the last keyframe
+    camera: PinholeCamera  # the sensor's camera at the reduced size of `ViewConfig.scoring_scale`
+    bounds: np.ndarray  # [2, 3] metres, the workspace
+    coverage_alpha: float  # a pixel is covered where alpha exceeds this
+    max_range: float  # metres, the sensor's
+    world_from_camera: np.ndarray  # [K, 4, 4] the candidates
+
+    @cached_property
+    def _rendered(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.mapper.render_depth_alpha(self.camera, self.world_from_camera)
+
+    @property
+    def depth(self) -> np.ndarray:  # [K, h, w] metres, accumulated (sum of weight x depth)
+        """The map's depth from every candidate; rendered once, shared by all features."""
+        return self._rendered[0]
+
+    @property
+    def alpha(self) -> np.ndarray:  # [K, h, w] in 0..1
+        """The map's accumulated opacity from every candidate."""
+        return self._rendered[1]
+
+    @cached_property
+    def visible(self) -> np.ndarray:  # [K, N] bool
+        """Which planes of the graph every candidate would see (V_c^vis), occlusion included."""
+        return visible_planes(self.planes.nodes, self.camera, self.world_from_camera, self.volume)
+
+    @cached_property
+    def revisits(self) -> np.ndarray:  # [K] bool
+        """Which candidates are a stored keyframe's pose."""
+        known = np.array([frame.world_from_camera for frame in self.mapper.keyframes]).reshape(-1, 1, 4, 4)
+        return (np.abs(known - self.world_from_camera) < 1e-6).all(axis=(2, 3)).any(axis=0)
+
+    def once(self, compute: Callable[[FeatureContext], T]) -> T:
+        """``compute(self)``, called at most once per step: what several features have in common."""
+        if compute not in self._results:
+            self._results[compute] = compute(self)
+        return self._results[compute]
+
+    @cached_property
+    def _results(self) -> dict[Callable[[FeatureContext], Any], Any]:
+        return {}
+
+
+def grid_rays(
+    volume: VoxelVolume,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [K, 4, 4]
+    stride: int,  # pixels between rays
+) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """Arguments that all kernels share which walk the rays of pixels through the voxel grid.
+
+    The corner of voxel (0, 0, 0) [3], the size of a voxel, the poses [K, 4, 4], and the rays [h, w, 3] in the camera's
+    frame with depth 1.
+    """
+    poses = np.ascontiguousarray(world_from_camera, dtype=np.float64)
+    rays = camera.rays()[::stride, ::stride].astype(np.float64)
+    return volume.origin.astype(np.float64), float(volume.config.voxel_size), poses, rays

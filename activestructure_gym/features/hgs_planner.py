@@ -1,0 +1,84 @@
+"""HGS-Planner: unseen space behind what the map lets through, and Fisher information where space is known.
+
+Source: [hgs_planner], by its text.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.context import FeatureContext, grid_rays
+from activestructure_gym.features.fisherrf import fisherrf
+from activestructure_gym.features.information import ADAPTIVE, adaptive
+from activestructure_gym.features.registry import FEATURES
+
+RANGE = 5.0  # metres of depth that a view looks into (HGS-Planner's sensor)
+_STRIDE = 2  # pixels: neighbours look through the same voxels
+
+
+@FEATURES.register("hgs_planner", unit=ADAPTIVE, low=0.0)
+def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
+    """G = G_cov + lambda_o G_Q: `hgs_coverage` and `fisherrf_pure`, the more of the latter the more is observed."""
+    return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
+
+
+@FEATURES.register("hgs_coverage", unit="share of the rays", low=0.0, high=1.0)
+def hgs_coverage(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
+    """G_cov: sum over pixels and the unobserved voxels on their rays of the transmittance in front of each, as a share.
+
+    Every voxel has the same volume, so the sum is a mean over pixels of the transmitted length of ray in unobserved
+    voxels; divided by the range, it is the share of a view into nothing but unseen space. The transmittance falls at
+    the depth that the map shows, from 1 to what the map lets through there.
+    """
+    depth, alpha = context.depth[:, ::_STRIDE, ::_STRIDE], context.alpha[:, ::_STRIDE, ::_STRIDE]
+    volume, reach = context.volume, min(RANGE, context.max_range)
+    return _transmitted_unknown(
+        volume.unobserved,
+        *grid_rays(volume, context.camera, context.world_from_camera, _STRIDE),
+        np.ascontiguousarray(depth / np.maximum(alpha, 1e-6)),
+        np.ascontiguousarray(alpha),
+        reach,
+    )
+
+
+@kernel
+def _transmitted_unknown(
+    unobserved: np.ndarray,  # [X, Y, Z] bool
+    origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
+    voxel_size: float,
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
+    depth: np.ndarray,  # [K, h, w] metres at which the map stands
+    alpha: np.ndarray,  # [K, h, w] how opaque it is there
+    reach: float,  # metres of depth
+) -> np.ndarray:  # [K]
+    """Mean over pixels of the transmittance in unobserved voxels along each ray; 1 if all is unobserved."""
+    count, height, width = depth.shape
+    size = unobserved.shape
+    shares = np.zeros(count)
+    for k in range(count):
+        pose, total = poses[k], 0.0
+        start = (pose[:3, 3] - origin) / voxel_size
+        for row in range(height):
+            for column in range(width):
+                ray = rays[row, column]
+                length = np.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
+                scale = 0.5 / length
+                dx = (pose[0, 0] * ray[0] + pose[0, 1] * ray[1] + pose[0, 2] * ray[2]) * scale
+                dy = (pose[1, 0] * ray[0] + pose[1, 1] * ray[1] + pose[1, 2] * ray[2]) * scale
+                dz = (pose[2, 0] * ray[0] + pose[2, 1] * ray[1] + pose[2, 2] * ray[2]) * scale
+                steps = int(reach / (voxel_size * scale))
+                wall = int(depth[k, row, column] / (voxel_size * scale))
+                behind = 1.0 - alpha[k, row, column]
+                x, y, z, seen = start[0], start[1], start[2], 0.0
+                for step in range(steps if behind > 0.01 else min(steps, wall)):
+                    x, y, z = x + dx, y + dy, z + dz
+                    i, j, m = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+                    if i < 0 or j < 0 or m < 0 or i >= size[0] or j >= size[1] or m >= size[2]:
+                        break
+                    if unobserved[i, j, m]:
+                        seen += 1.0 if step < wall else behind
+                total += seen / max(1, steps)
+        shares[k] = total / (height * width)
+    return shares

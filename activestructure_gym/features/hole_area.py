@@ -1,0 +1,126 @@
+"""The area of unknown surface that may hide behind the holes of a view."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.context import FeatureContext, grid_rays
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
+
+# Only every second pixel in both directions is marched: neighbours see the same hole.
+_STRIDE = 2
+
+# Metres. A surface farther away gets its Gaussians too far apart to count as reconstructed: 10 cm at the default
+# preset, where a seed stands for two pixels of 1 / 80 (docs/notebook/method.md has the measurement).
+REACH = 4.0
+
+
+@FEATURES.register("hole_area", unit="share of the largest possible", low=0.0, high=1.0)
+def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
+    """Sum over pixels of T_final x (pixel's solid angle) x min(d_exit, reach)^2, as a share of the largest such sum.
+
+    Area instead of pixels: a hole in a wall counts the same from near and from afar, so the gain has no liking for
+    standing close to what is unseen. d_exit is where the ray must end at the latest: at the first occupied voxel or
+    where it leaves the workspace, at most at the sensor's range. A pixel whose ray is free all that way counts
+    nothing. An open window, or a scan's missing ceiling, is transparent for ever: once it was looked through, the
+    volume knows it to be free, and the view leaves the pool ("coupling pool dynamics to reconstruction state",
+    Sec. 3.4). GS-Planner's volume of the unobserved is the gain's ancestor.
+    """
+    camera = context.camera
+    alpha = context.alpha[:, ::_STRIDE, ::_STRIDE]
+    distance = hidden_distances(
+        context.volume, camera, context.world_from_camera, context.max_range, alpha < 0.99, stride=_STRIDE, enough=REACH
+    )
+    angle = solid_angles(camera)[::_STRIDE, ::_STRIDE] * _STRIDE**2
+    area = (1.0 - alpha) * angle * np.minimum(distance, REACH) ** 2
+    return np.minimum(area.sum(axis=(1, 2)) / largest_area(camera), 1.0)
+
+
+@lru_cache(maxsize=4)
+def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian, read-only
+    """Solid angle of every pixel: (1 / (fx fy)) cos^3 of the angle to the optical axis."""
+    angles = 1.0 / (camera.fx * camera.fy) / np.linalg.norm(camera.rays(), axis=-1) ** 3
+    angles.setflags(write=False)
+    return np.asarray(angles)
+
+
+def largest_area(camera: PinholeCamera) -> float:  # m^2
+    """The area of a view in which every pixel ends at the reach."""
+    return float(solid_angles(camera).sum()) * REACH**2
+
+
+def hidden_distances(
+    volume: VoxelVolume,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [K, 4, 4]
+    max_range: float,  # metres of depth
+    wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
+    *,
+    stride: int,  # pixels between neighbours in ``wanted``
+    enough: float = np.inf,  # metres; of larger distances only that they are larger is found out
+) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted or where the volume knows that nothing is there
+    """Distance by which each pixel's ray must have met a surface that the map lacks; 0 where there is none."""
+    return _march(
+        volume.state,
+        *grid_rays(volume, camera, world_from_camera, stride),
+        float(max_range),
+        float(enough),
+        np.ascontiguousarray(wanted),
+    )
+
+
+@kernel
+def _march(
+    state: np.ndarray,  # [X, Y, Z] uint8
+    origin: np.ndarray,  # [3] corner of voxel (0, 0, 0)
+    voxel_size: float,
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
+    max_range: float,  # metres of depth
+    enough: float,  # metres
+    wanted: np.ndarray,  # [K, h, w] bool: pixels worth marching
+) -> np.ndarray:  # [K, h, w] metres along the ray
+    """Distance to the first occupied voxel, or, of rays that meet the unknown, to where volume or range end; else 0.
+
+    Steps of half a voxel. Two of them in a row must be unknown: one alone may be a corner that no ray of an earlier
+    image went through. A thinner crossing of an occupied corner may be missed, which only blurs the estimate.
+    """
+    count, height, width = wanted.shape
+    result = np.zeros((count, height, width))
+    for k in range(count):
+        pose = poses[k]
+        start = (pose[:3, 3] - origin) / voxel_size
+        for row in range(height):
+            for column in range(width):
+                if not wanted[k, row, column]:
+                    continue
+                ray = rays[row, column]
+                length = np.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
+                scale = 0.5 / length
+                dx = (pose[0, 0] * ray[0] + pose[0, 1] * ray[1] + pose[0, 2] * ray[2]) * scale
+                dy = (pose[1, 0] * ray[0] + pose[1, 1] * ray[1] + pose[1, 2] * ray[2]) * scale
+                dz = (pose[2, 0] * ray[0] + pose[2, 1] * ray[1] + pose[2, 2] * ray[2]) * scale
+                x, y, z = start[0], start[1], start[2]
+                steps, unknown, meets = 0, 0, False
+                for _ in range(int(max_range * length / (0.5 * voxel_size))):
+                    x, y, z = x + dx, y + dy, z + dz
+                    i, j, m = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+                    if i < 0 or j < 0 or m < 0 or i >= state.shape[0] or j >= state.shape[1] or m >= state.shape[2]:
+                        break
+                    steps += 1
+                    here = state[i, j, m]
+                    if here == OCCUPIED:
+                        meets = True
+                        break
+                    unknown = 0 if here == FREE else unknown + 1
+                    meets = meets or unknown == 2
+                    if meets and 0.5 * voxel_size * steps >= enough:
+                        break
+                if meets:
+                    result[k, row, column] = 0.5 * voxel_size * steps
+    return result

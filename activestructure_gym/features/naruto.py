@@ -1,0 +1,122 @@
+"""NARUTO's goal score and look-at list ([naruto]), on a volume of Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.volume import FREE, VoxelVolume
+
+EPSILON = 1.0  # opacity times looks: one look at one opaque Gaussian halves the uncertainty
+POOL = 4000  # most uncertain voxels, of which TARGETS are kept
+TARGETS = 300
+POOL_SHARE = 0.035  # of the grid's voxels, where that is less: 4000 of room0's 80 x 48 x 30
+TARGET_SHARE = 0.075  # of the pool
+NEAREST, FARTHEST = 0.5, 2.0  # metres between a goal and the targets it may count
+SAMPLES = 30  # places between goal and target that must be free
+LISTED = 10  # targets of the look-at list
+
+
+@dataclass(frozen=True)
+class Targets:
+    """The uncertain places of a step and who sees them."""
+
+    positions: np.ndarray  # [T, 3] metres, world, the most uncertain first
+    sigma: np.ndarray  # [T] in (0, 1 / EPSILON]
+    seen: np.ndarray  # [K, T] bool, from every candidate's position
+
+
+@FEATURES.register("naruto", unit="sum of uncertainties", low=0.0)
+def naruto(context: FeatureContext) -> np.ndarray:  # [K] >= 0
+    """S(g) = sum over t in T of sigma(t) [.5 < |g - t| < 2 m] [all 30 samples of g..t are free].
+
+    g is the candidate's position; its direction plays no part. That g itself is safe is the candidate pool's business.
+    Source: [naruto, code].
+    """
+    targets = context.once(find_targets)
+    return targets.seen @ targets.sigma
+
+
+@FEATURES.register("naruto_look", columns=[f"{rank}_{axis}" for rank in range(LISTED) for axis in "xyz"], unit="m")
+def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
+    """The look-at list of a goal at the candidate's position: LISTED places, x, y and z of each.
+
+    The list holds the most uncertain targets that are seen from there. Behind its end: the candidate's own position.
+    """
+    targets = context.once(find_targets)
+    listed = np.repeat(context.world_from_camera[:, None, :3, 3], LISTED, axis=1)
+    rank = np.cumsum(targets.seen, axis=1) - 1  # the targets stand in their order
+    row, target = np.nonzero(targets.seen & (rank < LISTED))
+    listed[row, rank[row, target]] = targets.positions[target]
+    return listed.reshape(len(listed), 3 * LISTED)
+
+
+def find_targets(context: FeatureContext) -> Targets:
+    """T and its visibility; share it by ``context.once(find_targets)``."""
+    gaussians, volume = context.mapper.map, context.volume
+    voxels, sigma = uncertainty(volume, gaussians.means, gaussians.opacities)
+    voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
+    kept = chosen(voxel_ids, sigma, volume.state.size)
+    positions = volume.center_of(voxels[kept])
+    places, place_of = np.unique(context.world_from_camera[:, :3, 3], axis=0, return_inverse=True)
+    return Targets(positions, sigma[kept], visible(volume, places, positions)[place_of.ravel()])
+
+
+def uncertainty(
+    volume: VoxelVolume,
+    means: np.ndarray,  # [N, 3] metres, world
+    opacities: np.ndarray,  # [N] 0..1
+) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
+    """sigma(x) = 1 / (EPSILON + sum over the Gaussians k at x of o_k hits_k), in front of the surface; 0 elsewhere.
+
+    Near the surface are the free voxels beside one that is not free: there a surface is, or for all one knows may be.
+    hits_k is the number of images in which the voxel of Gaussian k was seen. At x are the Gaussians in x, in the voxels
+    beside it that are not free, and in those beside these: a voxel that the surface merely touches can stay unknown.
+    """
+    free = volume.state == FREE
+    inside = volume.contains(means)
+    voxel = np.ravel_multi_index(tuple(volume.voxel_of(means[inside]).T), volume.shape)
+    opacity = np.bincount(voxel, weights=opacities[inside], minlength=free.size).reshape(volume.shape)
+    evidence = opacity * volume.weight
+    behind = np.where(free, 0.0, evidence)
+    behind = np.where(free, 0.0, behind + _beside(behind))
+    voxels = np.argwhere(free & (_beside((~free).astype(np.float64)) > 0))
+    at = tuple(voxels.T)
+    return voxels, 1.0 / (EPSILON + evidence[at] + _beside(behind)[at])
+
+
+def _beside(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 neighbours
+    total = np.zeros_like(values)
+    for axis in range(3):
+        ahead, back = ([slice(None)] * 3 for _ in range(2))
+        ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+        total[tuple(back)] += values[tuple(ahead)]
+        total[tuple(ahead)] += values[tuple(back)]
+    return total
+
+
+def chosen(voxel_ids: np.ndarray, sigma: np.ndarray, voxels: int) -> np.ndarray:  # [V] flat indices, [V] -> [T] rows
+    """Which places become targets, the most uncertain first: some of the most uncertain, spread evenly over them.
+
+    Equals are taken in the order of a hash of their place, so the choice stays the same from step to step.
+    """
+    key = voxel_ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)  # Knuth's multiplicative hash
+    pool = min(POOL, int(np.ceil(POOL_SHARE * voxels)))
+    candidates = np.lexsort((key, -sigma))[:pool]
+    kept = candidates[np.argsort(key[candidates])][: min(TARGETS, int(np.ceil(TARGET_SHARE * pool)))]
+    return kept[np.lexsort((key[kept], -sigma[kept]))]
+
+
+def visible(volume: VoxelVolume, places: np.ndarray, targets: np.ndarray) -> np.ndarray:  # [P, 3], [T, 3] -> [P, T]
+    """Which targets lie at the right distance from each place, with nothing but free voxels on the way."""
+    distance = np.linalg.norm(places[:, None] - targets, axis=2)
+    seen = (distance > NEAREST) & (distance < FARTHEST)
+    place, target = np.nonzero(seen)
+    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    samples = places[place][:, None] * (1.0 - share) + targets[target][:, None] * share  # [pairs, 30, 3]
+    free = volume.state_at(samples.reshape(-1, 3)).reshape(-1, SAMPLES) == FREE
+    seen[place, target] = free.all(axis=1)
+    return seen

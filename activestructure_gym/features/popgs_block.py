@@ -1,0 +1,108 @@
+"""POp-GS with one 6 x 6 block per Gaussian, so that correlations between mean and log-scales count."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.information import (
+    LAMBDA,
+    LOG_SCALE,
+    MEAN,
+    informed_views,
+    register_both,
+    trained,
+    units,
+)
+from activestructure_gym.splatting.fisher import BLOCK_NUMBERS
+
+_LANES = 64  # Gaussians worked on side by side
+_ROW, _COLUMN = np.triu_indices(6)
+
+
+@register_both("popgs_logdet_block")
+def popgs_logdet_block(context: FeatureContext) -> np.ndarray:  # [K]
+    """Sum over Gaussians of log det(H_train + lambda + H_c) - log det(H_train + lambda), per Gaussian of the map."""
+    return _block_gains(context, 0, 1.0)
+
+
+@register_both("popgs_cov_trace_block")
+def popgs_cov_trace_block(context: FeatureContext) -> np.ndarray:  # [K]
+    """Sum over Gaussians of tr (H_train + lambda)^-1 - tr (H_train + lambda + H_c)^-1, per Gaussian of the map."""
+    return _block_gains(context, 1, -1.0)
+
+
+def _block_gains(context: FeatureContext, number: int, sign: float) -> np.ndarray:  # [K]
+    unit = context.once(units)
+    root = np.sqrt(np.repeat(unit[[MEAN, LOG_SCALE]], 3))
+    inverse_units = 1.0 / (root[_ROW] * root[_COLUMN])
+    prior = trained(context)[:, :BLOCK_NUMBERS] * inverse_units
+    count, none = len(prior), np.zeros((0, BLOCK_NUMBERS), np.float32)
+    before = block_numbers(prior, np.arange(count), none, inverse_units, LAMBDA)[:, number]
+    sums = []
+    for view in informed_views(context):
+        blocks = np.ascontiguousarray(view.blocks)  # one layout, so that the kernel is compiled once
+        after = block_numbers(prior, view.indices, blocks, inverse_units, LAMBDA)[:, number]
+        # Of a block 10^5 units large, rounding is as large as lambda. No view can make a Gaussian less certain.
+        sums.append(np.maximum(sign * (after - before[view.indices]), 0.0).sum())
+    return np.array(sums) / max(1, count)
+
+
+@kernel
+def block_numbers(
+    prior: np.ndarray,  # [N, 21] float64, upper triangles row by row
+    indices: np.ndarray,  # [S] int64
+    blocks: np.ndarray,  # [S, 21] float32 to be added, or [0, 21]
+    inverse_units: np.ndarray,  # [21] factor on ``blocks``
+    least: float,  # lambda
+) -> np.ndarray:  # [S, 2]: log of the determinant, trace of the inverse
+    """log det and trace of the inverse of ``prior + blocks + least``, by L D L^T of many matrices at once.
+
+    No pivot of a positive semi-definite matrix plus lambda is below lambda; what rounding makes of it is put back.
+    """
+    count = len(indices)
+    n = int(np.sqrt(2.0 * prior.shape[1]))  # 6, as a number that the compiler does not know: it would unroll the loops
+    result = np.empty((count, 2))
+    a = np.empty((n, n, _LANES))  # D on the diagonal, L below it
+    inverse = np.empty((n, _LANES))
+    product, trace = np.empty(_LANES), np.empty(_LANES)
+    for first in range(0, count, _LANES):
+        many = min(_LANES, count - first)
+        entry = 0
+        for row in range(n):
+            for column in range(row, n):
+                for lane in range(many):
+                    value = prior[indices[first + lane], entry]
+                    if len(blocks) != 0:
+                        value += inverse_units[entry] * blocks[first + lane, entry]
+                    a[column, row, lane] = value + (least if row == column else 0.0)
+                entry += 1
+        for lane in range(_LANES):
+            product[lane], trace[lane] = 1.0, 0.0
+        for j in range(n):
+            for lane in range(_LANES):
+                a[j, j, lane] = max(a[j, j, lane], least)
+                product[lane] *= a[j, j, lane]
+            for i in range(j + 1, n):
+                for lane in range(_LANES):
+                    inverse[i, lane] = a[i, j, lane] / a[j, j, lane]
+                for column in range(j + 1, i + 1):
+                    for lane in range(_LANES):
+                        a[i, column, lane] -= inverse[i, lane] * a[column, j, lane]
+            for i in range(j + 1, n):
+                for lane in range(_LANES):
+                    a[i, j, lane] = inverse[i, lane]
+        # tr A^-1 = sum of squares of L^-1, each divided by its row's D; one column of L^-1 at a time.
+        for j in range(n):
+            for i in range(j, n):
+                for lane in range(_LANES):
+                    inverse[i, lane] = 1.0 if i == j else 0.0
+                for k in range(j, i):
+                    for lane in range(_LANES):
+                        inverse[i, lane] -= a[i, k, lane] * inverse[k, lane]
+                for lane in range(_LANES):
+                    trace[lane] += inverse[i, lane] * inverse[i, lane] / a[i, i, lane]
+        for lane in range(many):
+            result[first + lane, 0], result[first + lane, 1] = np.log(product[lane]), trace[lane]
+    return result

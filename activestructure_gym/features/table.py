@@ -1,0 +1,50 @@
+"""Texts about features: columns, units and ranges, for lists and for docs/guide/observation.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from activestructure_gym.features.registry import FEATURES, Feature
+
+_MOST = 4  # columns that are all named
+
+
+def columns_in_words(feature: Feature) -> str:
+    """Names of its columns, ``itself`` for the one that is called like the feature; of many the first and the last."""
+    names = [column or "itself" for column in feature.columns]
+    return ", ".join(names) if len(names) <= _MOST else f"{names[0]}, {names[1]} .. {names[-1]} ({len(names)})"
+
+
+def units_in_words(feature: Feature) -> str:
+    """One unit, or those of the columns in their order."""
+    return _same(feature.units)
+
+
+def ranges_in_words(feature: Feature) -> str:
+    """One range, or those of the columns in their order."""
+    return _same([_range(low, high) for low, high in zip(feature.low, feature.high)])
+
+
+def feature_table() -> str:
+    """Markdown: the features of this package with their columns, units, ranges and files."""
+    rows = ["| feature | columns | unit | range | file |", "|---|---|---|---|---|"]
+    room = __name__.rpartition(".")[0]
+    for name in FEATURES:
+        feature = FEATURES.get(name)
+        package, _, module = feature.__module__.rpartition(".")
+        if package == room:
+            words = (columns_in_words(feature), units_in_words(feature), ranges_in_words(feature))
+            rows.append(f"| `{name}` | {' | '.join(words)} | `{module}.py` |")
+    return "\n".join(rows)
+
+
+def _same(values: Sequence[str]) -> str:
+    return values[0] if len(set(values)) == 1 else "; ".join(values)
+
+
+def _range(low: float, high: float) -> str:
+    if np.isfinite(low) and np.isfinite(high):
+        return f"{low:g} to {high:g}"
+    return f"from {low:g}" if np.isfinite(low) else f"to {high:g}" if np.isfinite(high) else "any"

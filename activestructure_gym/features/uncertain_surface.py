@@ -1,0 +1,189 @@
+"""Uncertainty of the map's surface, and its connected most uncertain pieces: ANM's view targets.
+
+ANM and ANM-S perturb the weights W of a signed distance network and take
+u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)| as the uncertainty of a surface point. Here W are the Gaussians
+and f is the depth they are rendered at. Sources: [anm], [activeinr, code], [anm_s, code].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
+from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.splatting import cpu
+from activestructure_gym.volume import FREE, VoxelVolume
+
+PERTURBATIONS = 20  # M
+VIEWS = 12  # candidates from which the perturbed map is rendered: those that see most of the surface together
+STEP = (
+    0.001  # metres, standard deviation by which a mean is moved along each axis: too little to change who is in front
+)
+RELATIVE_STEP = 0.01  # the same of log-scales, quaternions and opacity logits; only the order of u matters
+LEAST_SHARE = 0.005  # of the uncertain part of the surface: smaller pieces are no clusters
+STAND_OFF = 0.5  # metres from the surface along its normal
+_STRIDE = 4  # pixels, where it is counted who sees what
+_NEAR = 2  # voxels within which the free side of a surface is looked for
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Surface voxels: what stands for the vertices of a mesh with sides of 0.1 m."""
+
+    voxels: np.ndarray  # [V, 3] int64
+    points: np.ndarray  # [V, 3] metres, world
+    normals: np.ndarray  # [V, 3] unit, to the free side
+    uncertainty: np.ndarray  # [V]
+
+    def below(self, height: float) -> Surface:
+        """The part of it that lies lower than ``height`` metres."""
+        low = self.points[:, 2] < height
+        return Surface(self.voxels[low], self.points[low], self.normals[low], self.uncertainty[low])
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """Connected uncertain pieces of a surface, the largest first."""
+
+    shares: np.ndarray  # [C] of the surface
+    targets: np.ndarray  # [C, 3] metres: mean of v + 0.5 n, from where to look at it
+    centres: np.ndarray  # [C, 3] metres: mean of v
+    directions: np.ndarray  # [C, 3] unit (0 where the normals cancel): -mean n
+
+
+def by_perturbing_means(context: FeatureContext) -> Surface:
+    """ANM-S: the geometry alone is perturbed, there the head of the network that holds the distance."""
+    return _perturbed(context, everything=False)
+
+
+def by_perturbing_all(context: FeatureContext) -> Surface:
+    """ANM: all parameters are perturbed (of which colours do not change a depth)."""
+    return _perturbed(context, everything=True)
+
+
+def by_proxy(context: FeatureContext) -> Surface:
+    """u = sqrt(sum o_k^2) / sum o_k over the Gaussians k of a voxel: the perturbation to first order, not rendered.
+
+    The depth is a mean of the Gaussians' depths, weighted about as their opacities. Independent offsets of one size
+    move such a mean by that size times this root: by 1 / sqrt(n) for n equal Gaussians.
+    """
+    gaussians, volume = context.mapper.map, context.volume
+    inside = volume.contains(gaussians.means)
+    means, opacity = gaussians.means[inside], gaussians.opacities[inside].astype(np.float64)
+    flat = np.ravel_multi_index(tuple(volume.voxel_of(means).T), volume.shape)
+    voxel_ids, place = np.unique(flat, return_inverse=True)
+    total = np.bincount(place, weights=opacity)
+    squares = np.bincount(place, weights=opacity**2)
+    points = np.stack([np.bincount(place, weights=opacity * means[:, axis]) for axis in range(3)], axis=1)
+    solid = total > context.coverage_alpha
+    return _with_normals(
+        volume, voxel_ids[solid], points[solid] / total[solid, None], np.sqrt(squares[solid]) / total[solid]
+    )
+
+
+def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
+    """u of every surface voxel: mean over M perturbations and the pixels it fills of |difference of the depths|."""
+    volume, camera = context.volume, context.camera
+    views = covering_views(context)
+    poses = context.world_from_camera[views]
+    parameters, count = MapParts(context.mapper.map).in_view(camera, poses)
+    alpha = context.alpha[views]
+    covered = alpha > context.coverage_alpha
+    depth = context.depth[views] / np.maximum(alpha, 1e-6)
+    rng = np.random.default_rng(_SEED)
+    change = np.zeros(int(covered.sum()))
+    for _ in range(PERTURBATIONS):
+        moved = parameters.copy()
+        moved[MEAN, :count] += np.float32(STEP) * rng.standard_normal((3, count), np.float32)
+        if everything:
+            for rows in (QUATERNION, LOG_SCALE, slice(OPACITY_LOGIT, OPACITY_LOGIT + 1)):
+                noise = rng.standard_normal(moved[rows, :count].shape, np.float32)
+                moved[rows, :count] += np.float32(RELATIVE_STEP) * noise
+        shown, opaque = cpu.render_depth_alpha(moved, count, camera, poses)
+        change += np.abs(shown[covered] / np.maximum(opaque[covered], 1e-6) - depth[covered])
+    points = _in_world(camera.rays()[None] * depth[..., None], poses)[covered]
+    inside = volume.contains(points)
+    points, change = points[inside], change[inside] / PERTURBATIONS
+    flat = np.ravel_multi_index(tuple(volume.voxel_of(points).T), volume.shape)
+    voxel_ids, place = np.unique(flat, return_inverse=True)
+    pixels = np.bincount(place)
+    means = np.stack([np.bincount(place, weights=points[:, axis]) for axis in range(3)], axis=1) / pixels[:, None]
+    return _with_normals(volume, voxel_ids, means, np.bincount(place, weights=change) / pixels)
+
+
+def covering_views(context: FeatureContext) -> np.ndarray:  # [<= VIEWS] rows
+    """Candidates chosen one after the other, each for the surface voxels it sees and those before it do not."""
+    volume, at = context.volume, slice(_STRIDE // 2, None, _STRIDE)
+    alpha, rays = context.alpha[:, at, at], context.camera.rays()[at, at]
+    depth = context.depth[:, at, at] / np.maximum(alpha, 1e-6)
+    points = _in_world(rays[None] * depth[..., None], context.world_from_camera)
+    good = (alpha > context.coverage_alpha) & volume.contains(points)
+    view = np.nonzero(good)[0]
+    voxel_ids = np.ravel_multi_index(tuple(volume.voxel_of(points[good]).T), volume.shape)
+    _, place = np.unique(voxel_ids, return_inverse=True)
+    sees: np.ndarray = np.zeros((len(alpha), int(place.max(initial=-1)) + 1), dtype=bool)
+    sees[view, place] = True
+    chosen: list[int] = []
+    while len(chosen) < VIEWS:
+        new = sees.sum(axis=1)
+        if not new.any():
+            break
+        chosen.append(int(new.argmax()))
+        sees &= ~sees[chosen[-1]]
+    return np.array(chosen, dtype=np.int64)
+
+
+def clusters(surface: Surface, keep: float) -> Clusters:
+    """Connected pieces (over all 26 neighbours) of the most uncertain share ``keep`` of the surface."""
+    total = len(surface.voxels)
+    if not total:
+        return Clusters(np.zeros(0), *(np.zeros((0, 3)) for _ in range(3)))
+    kept = np.argsort(-surface.uncertainty, kind="stable")[: int(np.ceil(keep * total))]
+    voxels = surface.voxels[kept]
+    lower = voxels.min(axis=0)
+    grid = np.zeros(voxels.max(axis=0) - lower + 1, dtype=bool)
+    grid[tuple((voxels - lower).T)] = True
+    label = ndimage.label(grid, structure=np.ones((3, 3, 3)))[0][tuple((voxels - lower).T)] - 1
+    size = np.bincount(label)
+    order = np.argsort(-size, kind="stable")
+    order = order[size[order] >= LEAST_SHARE * len(kept)]
+
+    def mean(values: np.ndarray) -> np.ndarray:  # [V, 3] -> [C, 3]
+        sums = np.stack([np.bincount(label, weights=values[kept, axis]) for axis in range(3)], axis=1)
+        return sums[order] / size[order, None]
+
+    centres, normals = mean(surface.points), mean(surface.normals)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    directions = np.where(length > 1e-6, -normals / np.maximum(length, 1e-6), 0.0)
+    return Clusters(size[order] / total, centres + STAND_OFF * normals, centres, directions)
+
+
+def _with_normals(volume: VoxelVolume, voxel_ids: np.ndarray, points: np.ndarray, uncertainty: np.ndarray) -> Surface:
+    voxels = np.stack(np.unravel_index(voxel_ids, volume.shape), axis=1)
+    normals = free_side(volume, voxels)
+    good = normals.any(axis=1)
+    return Surface(voxels[good], points[good], normals[good], uncertainty[good])
+
+
+def free_side(volume: VoxelVolume, voxels: np.ndarray) -> np.ndarray:  # [V, 3] -> [V, 3] unit, 0 where none
+    """Direction from each voxel to the free voxels around it: the gradient of a distance that grows into free space.
+
+    0 where nothing around is free, and where as much is free on either side.
+    """
+    free = np.pad(volume.state == FREE, _NEAR)
+    steps = np.stack(np.meshgrid(*[np.arange(-_NEAR, _NEAR + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    total = np.zeros((len(voxels), 3))
+    for step in steps[steps.any(axis=1)]:
+        total += free[tuple((voxels + _NEAR + step).T)][:, None] * (step / np.linalg.norm(step) ** 2)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 0.1, total / np.maximum(length, 1e-9), 0.0)
+
+
+def _in_world(points: np.ndarray, poses: np.ndarray) -> np.ndarray:  # [C, h, w, 3] camera, [C, 4, 4] -> [C, h, w, 3]
+    rows: np.ndarray = points.reshape(len(points), points.shape[1] * points.shape[2], 3).astype(np.float64)
+    return (rows @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]).reshape(points.shape)

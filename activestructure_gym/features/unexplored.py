@@ -1,0 +1,82 @@
+"""ActiveGS's share of unexplored voxels in sight of a view, the measure of frontier planners."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.volume import VoxelVolume
+
+_SIDE = 2  # voxels per side of the cells that are tested: 0.2 m at the default size, ActiveGS's voxels
+
+
+@FEATURES.register("unexplored", unit="share of the voxels", low=0.0, high=1.0)
+def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
+    """#unexplored voxels visible from the view / #voxels (ActiveGS, Jin et al. 2025).
+
+    A voxel is visible where its centre projects into the image, lies no farther than the volume takes in depth, and
+    in front of what the map shows there; unexplored is what `VoxelVolume.unobserved` says. Where 2 x 2 x 2 voxels are
+    all unexplored they are tested as one, by their common centre.
+    Source: [active_gs, code].
+    """
+    return context.once(_shares)
+
+
+def _shares(context: FeatureContext) -> np.ndarray:  # [K]
+    centres, unknown, total = unknown_cells(context.volume)
+    camera, reach = context.camera, min(context.max_range, context.volume.config.max_range)
+    alpha = context.alpha
+    with np.errstate(divide="ignore", invalid="ignore"):
+        surface = np.where(alpha > context.coverage_alpha, context.depth / alpha, np.float32(reach))
+    seen = count_in_front(
+        centres,
+        unknown,
+        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        np.minimum(surface, np.float32(reach)),
+    )
+    return seen / total
+
+
+def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  # [M, 3] metres, [M] voxels, all voxels
+    """Centres of cells and of voxels that are wholly unobserved, how many voxels each stands for, and of how many.
+
+    The volume's outermost layer lies beyond the workspace and is not counted. Only whole cells are taken as one: in a
+    cell at a wall, the known half may hold the centre while the unknown half lies behind the wall.
+    """
+    inner = volume.unobserved[1:-1, 1:-1, 1:-1]
+    x, y, z = (size // _SIDE for size in inner.shape)
+    even = inner[: x * _SIDE, : y * _SIDE, : z * _SIDE]
+    whole = even.reshape(x, _SIDE, y, _SIDE, z, _SIDE).all(axis=(1, 3, 5))
+    single = inner.copy()
+    single[: x * _SIDE, : y * _SIDE, : z * _SIDE] &= ~whole.repeat(_SIDE, 0).repeat(_SIDE, 1).repeat(_SIDE, 2)
+    cells, voxels = np.argwhere(whole), np.argwhere(single)
+    middles = np.concatenate([(cells + 0.5) * _SIDE, voxels + 0.5]) + 1.0
+    counts = np.repeat([float(_SIDE**3), 1.0], [len(cells), len(voxels)])
+    return volume.origin + middles * volume.config.voxel_size, counts, inner.size
+
+
+@kernel
+def count_in_front(
+    centres: np.ndarray,  # [M, 3] metres, world
+    weights: np.ndarray,  # [M]
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    lens: np.ndarray,  # [4] fx, fy, cx, cy
+    surface: np.ndarray,  # [K, h, w] float32 metres of depth
+) -> np.ndarray:  # [K] sum of the weights of the centres in front of the surface
+    count, height, width = surface.shape
+    result = np.zeros(count)
+    for k in range(count):
+        pose = poses[k]
+        for m in range(len(centres)):
+            x, y, z = centres[m, 0] - pose[0, 3], centres[m, 1] - pose[1, 3], centres[m, 2] - pose[2, 3]
+            deep = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z
+            if not deep > 0.0:
+                continue
+            u = lens[0] * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / deep + lens[2]
+            v = lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / deep + lens[3]
+            if 0.0 <= u < width and 0.0 <= v < height and deep < surface[k, int(v), int(u)]:
+                result[k] += weights[m]
+    return result

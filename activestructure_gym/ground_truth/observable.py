@@ -1,0 +1,87 @@
+"""The part of a scene's surface that can be seen at all: the ground truth that coverage and completion refer to.
+
+Half the area of a typical scene is hidden (backs and undersides, faces inside walls), and no planner can be asked to
+map it. Measured over six scenes, 42 to 76 % of the area is seen from 400 free viewpoints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.ground_truth.free_space import FreeSpace
+from activestructure_gym.ground_truth.surface_samples import uniform_samples
+from activestructure_gym.scenes.cache import cached_arrays
+from activestructure_gym.scenes.scene import Scene
+
+VIEW_CLEARANCE = 0.25  # metres between a viewpoint and the nearest surface
+SURFACE_SAMPLES = 50_000  # drawn from the whole surface
+VIEW_RANGE = 10.0  # metres; the sensor's range
+# Metres before the sample that a line of sight spares: float32 hits are exact to 1e-5 m, panels thicker than a few mm.
+SIGHT_MARGIN = 2e-3
+
+
+@dataclass(frozen=True)
+class ObservableSurface:
+    """Samples, uniform by area, of the surface that some free viewpoint sees."""
+
+    points: np.ndarray  # [S, 3] float32 metres
+    normals: np.ndarray  # [S, 3] float32 unit, towards a viewpoint that sees the point
+    area_share: float  # observable part of the mesh's area, 0..1
+    area: float  # observable area in square metres
+
+
+def observable_surface_of(
+    scene: Scene, space: FreeSpace, samples: int = SURFACE_SAMPLES, viewpoints: int = 400
+) -> ObservableSurface:
+    """The observable surface of a scene, from the cache on disk where it has been computed before.
+
+    ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` come back.
+    """
+    key = f"observable-{scene.content_hash}-{samples}-{viewpoints}"
+    arrays = cached_arrays(key, lambda: _compute(scene, space, samples, viewpoints))
+    return ObservableSurface(
+        points=arrays["points"],
+        normals=arrays["normals"],
+        area_share=float(arrays["area_share"]),
+        area=float(arrays["area"]),
+    )
+
+
+def _compute(scene: Scene, space: FreeSpace, samples: int, viewpoints: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(int(scene.content_hash[16:32], 16))
+    points, normals, area = uniform_samples(scene.mesh.vertices, scene.mesh.faces, samples, rng)
+    roomiest = float(space.clearance.max())
+    eyes = space.sample_positions(viewpoints, rng, min_clearance=min(VIEW_CLEARANCE, 0.8 * roomiest))
+    seen_by = first_viewpoint(scene, points, eyes)
+    seen = seen_by >= 0
+    towards = np.einsum("ij,ij->i", eyes[seen_by[seen]] - points[seen], normals[seen])
+    facing = normals[seen] * np.where(towards < 0, -1.0, 1.0)[:, None]
+    share = float(seen.mean())
+    return {
+        "points": points[seen].astype(np.float32),
+        "normals": facing.astype(np.float32),
+        "area_share": np.array(share),
+        "area": np.array(share * area),
+    }
+
+
+def first_viewpoint(
+    scene: Scene,
+    points: np.ndarray,  # [S, 3] on the surface
+    eyes: np.ndarray,  # [E, 3]
+) -> np.ndarray:  # [S] index of the first viewpoint in turn that sees the point, -1 = none does
+    """Which of the points are seen: within range, and nothing in between. The side of the surface does not matter."""
+    seen_by = np.full(len(points), -1, dtype=np.int64)
+    waiting, positions = np.arange(len(points)), np.asarray(points, dtype=np.float32)
+    for index, eye in enumerate(np.asarray(eyes, dtype=np.float32)):
+        offset = positions - eye
+        near = np.flatnonzero(np.einsum("ij,ij->i", offset, offset) <= VIEW_RANGE**2)
+        if len(near):
+            visible = near[~scene.raycaster.occluded(eye, positions[near], margin=SIGHT_MARGIN)]
+            seen_by[waiting[visible]] = index
+            unseen = np.ones(len(waiting), dtype=bool)
+            unseen[visible] = False
+            waiting, positions = waiting[unseen], positions[unseen]
+    return seen_by

@@ -1,0 +1,116 @@
+"""Start poses: choosing them for a scene, and checking one that a user gives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import look_along
+from activestructure_gym.ground_truth.free_space import FreeSpace
+from activestructure_gym.scenes.scene import Scene
+
+START_POSES = 16  # per scene; episodes draw from them by seed
+MIN_START_POSES = 8  # limits are loosened until this many are found
+CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried or on a mast
+# Metres of clearance, the first that leaves enough places: what the agent may know to be free around its start
+# (MotionConfig.start_free_radius), less, then what paths must keep.
+_CLEARANCES = (0.6, 0.45, 0.35, 0.25, 0.2)
+_VIEW_RANGE = 6.0  # metres; open space beyond does not make a view better
+_HEADINGS = 72
+
+
+def choose_start_poses(scene: Scene, space: FreeSpace) -> np.ndarray:  # [S, 4, 4] world_from_camera
+    """Up to `START_POSES` poses, far apart from each other, each looking where most open space lies.
+
+    Deterministic: the first place is drawn with the scene's content as seed, every next one is the place farthest
+    from all before.
+    """
+    places = _places(space)
+    rng = np.random.default_rng(int(scene.content_hash[:16], 16))
+    chosen = [int(rng.integers(len(places)))]
+    distance = np.linalg.norm(places - places[chosen[0]], axis=1)
+    while len(chosen) < min(START_POSES, len(places)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return np.stack([look_along(position, _open_direction(scene, position)) for position in places[chosen]])
+
+
+def _places(space: FreeSpace) -> np.ndarray:  # [N, 3] metres
+    """Centres of free voxels one may stand at, under the strictest limits that leave enough of them."""
+    standing = (space.height >= CAMERA_HEIGHTS[0]) & (space.height <= CAMERA_HEIGHTS[1])
+    on_floor = standing & _above_floor(space)
+    best = np.zeros((0, 3))
+    for allowed in (on_floor, standing, space.height > 0.5, space.clearance > 0):
+        for clearance in _CLEARANCES:
+            found = space.centers(np.argwhere(allowed & (space.clearance >= clearance)))
+            if len(found) >= MIN_START_POSES:
+                return found
+            best = found if len(found) > len(best) else best
+    return best if len(best) else space.centers(space.free_voxels)
+
+
+def _above_floor(space: FreeSpace) -> np.ndarray:  # [X, Y, Z] bool
+    """Voxels whose surface below is a floor and not the top of a bed or a table.
+
+    A floor is a level that at least a quarter as many columns of free space end on as on the most common level; so
+    every storey of a house counts, and a bed in a bedroom does not.
+    """
+    z = space.centers(np.zeros((1, 3)))[0, 2] + np.arange(space.clearance.shape[2]) * space.voxel_size
+    below = z[None, None, :] - space.height  # height of the surface below, world metres
+    usable = (space.clearance > 0) & np.isfinite(below)
+    if not usable.any():
+        return usable
+    level = np.zeros(below.shape, dtype=np.int64)
+    level[usable] = np.round((below[usable] - below[usable].min()) / 0.1).astype(np.int64)
+    # One vote per column and level, or tall rooms would outvote low ones.
+    columns = np.argwhere(usable)[:, :2]
+    votes = np.unique(np.column_stack([columns, level[usable]]), axis=0)[:, 2]
+    counts = np.bincount(votes, minlength=level.max() + 1)
+    # A floor may straddle two bins.
+    spread = counts + np.concatenate([counts[1:], [0]]) + np.concatenate([[0], counts[:-1]])
+    return usable & (spread >= 0.25 * spread.max())[level]
+
+
+def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
+    """The level direction around which one sees farthest on average (over 60 degrees)."""
+    angle = 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+    directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_HEADINGS)], axis=1)
+    # A ray that meets nothing leaves through a window or a hole: nothing to map there.
+    distance = scene.raycaster.cast(position, directions).distance
+    view = np.where(np.isfinite(distance), np.minimum(distance, _VIEW_RANGE), 0.0)
+    half = _HEADINGS // 12
+    around = np.concatenate([view[-half:], view, view[:half]])
+    return directions[np.convolve(around, np.ones(2 * half + 1), mode="valid").argmax()]
+
+
+def check_start_pose(
+    space: FreeSpace,
+    bounds: np.ndarray,  # [2, 3] metres, the scene's
+    world_from_camera: np.ndarray,  # [4, 4]
+    body_radius: float,  # metres
+) -> None:
+    """Raise `InputError` unless a body can stand at the pose.
+
+    In a scene too narrow for the body, whose own start poses are tighter, the tightest of those is the measure.
+    """
+    pose = np.asarray(world_from_camera, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise InputError(f"a start pose must be a finite 4 x 4 matrix (world_from_camera), got shape {pose.shape}")
+    rotation = pose[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is no rotation")
+    position = pose[:3, 3]
+    where = f"the start pose at ({', '.join(f'{value:.2f}' for value in position)})"
+    clearance = float(space.clearance_at(position)[0])
+    starts = space.start_poses[:, :3, 3]
+    nearest = starts[np.linalg.norm(starts - position, axis=1).argmin()]
+    hint = f"the nearest free start is ({', '.join(f'{value:.2f}' for value in nearest)})"
+    if clearance <= 0:
+        low, high = bounds
+        if (position < low).any() or (position > high).any():
+            raise InputError(f"{where} is outside the scene's bounds; {hint}")
+        raise InputError(f"{where} is inside a wall or furniture, or outside the rooms; {hint}")
+    required = min(body_radius, float(space.clearance_at(starts).min()))
+    # A tenth of a voxel: the clearance between voxel centres is interpolated.
+    if clearance < required - 0.1 * space.voxel_size:
+        raise InputError(f"{where} is {clearance:.2f} m from the nearest surface, but needs {required:.2f} m; {hint}")

@@ -1,0 +1,96 @@
+"""`GroundTruth`: a scene with its free space, start poses and observable surface; who reads them takes this type."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from activestructure_gym.ground_truth.free_space import FreeSpace, compute_free_space
+from activestructure_gym.ground_truth.observable import SURFACE_SAMPLES, ObservableSurface, observable_surface_of
+from activestructure_gym.ground_truth.start_poses import choose_start_poses
+from activestructure_gym.scenes.cache import cached_arrays
+from activestructure_gym.scenes.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """A scene with its free space, start poses and observable surface, computed when they are first asked for.
+
+    Start poses, the reward, metrics and the labels of training take a `GroundTruth`. Features, observations and
+    policies never do; the sensor takes the `Scene` alone.
+
+    Raises `InputError` from its properties where the scene has no free space.
+    """
+
+    scene: Scene  # whose truth it is
+    surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, seen or not
+
+    @cached_property
+    def free_space(self) -> FreeSpace:
+        """The free space, with the scene's start poses."""
+        return free_space_of(self.scene)
+
+    @cached_property
+    def observable_surface(self) -> ObservableSurface:
+        """The part of the surface that some free pose can see."""
+        return observable_surface_of(self.scene, self.free_space, self.surface_samples)
+
+
+def free_space_of(scene: Scene) -> FreeSpace:
+    """The free space of a scene with its start poses, from the cache on disk where it has been computed before.
+
+    Raises `InputError` where no free space is found.
+    """
+
+    def compute() -> dict[str, np.ndarray]:
+        space = compute_free_space(scene)
+        return {
+            "origin": space.origin,
+            "voxel_size": np.array(space.voxel_size),
+            "clearance": space.clearance,
+            "height": space.height,
+            "start_poses": choose_start_poses(scene, space),
+        }
+
+    arrays = cached_arrays(f"free-space-{scene.content_hash}", compute)
+    return FreeSpace(
+        origin=arrays["origin"],
+        voxel_size=float(arrays["voxel_size"]),
+        clearance=arrays["clearance"],
+        height=arrays["height"],
+        start_poses=arrays["start_poses"],
+    )
+
+
+_known: WeakValueDictionary[str, GroundTruth] = WeakValueDictionary()
+
+
+def ground_truth_of(scene: Scene) -> GroundTruth:
+    """The truth of a scene; the same object for the same content, as long as somebody holds it.
+
+    Parameters
+    ----------
+    scene
+        The scene; nothing is computed before it is asked for.
+
+    Returns
+    -------
+    GroundTruth
+        Free space, start poses and observable surface, metres in the world's frame.
+
+    Examples
+    --------
+    >>> from activestructure_gym.scenes import load_scene
+    >>> truth = ground_truth_of(load_scene("box"))
+    >>> truth is ground_truth_of(load_scene("box"))
+    True
+    >>> truth.free_space.start_poses.shape[1:]
+    (4, 4)
+    """
+    truth = _known.get(scene.content_hash)
+    if truth is None:
+        truth = _known[scene.content_hash] = GroundTruth(scene)
+    return truth

@@ -1,0 +1,57 @@
+"""Numbers that belong to Gaussians, kept beside the map and in the order of its columns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+
+
+class RowsById:
+    """One row of numbers per Gaussian, 0 for new ones; `follow` brings the rows into the order of the map's columns.
+
+    The ids of the Gaussians (`GaussianMap.ids`) tell which row is whose, so the map knows nothing of its followers,
+    and the cost of following is that of what has changed since the last time.
+    """
+
+    def __init__(self, gaussians: GaussianMap, columns: int) -> None:
+        self._map = gaussians
+        self._values = np.zeros((0, columns))  # [capacity, columns]
+        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], whose the rows are
+        self._rows = np.zeros(0, dtype=np.int32)  # by id, the row of a Gaussian, -1 for none
+        self._count = 0
+
+    @property
+    def values(self) -> np.ndarray:  # [N, columns] float64
+        """The rows as they were last followed: a view, to be written to, valid until `follow`."""
+        return self._values[: self._count]
+
+    def rows_of(self, ids: np.ndarray) -> np.ndarray:  # [S] int64 -> [S] int32
+        """The rows of Gaussians that had a row when `follow` was last called, -1 where they are gone."""
+        return self._rows[ids]
+
+    def follow(self) -> np.ndarray:  # [N, columns] float64
+        """Rows in the order of the map's columns; returns `values`."""
+        gaussians, before = self._map, self._count
+        count = gaussians.count
+        if len(self._values) < count:
+            values = np.zeros((gaussians.capacity, self._values.shape[1]))
+            ids = np.full(gaussians.capacity, -1, dtype=np.int64)
+            values[:before], ids[:before] = self._values[:before], self._ids[:before]
+            self._values, self._ids = values, ids
+        if len(self._rows) < gaussians.next_id:
+            rows_of = np.full(gaussians.next_id + gaussians.next_id // 2, -1, dtype=np.int32)
+            rows_of[: len(self._rows)] = self._rows
+            self._rows = rows_of
+        ids = gaussians.ids[:count]
+        shared = min(before, count)
+        moved = np.flatnonzero(ids[:shared] != self._ids[:shared])
+        changed = np.concatenate([moved, np.arange(shared, count)])
+        sources = self._rows[ids[changed]]
+        found = np.where(sources[:, None] >= 0, self._values[sources], 0.0)
+        gone = np.concatenate([self._ids[moved], self._ids[shared:before]])
+        self._rows[gone] = -1
+        self._rows[ids[changed]] = changed
+        self._values[changed], self._ids[changed] = found, ids[changed]
+        self._count = count
+        return self.values

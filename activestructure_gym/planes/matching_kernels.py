@@ -1,0 +1,60 @@
+"""Compiled loops of matching: which planes of the graph a segment may continue, and how far its points lie from one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.planes.surface_kernels import cell_of
+
+
+@kernel
+def qualifying(planes, normal, offset, centroid, limits):
+    """Which planes [N, 7] a segment may continue: the larger of the two distances, the index, 1 = too far apart [M, 3].
+
+    Planes are normal, offset and centroid, ``limits`` those of the coplanar and the near mode of
+    `matching.MatchingConfig`. Normals face the viewer, so the sign counts: the other face of a thin wall is another
+    plane. What is too far apart must touch.
+    """
+    flat_cosine, flat_distance, lever, flat_reach, near_cosine, near_distance, near_reach = limits
+    found, total = np.empty((len(planes), 3)), 0
+    for n in range(len(planes)):
+        p = planes[n]
+        cosine = p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2]
+        if not (cosine > flat_cosine or cosine > near_cosine):
+            continue
+        to_node = abs(p[0] * centroid[0] + p[1] * centroid[1] + p[2] * centroid[2] + p[3])
+        to_segment = abs(p[4] * normal[0] + p[5] * normal[1] + p[6] * normal[2] + offset)
+        reach = np.sqrt((p[4] - centroid[0]) ** 2 + (p[5] - centroid[1]) ** 2 + (p[6] - centroid[2]) ** 2)
+        near = cosine > near_cosine and to_node < near_distance and reach < near_reach
+        flat = cosine > flat_cosine and to_node < flat_distance and to_segment < flat_distance + lever * reach
+        if near or flat:
+            found[total, 0], found[total, 1] = max(to_node, to_segment), n
+            found[total, 2] = 0.0 if near or reach <= flat_reach else 1.0
+            total += 1
+    return found[:total]
+
+
+@kernel
+def depth_gaps(points, eye, normal, offset, grid, low, seen, cell):
+    """Distances [M] of the points [P, 3] to a plane along their rays from ``eye``, times the rays' slant, metres.
+
+    Only of rays that meet the plane in front of the eye, in a seen cell of its grid. Seen at a slant a plane's own
+    noise moves the meeting point along the ray, hence the slant; 0.2 = 78 degrees from the normal.
+    """
+    gaps, total = np.empty(len(points)), 0
+    height = eye[0] * normal[0] + eye[1] * normal[1] + eye[2] * normal[2] + offset
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
+        facing = x * normal[0] + y * normal[1] + z * normal[2]
+        along = -height / facing  # 1 where the plane meets the ray at the point's own depth
+        if not 0.0 < along < np.inf:
+            continue
+        r, c = cell_of(eye[0] + along * x, eye[1] + along * y, eye[2] + along * z, grid, cell)
+        r, c = r - low[0], c - low[1]
+        if 0 <= r < seen.shape[0] and 0 <= c < seen.shape[1] and seen[r, c]:
+            length = np.sqrt(x * x + y * y + z * z)
+            slant = min(max(abs(facing) / max(length, 1e-9), 0.2), 1.0)
+            gaps[total] = abs(along - 1.0) * length * slant
+            total += 1
+    return gaps[:total]

@@ -1,0 +1,1 @@
+"""Scenes from files: meshes, Replica, Matterport3D, posed sequences."""

@@ -1,0 +1,82 @@
+"""Limits on what one scene may read and allocate, since files may be made by anybody.
+
+A file of a few kilobytes can ask for gigabytes or hours: by the counts in its header, by placing one mesh a million
+times, by pictures of one colour, by naming a device. Whoever reads a scene asks its one budget before anything is
+allocated. A limit is an allowance plus a share per byte of the files that were read, so a large scan passes and a
+small file stays a small scene; the allowances together stay below 2 GB of memory and a minute of one core.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+
+MOST_BYTES = 4 << 30  # of all files of a scene; they are held in memory while they are read
+
+
+@dataclass(frozen=True)
+class Limit:
+    """At most ``allowance + per_byte * bytes read``, and never more than ``ceiling``."""
+
+    allowance: int
+    per_byte: float
+    ceiling: int
+    remedy: str
+
+    def at(self, bytes_read: int) -> int:
+        return min(self.ceiling, self.allowance + int(self.per_byte * bytes_read))
+
+
+# Per byte: more than any file needs that says everything once (a triangle of 16-bit indices has 6 bytes, a quantised
+# vertex 4, a picture rarely less than half a bit per pixel). Allowances: what instances may multiply.
+LIMITS = {
+    "triangles": Limit(3_000_000, 0.25, 50_000_000, "decimate its meshes or place fewer copies of them"),
+    "vertices": Limit(5_000_000, 0.5, 150_000_000, "decimate its meshes or place fewer copies of them"),
+    "nodes": Limit(100_000, 0.1, 10_000_000, "join its nodes"),
+    "meshes and copies of them": Limit(50_000, 0.005, 1_000_000, "join its meshes by material"),
+    "numbers in arrays": Limit(30_000_000, 4.0, 2_000_000_000, "write each array once"),
+    "bytes of pictures": Limit(64 << 20, 2.0, MOST_BYTES, "write each picture once"),
+    "pixels": Limit(1_000_000_000, 16.0, 20_000_000_000, "make its pictures smaller"),
+    "pixels after shrinking": Limit(64_000_000, 16.0, 4_000_000_000, "make its pictures smaller or max_texture lower"),
+}
+
+
+class LimitError(UnreadableMesh):
+    """A scene asks for more than it may; the message is the rest of a sentence that begins with the file."""
+
+
+@dataclass
+class SceneBudget:
+    """Counters of what a scene has read and allocated, against `LIMITS`."""
+
+    bytes_read: int = 0
+    taken: dict[str, int] = field(default_factory=dict)
+    _files: set[tuple[int, int]] = field(default_factory=set)  # device and inode: a file counts once
+
+    def read(self, path: Path) -> bytes:
+        """The content of a regular file; devices, pipes and the like are not opened."""
+        status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode):
+            raise LimitError(f"'{path.name}' is a device or a pipe and no file")
+        if (status.st_dev, status.st_ino) not in self._files:
+            self._files.add((status.st_dev, status.st_ino))
+            self.bytes_read += status.st_size
+        if self.bytes_read > MOST_BYTES:
+            raise LimitError(f"its files have more than {MOST_BYTES >> 30} GB; decimate its meshes or split it")
+        with open(path, "rb") as stream:
+            return stream.read(status.st_size)  # what /proc calls a file has no size, and may never end
+
+    def take(self, what: str, count: int) -> None:
+        """Note that ``count`` more of ``what`` (a key of `LIMITS`) will be held; raises `LimitError` if too many."""
+        total = self.taken.get(what, 0) + count
+        limit = LIMITS[what]
+        if total > (most := limit.at(self.bytes_read)):
+            raise LimitError(
+                f"it comes to more than {most:,} {what}, the most for files of {self.bytes_read:,} bytes; "
+                f"{limit.remedy}"
+            )
+        self.taken[what] = total

@@ -1,0 +1,355 @@
+"""Reader for COLLADA (`.dae`), with the standard library's XML parser.
+
+pycollada, which trimesh needs for it, reads less of what exporters write, and rounds (docs/notebook/groundwork.md).
+
+Only what a still scene needs: triangles and polygons, node transforms, instances, diffuse colours and textures, the
+declared unit and up axis. Specification: [collada].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
+from activestructure_gym.scenes.loaders.polygons import ear_clipped, triangulated
+
+Element = ElementTree.Element
+_POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
+
+
+@dataclass(frozen=True)
+class ColladaFile:
+    """The parts in file units, and what the file says about them."""
+
+    parts: list[MeshPart]
+    metres_per_unit: float
+    up: str  # "x", "y" or "z", or whatever else the file says
+
+
+def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
+    """All triangles of the instantiated visual scene."""
+    root = ElementTree.fromstring(textures.budget.read(path))
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]  # the namespace differs between 1.4 and 1.5
+    if root.tag != "COLLADA":
+        raise UnreadableMesh(f"its root element is <{root.tag}>, not <COLLADA>")
+    unit = root.find("asset/unit")
+    up = (root.findtext("asset/up_axis") or "Y_UP").strip()
+    document = _Document(path, root, textures)
+    return ColladaFile(
+        parts=list(document.parts()),
+        metres_per_unit=_metres(unit),
+        up=up[:1].lower(),
+    )
+
+
+def _metres(unit: Element | None) -> float:
+    metres = float(_fixed(unit.get("meter", "1"), 1, "meter")[0]) if unit is not None else 1.0
+    if not (np.isfinite(metres) and metres > 0):
+        raise UnreadableMesh(f"it says that its unit has {metres:g} metres")
+    return metres
+
+
+def _floats(text: str | None) -> np.ndarray:
+    return _numbers(text, np.float64)
+
+
+def _fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
+    values = _floats(text)
+    if len(values) != count:
+        raise UnreadableMesh(f"a <{name}> has {len(values)} numbers instead of {count}")
+    return values
+
+
+def _attribute(element: Element, name: str, default: int = 0) -> int:
+    """The value of an attribute that must be a whole number from 0 on."""
+    text = element.get(name, str(default)).strip()
+    if not text.isdecimal() or len(text) > 9:
+        raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')
+    return int(text)
+
+
+def _integers(text: str | None) -> np.ndarray:
+    return _numbers(text, np.int64)
+
+
+def _numbers(text: str | None, kind: type) -> np.ndarray:
+    words = (text or "").split()
+    try:
+        return np.array(words, dtype=kind)
+    except (ValueError, OverflowError):
+        if any("," in word for word in words):
+            raise UnreadableMesh(
+                "its numbers are written with commas (0,5 for 0.5); export it with decimal points"
+            ) from None
+        wanted = "whole numbers" if kind is np.int64 else "numbers"
+        raise UnreadableMesh(f"'{_first_odd(words, kind)}' stands where {wanted} are expected") from None
+
+
+def _first_odd(words: list[str], kind: type) -> str:
+    for word in words:
+        try:
+            np.array([word], dtype=kind)
+        except (ValueError, OverflowError):
+            return word[:40]
+    return words[0][:40]
+
+
+@dataclass(frozen=True)
+class _Input:
+    """One property of the corners: where its index stands in a row of <p>, and its values."""
+
+    semantic: str
+    column: int
+    values: np.ndarray  # [N, stride]
+
+    def of(self, corners: np.ndarray, width: int) -> np.ndarray:  # [C, columns of <p>] -> [C, width]
+        index = corners[:, self.column]
+        if len(index) and (index.min() < 0 or index.max() >= len(self.values)):
+            raise UnreadableMesh(f"its corners name {self.semantic} {index.max()} of {len(self.values)}")
+        if self.values.shape[1] < width:
+            raise UnreadableMesh(f"its {self.semantic} values have {self.values.shape[1]} numbers instead of {width}")
+        return self.values[index, :width]
+
+
+@dataclass
+class _Document:
+    path: Path
+    root: Element
+    textures: TextureStore
+    by_id: dict[str, Element] = field(default_factory=dict)
+    # What was made of an element: instances may be many, and the arrays they share long.
+    _made: dict[tuple[str, Any], Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.by_id = {element.get("id", ""): element for element in self.root.iter() if element.get("id")}
+
+    def target(self, url: str | None) -> Element | None:
+        return self.by_id.get((url or "").removeprefix("#"))
+
+    def _once(self, make: Callable[..., Any], of: Element | str, *more: Any) -> Any:
+        """``make(of, *more)``, which depends on ``of`` alone."""
+        key = (make.__name__, of)
+        if key not in self._made:
+            self._made[key] = make(of, *more)
+        return self._made[key]
+
+    def parts(self) -> Iterator[MeshPart]:
+        shown = self.root.find("scene/instance_visual_scene")
+        scene = self.target(shown.get("url")) if shown is not None else None
+        if scene is None:
+            scene = self.root.find("library_visual_scenes/visual_scene")
+        if scene is None:  # geometry only: everything at the origin
+            for geometry in self.root.iterfind("library_geometries/geometry"):
+                yield from self._geometry(geometry, np.eye(4), {})
+            return
+        stack = [(node, np.eye(4), 0) for node in reversed(scene.findall("node"))]
+        while stack:
+            node, world_from_parent, depth = stack.pop()
+            if depth > 200:
+                raise UnreadableMesh("its nodes form a loop")
+            self.textures.budget.take("nodes", 1 + len(node))
+            world_from_node = world_from_parent @ self._once(_node_matrix, node)
+            for instance in node:
+                if instance.tag in ("instance_geometry", "instance_controller"):
+                    shape = self._instanced(instance)
+                    if shape is not None:
+                        yield from self._geometry(shape, world_from_node, self._once(_bindings, instance))
+            placed_elsewhere = (self.target(element.get("url")) for element in node.findall("instance_node"))
+            children = [*(child for child in placed_elsewhere if child is not None), *node.findall("node")]
+            self.textures.budget.take("nodes", len(children))
+            stack.extend((child, world_from_node, depth + 1) for child in reversed(children))
+
+    def _instanced(self, instance: Element) -> Element | None:
+        target = self.target(instance.get("url"))
+        if target is not None and target.tag == "controller":  # a skin without its pose is the bare geometry
+            skin = target.find("skin")
+            target = self.target(skin.get("source")) if skin is not None else None
+        return target
+
+    def _geometry(self, geometry: Element, world_from_node: np.ndarray, bindings: dict[str, str]) -> Iterator[MeshPart]:
+        mesh = geometry.find("mesh")
+        if mesh is None:  # splines and convex hulls
+            return
+        self.textures.budget.take("nodes", len(mesh))
+        for primitives in mesh:
+            if primitives.tag not in _POLYGONS:
+                continue
+            inputs, width = self._once(self._inputs, primitives)
+            corners, triangles = self._once(_triangulated, primitives, width, inputs["VERTEX"])
+            self.textures.budget.take("meshes and copies of them", 1)
+            if not len(triangles):
+                continue
+            self.textures.budget.take("triangles", len(triangles))
+            self.textures.budget.take("vertices", len(corners))
+            symbol = primitives.get("material", "")
+            color, texture = self._once(self._material, bindings.get(symbol, symbol))
+            uv = None
+            if "TEXCOORD" in inputs:
+                uv = inputs["TEXCOORD"].of(corners, 2) * [1.0, -1.0] + [0.0, 1.0]
+            if texture >= 0 and uv is None:
+                self.textures.without_uv.append(symbol or "without a name")
+                texture = -1
+            # A texture is all that is seen of a surface: exporters leave its vertex colours at black.
+            if "COLOR" in inputs and texture < 0:
+                color = color * inputs["COLOR"].of(corners, 3)
+            yield MeshPart(
+                vertices=placed(inputs["VERTEX"].of(corners, 3), world_from_node),
+                faces=triangles,
+                colors=color,
+                uv=uv,
+                texture=texture,
+            )
+
+    def _inputs(self, primitives: Element) -> tuple[dict[str, _Input], int]:
+        """The first set of each semantic, and the number of columns in <p>."""
+        inputs: dict[str, _Input] = {}
+        width = 0
+        for element in sorted(primitives.findall("input"), key=lambda element: _attribute(element, "set")):
+            semantic, offset = element.get("semantic", ""), _attribute(element, "offset")
+            width = max(width, offset + 1)
+            if semantic == "VERTEX":
+                vertices = self.target(element.get("source"))
+                for shared in vertices.findall("input") if vertices is not None else ():
+                    shared_semantic = "VERTEX" if shared.get("semantic") == "POSITION" else shared.get("semantic", "")
+                    inputs.setdefault(shared_semantic, _Input(shared_semantic, offset, self._source(shared)))
+            elif semantic in ("TEXCOORD", "COLOR"):
+                inputs.setdefault(semantic, _Input(semantic, offset, self._source(element)))
+        if "VERTEX" not in inputs:
+            raise UnreadableMesh(f"a <{primitives.tag}> has no vertex positions")
+        return inputs, width
+
+    def _source(self, element: Element) -> np.ndarray:  # [count, stride]
+        source = self.target(element.get("source"))
+        if source is None or source.find("float_array") is None:
+            raise UnreadableMesh(f"the source '{element.get('source')}' is missing")
+        return self._once(_array, source)
+
+    def _material(self, name: str) -> tuple[np.ndarray, int]:
+        """Diffuse colour [3] and texture of a material; COLLADA's colours are display-referred."""
+        plain = np.full(3, PLAIN_GREY)
+        material = self.target(name)
+        instance = material.find("instance_effect") if material is not None else None
+        effect = self.target(instance.get("url")) if instance is not None else None
+        profile = effect.find("profile_COMMON") if effect is not None else None
+        if profile is None:
+            return plain, -1
+        shader = next((s for s in profile.iterfind("technique/*") if s.tag in _SHADERS), None)
+        # <constant> has no diffuse; its emission is all one sees.
+        channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
+        if channel is None:
+            return plain, -1
+        reference = channel.find("texture")
+        if reference is not None:
+            index = self._texture(profile, reference.get("texture", ""))
+            return (np.ones(3) if index >= 0 else plain), index
+        color = _floats(channel.findtext("color"))
+        return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else plain), -1
+
+    def _texture(self, profile: Element, name: str) -> int:
+        """Follow sampler -> surface -> image (1.4), sampler -> image (1.5), or the image itself (sloppy exporters)."""
+        parameters = {p.get("sid"): p for p in profile.iter("newparam")}
+        for _ in range(3):
+            parameter = parameters.get(name)
+            if parameter is None:
+                break
+            instance = parameter.find(".//instance_image")
+            source = parameter.findtext(".//source") or parameter.findtext(".//init_from")
+            name = (instance.get("url", "") if instance is not None else source or "").strip().removeprefix("#")
+        image = self.by_id.get(name)
+        if image is None:
+            self.textures.note_unreadable(name)
+            return -1
+        reference = image.findtext("init_from/ref") or image.findtext("init_from") or ""
+        return self.textures.add_file(self.path.parent, reference)
+
+
+def _array(source: Element) -> np.ndarray:  # [count, stride]
+    accessor = source.find("technique_common/accessor")
+    stride = _attribute(accessor, "stride", 1) if accessor is not None else 3
+    offset = _attribute(accessor, "offset") if accessor is not None else 0
+    if stride < 1:
+        raise UnreadableMesh(f"the source '{source.get('id')}' has a stride of 0")
+    values = _floats(source.findtext("float_array"))[offset:]
+    return values[: len(values) // stride * stride].reshape(-1, stride)
+
+
+_SHADERS = ("phong", "lambert", "blinn", "constant")
+
+
+def _bindings(instance: Element) -> dict[str, str]:
+    """Material symbol -> material id of an instance."""
+    return {
+        bound.get("symbol", ""): bound.get("target", "").removeprefix("#")
+        for bound in instance.iterfind("bind_material/technique_common/instance_material")
+    }
+
+
+def _node_matrix(node: Element) -> np.ndarray:  # [4, 4] parent_from_node: the node's transforms, first one outermost
+    matrix = np.eye(4)
+    for element in node:
+        step = np.eye(4)
+        if element.tag == "matrix":
+            step = _fixed(element.text, 16, "matrix").reshape(4, 4)
+        elif element.tag == "translate":
+            step[:3, 3] = _fixed(element.text, 3, "translate")
+        elif element.tag == "scale":
+            step[:3, :3] = np.diag(_fixed(element.text, 3, "scale"))
+        elif element.tag == "rotate":
+            from scipy.spatial.transform import Rotation
+
+            x, y, z, degrees = _fixed(element.text, 4, "rotate")
+            axis = np.array([x, y, z]) / max(np.linalg.norm([x, y, z]), 1e-12)
+            step[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
+        else:
+            continue
+        matrix = matrix @ step
+    return matrix
+
+
+def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [C, width] (rows of <p>) and triangles [F, 3] over them; concave polygons and holes stay open."""
+    rows = [_rows(p, width) for p in primitives.findall("p")]
+    corners = np.concatenate(rows) if rows else np.zeros((0, width), np.int64)
+    sizes = np.array([len(row) for row in rows], dtype=np.int64)
+    if primitives.tag == "triangles":
+        return corners, np.arange(len(corners) // 3 * 3).reshape(-1, 3)
+    if primitives.tag in ("tristrips", "trifans"):
+        return corners, _strips(sizes, fans=primitives.tag == "trifans")
+    if primitives.tag == "polylist":
+        sizes = _integers(primitives.findtext("vcount"))
+        if (sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners):
+            raise UnreadableMesh(f"a <polylist> counts {sizes.sum()} corners and has {len(corners)}")
+        corners = corners[: sizes.sum()]
+    triangles, _ = triangulated(positions.of(corners, 3), sizes)
+    for holed in primitives.findall("ph"):
+        rings = [_rows(ring, width) for ring in holed if ring.tag in ("p", "h") and ring.text]
+        if not rings:
+            continue
+        outline = np.concatenate(rings)
+        ends = tuple(np.cumsum([len(ring) for ring in rings]).tolist())
+        triangles = np.concatenate([triangles, len(corners) + ear_clipped(positions.of(outline, 3), ends)])
+        corners = np.concatenate([corners, outline])
+    return corners, triangles
+
+
+def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
+    flat = _integers(indices.text)
+    if len(flat) % width:
+        raise UnreadableMesh(f"a <{indices.tag}> has {len(flat)} indices, which are no rows of {width}")
+    return flat.reshape(-1, width)
+
+
+def _strips(sizes: np.ndarray, *, fans: bool) -> np.ndarray:  # [F, 3]
+    """Triangles of strips one after the other; those of a fan have its first corner in common."""
+    counts = np.maximum(sizes - 2, 0)
+    starts = np.repeat(np.cumsum(sizes) - sizes, counts)
+    k = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.stack([starts if fans else starts + k, starts + k + 1, starts + k + 2], axis=1)

@@ -1,0 +1,44 @@
+"""Damage of mesh files, in words that a user can act on."""
+
+from __future__ import annotations
+
+import binascii
+import json
+import struct
+import zlib
+from xml.etree import ElementTree
+
+
+class UnreadableMesh(ValueError):
+    """A damaged file; the message ends a sentence: "it is cut off", "its nodes form a loop"."""
+
+
+# What Python and numpy say of text that is no number.
+_NO_NUMBER = ("invalid literal for int", "could not convert string", "unmatched data")
+
+
+def in_words(error: Exception) -> str:
+    """The cause of a reader's exception, in words about the file."""
+    if isinstance(error, UnreadableMesh):
+        reason = str(error)
+    elif isinstance(error, json.JSONDecodeError):
+        reason = f"its JSON is damaged at line {error.lineno}, column {error.colno}"
+    elif isinstance(error, ElementTree.ParseError):
+        reason = "its XML is damaged at line {}, column {}".format(*error.position)
+    elif isinstance(error, UnicodeDecodeError):
+        reason = "its text is not in UTF-8; save it so"
+    elif isinstance(error, RecursionError):
+        reason = "its entries are nested too deeply"
+    elif isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
+        reason = f"an entry in it lacks '{error.args[0][:60]}'; export it again"
+    elif isinstance(error, IndexError):
+        reason = "it refers to an entry that does not exist; export it again"
+    elif isinstance(error, struct.error | EOFError | zlib.error | binascii.Error):
+        reason = "it is cut off or damaged; copy or export it again"
+    elif isinstance(error, ValueError) and any(words in str(error) for words in _NO_NUMBER):
+        reason = "something else stands in it where numbers are expected (with points, no commas); export it again"
+    elif isinstance(error, OSError) and error.strerror:
+        reason = f"it cannot be opened ({error.strerror})"
+    else:
+        reason = "its content is damaged or not what the format says; export it again"
+    return " ".join(reason.split())

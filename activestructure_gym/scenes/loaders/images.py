@@ -1,0 +1,37 @@
+"""Decode images from untrusted files: known formats only, with their size checked before decoding."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import TYPE_CHECKING
+
+from activestructure_gym.scenes.loaders.budget import LimitError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# What exporters write and Pillow decodes by itself; for PostScript it would start Ghostscript.
+FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA")
+MOST_PIXELS = 1 << 26  # 8192 x 8192: 256 MB while it is decoded
+_MOST_SCANS = 100  # of a progressive JPEG; encoders write about ten, and each is a pass over all pixels
+
+
+def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels: int = MOST_PIXELS) -> Image:
+    """The picture, not yet decoded.
+
+    Raises `LimitError` for one that is too large, and what Pillow raises for one that it cannot read.
+    """
+    from PIL import Image as images
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", images.DecompressionBombWarning)  # the limit here is lower
+        try:
+            image = images.open(io.BytesIO(data), formats=formats)
+        except images.DecompressionBombError as error:
+            raise LimitError(f"has more than {most_pixels:,} pixels") from error
+    if image.width * image.height > most_pixels:
+        raise LimitError(f"has {image.width} x {image.height} pixels; at most {most_pixels:,} are read")
+    if image.format in ("JPEG", "MPO") and data.count(b"\xff\xda") > _MOST_SCANS:
+        raise LimitError(f"has more than {_MOST_SCANS} progressive scans")
+    return image

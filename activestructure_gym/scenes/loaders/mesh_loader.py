@@ -1,0 +1,345 @@
+"""Any mesh a user has, as a `Scene`: one entrance for glb, gltf, obj, ply, stl and dae.
+
+Here the file's units and axes become metres and z up, everything that can be wrong with a mesh is said in one
+sentence, and a scale check tells the user whether the units were guessed right.
+"""
+
+from __future__ import annotations
+
+import os
+import unicodedata
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from activestructure_gym.errors import InputError, InputWarning, shown, unknown_name
+from activestructure_gym.scenes.loaders.damage import in_words
+from activestructure_gym.scenes.loaders.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
+from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
+
+if TYPE_CHECKING:
+    from activestructure_gym.scenes.loaders.mesh_parts import MeshPart, TextureStore
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae")
+METRES_PER_UNIT = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
+# The world's x, y, z as axes of the file and their signs; all are proper rotations, so nothing is mirrored.
+_WORLD_FROM_FILE = {
+    "z": ((0, 1, 2), (1, 1, 1)),
+    "-z": ((0, 1, 2), (1, -1, -1)),
+    "y": ((0, 2, 1), (1, -1, 1)),
+    "-y": ((0, 2, 1), (1, 1, -1)),
+    "x": ((2, 1, 0), (-1, 1, 1)),
+    "-x": ((2, 1, 0), (1, 1, -1)),
+}
+
+_MOST_OVERLAP = 300  # boxes of triangles on a line; scans and furnished scenes have 4 to 20
+_PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
+_COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
+_FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once: 50 MB, where a scan would take gigabytes
+
+
+def load_mesh_scene(
+    path: str | os.PathLike[str],
+    *,
+    units: str | float | None = None,
+    up: str | None = None,
+    name: str | None = None,
+    max_texture: int = 512,
+) -> Scene:
+    """Read a mesh file and turn it into a scene.
+
+    Args:
+        path: a .glb, .gltf, .obj, .ply, .stl or .dae file.
+        units: "m", "dm", "cm", "mm", "in", "ft", or metres per file unit. None = what the file declares (only
+            COLLADA does), else metres.
+        up: which file axis points up: "x", "y", "z", "-x", "-y" or "-z"; "auto" = what the geometry says. None = what
+            the file declares (COLLADA; glTF under "up" in the extras of its asset or scene), else y for glTF, as its
+            standard says, and z for the others, which have no rule; refused if the geometry clearly says otherwise.
+        name: of the scene; default is the file's name.
+        max_texture: pixels; larger textures are shrunk.
+
+    Raises:
+        InputError: the file is missing, unsupported, corrupt, empty, not finite, of an implausible size, or lies on
+            its side. Doubts that do not stop it are given as `InputWarning`, and stand in the scene's notes.
+    """
+    from activestructure_gym.scenes.loaders.mesh_parts import TextureStore, assemble
+
+    path = check_mesh_file(path)
+    if max_texture < 1:
+        raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")
+    textures = TextureStore(max_texture)
+    if up not in (None, "auto", *UP_AXES):
+        raise unknown_name("up axis", str(up), ("auto", *UP_AXES))
+    parts, declared_scale, declared_up = _read(path, textures)
+    scale = declared_scale if units is None else _metres_per_unit(units)
+    _check_parts(path, parts)
+    mesh = assemble(parts, textures.images)
+    mesh, unpainted = _painted(mesh)
+    vertices = mesh.vertices.astype(np.float64) * scale
+    try:
+        up, doubts = choose_up(path, vertices, mesh.faces, given=up, declared=declared_up)
+    except InputError:
+        _check_extent(path, vertices, scale)  # a wrong unit is the likelier reason
+        raise
+    mesh = replace(mesh, vertices=upright(vertices, up).astype(np.float32))
+    doubts = [*texture_notes(textures), *doubts]
+    if unpainted:
+        doubts.append(f"{unpainted} vertices have colours or texture coordinates that are not finite: painted grey")
+    return finished_scene(mesh, path, name=name or path.stem, doubts=doubts, scale=scale)
+
+
+def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
+    """File axes turned so that ``up`` becomes z, exactly: files that differ in nothing else give equal numbers."""
+    axes, signs = _WORLD_FROM_FILE[up]
+    return vertices[:, axes] * signs + 0.0  # no -0.0: it has other bytes than 0.0, and the content hash counts bytes
+
+
+def check_mesh_file(path: str | os.PathLike[str]) -> Path:
+    """The path, if it is a file with a suffix that some reader knows."""
+    path = Path(os.path.expanduser(path))
+    check_printable(str(path))
+    if path.is_dir():
+        raise InputError(f"'{path}' is a folder; give the mesh file in it ({', '.join(MESH_SUFFIXES)})")
+    if not path.is_file():
+        raise InputError(f"there is no mesh file '{path}'")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(f"'{path}' is not a mesh file this loader knows; it reads {', '.join(MESH_SUFFIXES)}")
+    return path
+
+
+def check_printable(name: str) -> None:
+    """Raise `InputError` for a name with line ends or characters that cannot be printed."""
+    if any(unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") for character in name):
+        raise InputError(f"the name {shown(name)} has characters that cannot be printed; rename the file or the scene")
+
+
+def finished_scene(
+    mesh: SceneMesh,  # world axes, metres
+    path: Path,
+    *,
+    name: str,
+    doubts: Sequence[str] = (),
+    scale: float = 1.0,  # metres per file unit that were applied; the messages name better ones
+    labels: PartLabels | None = None,
+) -> Scene:
+    """A checked scene: faces without area dropped, size checked, scale noted.
+
+    Doubts about its orientation, its textures or its scale stand in its notes and are given as one `InputWarning`.
+    """
+    keep = _has_area(mesh)
+    dropped = int((~keep).sum())
+    if dropped:
+        mesh = replace(mesh, faces=mesh.faces[keep], face_texture=mesh.face_texture[keep])
+        labels = replace(labels, face_part=labels.face_part[keep]) if labels is not None else None
+    check_printable(name)
+    if not len(mesh.faces):
+        raise InputError(f"'{path}' holds no triangles with an area; give a mesh with a surface, not points or lines")
+    mesh = _without_loose_vertices(mesh)
+    _check_extent(path, mesh.vertices, scale)
+    _check_overlap(path, mesh)
+    scene = Scene(name=name, mesh=mesh, source=str(path), labels=labels)
+    doubts, notes = list(doubts), []
+    if dropped:
+        notes.append(f"{dropped} triangles without area were dropped")
+    farthest = np.abs(mesh.vertices).max()
+    if np.spacing(farthest) > _COARSEST_STEP:
+        doubts.append(
+            f"the mesh lies {farthest:.0f} m from the origin, where positions are kept in steps of "
+            f"{1000 * np.spacing(farthest):.0f} mm: move it to the origin"
+        )
+    if not mesh.textures and not np.ptp(mesh.colors, axis=0).any():
+        notes.append("the mesh has one colour only: images of it are flat, and PSNR and SSIM say little")
+    size, plausible = scale_note(scene, scale)
+    said = doubts if plausible else [size, *doubts]
+    if said:
+        warnings.warn(f"{path.name}: {'; '.join(said)}", InputWarning, stacklevel=3)
+    return replace(scene, notes=(size, *doubts, *notes))
+
+
+def texture_notes(textures: TextureStore) -> list[str]:
+    """Sentences on textures that are missing or unreadable."""
+    notes = []
+    missing, bare = (list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv))
+    if missing:
+        notes.append(
+            f"{len(missing)} texture or material files could not be read ({_some(missing)}); plain colours stand in "
+            "for them"
+        )
+    if bare:
+        notes.append(
+            f"{len(bare)} materials have a texture, but surfaces without usable texture coordinates "
+            f"({_some(bare)}); plain colours stand in there"
+        )
+    return notes
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+
+
+def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, DeclaredUp]:
+    """Parts in file units, metres per unit and up axis as the file, or else its format, declares them."""
+    suffix = path.suffix.lower()
+    try:
+        if suffix in (".glb", ".gltf"):
+            from activestructure_gym.scenes.loaders.gltf import read_gltf
+
+            gltf = read_gltf(path, textures)
+            if gltf.up is not None:
+                return gltf.parts, 1.0, DeclaredUp(gltf.up, "by its extras", explicit=True)
+            return gltf.parts, 1.0, DeclaredUp("y", "in glTF")
+        if suffix == ".dae":
+            from activestructure_gym.scenes.loaders.collada import read_collada
+
+            collada = read_collada(path, textures)
+            return collada.parts, collada.metres_per_unit, DeclaredUp(collada.up, "by its up_axis")
+        declared = DeclaredUp("z", f"for {suffix[1:].upper()} files, which do not say")
+        if suffix == ".stl":
+            from activestructure_gym.scenes.loaders.stl import read_stl
+
+            return read_stl(textures.budget.read(path)), 1.0, declared
+        from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
+
+        return read_with_trimesh(path, textures), 1.0, declared
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(f"'{path}' does not fit into the memory of this machine; decimate the mesh") from error
+    except Exception as error:  # a broken file makes readers raise anything from KeyError to struct.error
+        raise InputError(f"'{path}' cannot be read as {suffix[1:].upper()}: {in_words(error)}") from error
+
+
+def _metres_per_unit(units: str | float) -> float:
+    if isinstance(units, str) and units in METRES_PER_UNIT:
+        return METRES_PER_UNIT[units]
+    try:
+        scale = float(units)
+    except ValueError:
+        raise unknown_name("unit", str(units), METRES_PER_UNIT) from None
+    if not 1e-9 <= scale <= 1e9:
+        raise InputError(f"units as a number must be metres per file unit above 0, from 1e-9 to 1e9, got {units}")
+    return scale
+
+
+def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
+    if not sum(len(part.faces) for part in parts):
+        raise InputError(f"'{path}' holds no triangles; give a mesh with a surface, not points or lines")
+    broken = 0
+    for part in parts:
+        faces = np.asarray(part.faces)
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(part.vertices)):
+            raise InputError(f"'{path}' is corrupt: its triangles name vertices that do not exist; export it again")
+        for what, values in (("colours", part.colors), ("texture coordinates", part.uv)):
+            if values is not None and np.ndim(values) == 2 and len(values) != len(part.vertices):
+                raise InputError(
+                    f"'{path}' is corrupt: a part of it has {len(part.vertices)} vertices and {len(values)} {what}; "
+                    "export it again"
+                )
+        # Positions are kept in float32; NaN is no number below its largest either.
+        broken += int((~(np.abs(part.vertices) < np.finfo(np.float32).max).all(axis=1)).sum())
+    if broken:
+        total = sum(len(part.vertices) for part in parts)
+        raise InputError(
+            f"'{path}' has {broken} of {total} vertices that are not finite (NaN or infinite); repair the mesh first"
+        )
+
+
+def _painted(mesh: SceneMesh) -> tuple[SceneMesh, int]:
+    """The mesh with plain grey at vertices whose colour or uv is not finite, and how many those are."""
+    from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY
+
+    broken = ~(np.isfinite(mesh.colors).all(axis=1) & np.isfinite(mesh.uv).all(axis=1))
+    if not broken.any():
+        return mesh, 0
+    colors = np.where(broken[:, None], np.float32(PLAIN_GREY), mesh.colors)
+    return replace(mesh, colors=colors, uv=np.where(broken[:, None], np.float32(0), mesh.uv)), int(broken.sum())
+
+
+def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
+    """The mesh without vertices that no triangle uses: one of them far away would stretch the bounds."""
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces] = True
+    if used.all():
+        return mesh
+    index = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return replace(
+        mesh, vertices=mesh.vertices[used], colors=mesh.colors[used], uv=mesh.uv[used], faces=index[mesh.faces]
+    )
+
+
+def _has_area(mesh: SceneMesh) -> np.ndarray:  # [F] bool
+    has = np.empty(len(mesh.faces), dtype=bool)
+    for start in range(0, len(has), _FACES_AT_ONCE):
+        block = slice(start, start + _FACES_AT_ONCE)
+        corners = mesh.vertices[mesh.faces[block]].astype(np.float64)  # [f, 3, 3]
+        doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        has[block] = doubled > 1e-12  # square metres: a needle of 1 mm x 1 nm
+    return has
+
+
+def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
+    extent = vertices.max(axis=0).astype(np.float64) - vertices.min(axis=0)
+    longest = float(extent.max())
+    if _PLAUSIBLE_EXTENT[0] <= longest <= _PLAUSIBLE_EXTENT[1]:
+        return
+    # A room or flat is some 2 to 60 m long; the unit that makes it so is what the file was probably drawn in.
+    hint = _units_hint(longest / scale, 2.0, 60.0)
+    size = " x ".join(f"{side:.4g}" for side in extent)
+    raise InputError(f"'{path}' is {size} m (x, y, z), which is no room or building: {hint}")
+
+
+def _check_overlap(path: Path, mesh: SceneMesh) -> None:
+    """Raise `InputError` where too many triangles lie over each other: a ray would test all of their boxes."""
+    total = 0.0
+    for start in range(0, len(mesh.faces), _FACES_AT_ONCE):
+        corners = mesh.vertices[mesh.faces[start : start + _FACES_AT_ONCE]].astype(np.float64)
+        total += _box_area(np.ptp(corners, axis=1)).sum()
+    # The boxes of triangles that a random line through the scene meets, in the mean (Cauchy's formula).
+    times = total / _box_area(np.ptp(mesh.vertices, axis=0).astype(np.float64))
+    if times > _MOST_OVERLAP:
+        raise InputError(
+            f"'{path}' has triangles that lie over each other: a line through it meets about {times:,.0f} of their "
+            f"boxes, where a furnished flat has 20 (at most {_MOST_OVERLAP}); remove the copies"
+        )
+
+
+def _box_area(sides: np.ndarray) -> np.ndarray:  # [..., 3] -> [...], half the surface
+    x, y, z = sides[..., 0], sides[..., 1], sides[..., 2]
+    return x * y + y * z + x * z
+
+
+def _units_hint(file_length: float, low: float, high: float) -> str:
+    """Which units make a length of the file lie between ``low`` and ``high`` metres."""
+    fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= file_length * metres <= high]
+    return f"try units={' or units='.join(fitting)}" if fitting else "pass units= as metres per file unit"
+
+
+def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
+    """Whether the scene has the size of rooms: the height from floor to ceiling, measured by vertical rays."""
+    low, high = scene.bounds
+    size = " x ".join(f"{side:.2f}" for side in high - low)
+    height = ceiling_height(scene)
+    if height is None:
+        return f"{size} m (x, y, z), no ceiling found: check that the unit is metres (option units)", False
+    if CEILING_HEIGHTS[0] <= height <= CEILING_HEIGHTS[1]:
+        return f"{size} m (x, y, z), ceiling height {height:.2f} m: plausible", True
+    hint = _units_hint(height / scale, 2.2, 4.0)
+    return f"{size} m (x, y, z), ceiling height {height:.2f} m: unusual; if the unit is wrong, {hint}", False
+
+
+def ceiling_height(scene: Scene) -> float | None:
+    """Metres between floor and ceiling, or None where fewer than a tenth of the vertical lines meet both."""
+    low, high = scene.bounds
+    grid = (np.arange(24) + 0.5) / 24
+    x, y, z = np.meshgrid(grid, grid, (0.25, 0.5, 0.75), indexing="ij")
+    starts = low + np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) * (high - low)
+    upward = np.tile([0.0, 0.0, 1.0], (len(starts), 1))
+    total = scene.raycaster.cast(starts, upward).distance + scene.raycaster.cast(starts, -upward).distance
+    total = total[np.isfinite(total)]
+    # Furniture shortens lines and nothing lengthens them, so the room's height is among the long ones.
+    return float(np.percentile(total, 75)) if len(total) > 0.1 * len(starts) else None

@@ -1,0 +1,230 @@
+"""The parts that every mesh reader returns, and their union as one `SceneMesh`.
+
+Readers (`gltf`, `collada`, `trimesh_reader`) return `MeshPart`s in the file's own units and axes; scaling, turning
+and all checks happen once, in `mesh_loader`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+import numpy as np
+
+from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
+from activestructure_gym.scenes.loaders.images import opened_image
+from activestructure_gym.scenes.scene import REPEAT, SceneMesh
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# What a surface without any colour of its own looks like (display-referred).
+PLAIN_GREY = 0.7
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """Triangles that share one material."""
+
+    vertices: np.ndarray  # [V, 3] float64, file units, node transforms applied
+    faces: np.ndarray  # [F, 3] integers
+    colors: np.ndarray  # [V, 3] or [3] in 0..1: vertex colour times material colour
+    uv: np.ndarray | None = None  # [V, 2], v down from the image's top row
+    texture: int = -1  # index in the `TextureStore`, -1 = none
+    wrap: tuple[int, int] = (REPEAT, REPEAT)  # of the texture, across and down
+    linear: bool = False  # colours are linear light; else display-referred
+
+
+@dataclass
+class TextureStore:
+    """Textures of one scene: each image once, however often and under however many names the file holds it."""
+
+    max_size: int = 512  # pixels; larger images are shrunk so that 50 textures stay below 50 MB
+    budget: SceneBudget = field(default_factory=SceneBudget)  # of the whole scene: its readers ask it too
+    images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
+    unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
+    without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
+    _by_key: dict[Hashable, int] = field(default_factory=dict)
+
+    def add_bytes(self, data: bytes, name: str) -> int:
+        """Index of an encoded image (PNG, JPEG, WebP, ...), -1 where it cannot be decoded."""
+        try:
+            self.budget.take("bytes of pictures", len(data))
+        except LimitError as error:
+            return self._missing(("bytes", name), f"{name}: {error}")
+        return self.add(hashlib.sha256(data).digest(), lambda: opened_image(data), name)
+
+    def add_file(self, base: Path, reference: str) -> int:
+        """Index of the image that a file in ``base`` refers to, -1 where it is missing."""
+        key = ("file", base, reference)
+        if key not in self._by_key:
+            try:
+                self._by_key[key] = self.add_bytes(self.budget.read(find_reference(base, reference)), reference)
+            except LimitError as error:
+                return self._missing(key, f"{reference}: {error}")
+            except OSError:
+                return self._missing(key, reference)
+        return self._by_key[key]
+
+    def add(self, key: Hashable, decode: Callable[[], Image], name: str) -> int:
+        """Index of the image called ``key``; ``decode`` is only called the first time."""
+        if key in self._by_key:
+            return self._by_key[key]
+        try:
+            image = decode()
+            shrink = min(1.0, self.max_size / max(image.size))
+            self.budget.take("pixels", image.width * image.height)
+            self.budget.take("pixels after shrinking", int(image.width * image.height * shrink**2))
+            pixels = _shrunk_pixels(image, self.max_size)
+        except LimitError as error:
+            return self._missing(key, f"{name}: {error}")
+        except Exception:  # Pillow raises whatever the codec raises
+            return self._missing(key, name)
+        # The same picture is often stored under several keys: one copy per pixel content.
+        content = ("pixels", pixels.shape, hashlib.sha256(pixels.tobytes()).digest())
+        if content not in self._by_key:
+            self._by_key[content] = len(self.images)
+            self.images.append(pixels)
+        self._by_key[key] = self._by_key[content]
+        return self._by_key[key]
+
+    def _missing(self, key: Hashable, name: str) -> int:
+        if key not in self._by_key:
+            self._by_key[key] = -1
+            self.note_unreadable(name)
+        return -1
+
+    def note_unreadable(self, name: str) -> None:
+        """Remember, as one short line, what could not be read."""
+        self.unreadable.append(" ".join(str(name).split())[:200])
+
+
+def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint8
+    from PIL import Image as images
+
+    if max(image.size) > max_size:
+        scale = max_size / max(image.size)
+        size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
+        image = (image if image.mode == "RGB" else image.convert("RGB")).resize(size, images.Resampling.BOX)
+    return np.ascontiguousarray(image.convert("RGB"), dtype=np.uint8)
+
+
+def find_reference(base: Path, reference: str, *, climb: int = 1) -> Path:
+    """The file a mesh refers to by ``reference``: relative to the mesh's folder, ``../`` and absolute paths included.
+
+    Exporters write percent escapes, backslashes, ``file://``, options before the name (OBJ), or the path on the
+    author's disk; the bare file name beside the mesh is the last resort. Nothing is opened outside the folder
+    ``climb`` levels above the mesh: models come as ``meshes/`` beside ``textures/``, and a file of a stranger has no
+    business anywhere else. Symbolic links are followed, as data stores are full of them. Raises FileNotFoundError.
+    """
+    name = reference.strip().strip('"')
+    spellings = [reference, name, unquote(name), *name.split()[-1:]]
+    spellings += [spelling.replace("\\", "/") for spelling in spellings]
+    spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
+    candidates = [base / spelling for spelling in spellings]
+    candidates += [base / Path(spelling).name for spelling in spellings]
+    base = Path(os.path.abspath(base))
+    root = base.parents[climb - 1] if 0 < climb < len(base.parents) else base  # never the whole disk
+    outside = False
+    for candidate in candidates:
+        inside = Path(os.path.abspath(candidate)).is_relative_to(root)
+        try:
+            if candidate.is_file():
+                if inside:
+                    return candidate
+                outside = True
+        except OSError:  # a name that no file can have
+            continue
+    if outside:
+        raise LimitError(f"lies outside of '{root}'; put it into the folder of the mesh")
+    raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
+
+
+def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # [V, 3], [4, 4] -> [V, 3]
+    """Vertices after the transform of their node; what is not finite stays so, and is reported by the loader."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return vertices @ world_from_part[:3, :3].T + world_from_part[:3, 3]
+
+
+def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
+    """Display-referred values of linear ones (IEC 61966-2-1), clipped to [0, 1]; glTF stores its factors linear."""
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1.0 / 2.4) - 0.055)
+
+
+def linear_from_srgb(srgb: np.ndarray) -> np.ndarray:
+    """The inverse of `srgb_from_linear`."""
+    srgb = np.clip(srgb, 0.0, 1.0)
+    return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4))
+
+
+def assemble(parts: Sequence[MeshPart], textures: Sequence[np.ndarray]) -> SceneMesh:
+    """One mesh from all parts, in their order.
+
+    The mesh has linear colours only where that makes a difference: where those of a part vary.
+    """
+    linear = any(part.linear and _varies(part.colors) for part in parts)
+    wrapped = _WrappedTextures(list(textures))
+    vertices, faces, colors, uv, face_texture = [], [], [], [], []
+    offset = 0
+    for part in parts:
+        count = len(part.vertices)
+        vertices.append(np.asarray(part.vertices, dtype=np.float32))
+        faces.append(np.asarray(part.faces, dtype=np.int32) + np.int32(offset))
+        colors.append(np.broadcast_to(np.asarray(_colors(part, linear), dtype=np.float32), (count, 3)))
+        textured = part.texture >= 0 and part.uv is not None
+        uv.append(np.asarray(part.uv, np.float32) if textured else np.zeros((count, 2), np.float32))
+        texture = wrapped.index(part.texture, part.wrap) if textured else -1
+        face_texture.append(np.full(len(part.faces), texture, np.int32))
+        offset += count
+    return SceneMesh(
+        vertices=np.concatenate(vertices),
+        faces=np.concatenate(faces),
+        colors=np.concatenate(colors),
+        uv=np.concatenate(uv),
+        face_texture=np.concatenate(face_texture),
+        textures=tuple(wrapped.images),
+        texture_wrap=wrapped.wraps,
+        linear_colors=linear,
+    )
+
+
+def _varies(colors: np.ndarray) -> bool:
+    return colors.ndim == 2 and bool((colors != colors[:1]).any())
+
+
+def _colors(part: MeshPart, linear: bool) -> np.ndarray:
+    if part.linear == linear:
+        return part.colors
+    return linear_from_srgb(part.colors) if linear else srgb_from_linear(part.colors)
+
+
+@dataclass
+class _WrappedTextures:
+    """An image goes on outside of itself in one way: one that is used in two ways is listed twice."""
+
+    images: list[np.ndarray]
+    _places: dict[tuple[int, tuple[int, int]], int] = field(default_factory=dict)
+
+    def index(self, image: int, wrap: tuple[int, int]) -> int:
+        """Index of the image with this wrap mode."""
+        if (image, wrap) not in self._places:
+            place = image
+            if any(image == known for known, _ in self._places):
+                place = len(self.images)
+                self.images.append(self.images[image])
+            self._places[image, wrap] = place
+        return self._places[image, wrap]
+
+    @property
+    def wraps(self) -> tuple[tuple[int, int], ...]:
+        """Wrap mode of each image; () where all repeat."""
+        wraps = [(REPEAT, REPEAT)] * len(self.images)
+        for (_, wrap), place in self._places.items():
+            wraps[place] = wrap
+        return tuple(wraps) if any(map(any, wraps)) else ()

@@ -1,0 +1,68 @@
+"""Wavefront OBJ as trimesh can read it: absolute indices, concave polygons as triangles, no leading blanks.
+
+trimesh counts a negative index from the end of the file; the format counts it from the line that holds it, so files
+whose vertices stand in blocks (tinyobjloader's and three.js's examples, CAD exporters) lose their shape. It also makes
+a fan of every polygon (see `polygons`). A file with neither is passed on as it is.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.polygons import triangulated_if_concave
+
+_RELATIVE = re.compile(r"^f[^\n]*-\d", re.MULTILINE)
+_POLYGON = re.compile(r"^f(?: +[-\d/]+){4}", re.MULTILINE)
+_COUNTED = ("v", "vt", "vn")  # what the three numbers of a corner count
+
+
+def plain_obj(text: str) -> str:
+    """The same surface without relative indices and concave polygons."""
+    text = text.replace("\r\n", "\n").replace("\\\n", "").replace("\t", " ")
+    text = re.sub(r"^ +", "", text, flags=re.MULTILINE)
+    relative, polygons = bool(_RELATIVE.search(text)), bool(_POLYGON.search(text))
+    if not relative and not polygons:
+        return text
+    lines = text.split("\n")
+    if relative:
+        _make_absolute(lines)
+    if polygons:
+        _split_concave(lines)
+    return "\n".join(lines)
+
+
+def _make_absolute(lines: list[str]) -> None:
+    """Rewrite relative indices, which count back from the entries above their line, as absolute ones."""
+    above = [0, 0, 0]
+    for number, line in enumerate(lines):
+        kind = line.partition(" ")[0]
+        if kind in _COUNTED:
+            above[_COUNTED.index(kind)] += 1
+        elif kind == "f" and "-" in line:
+            corners = [corner.split("/") for corner in line.partition("#")[0].split()[1:]]
+            lines[number] = "f " + " ".join("/".join(map(_absolute, corner, above)) for corner in corners)
+
+
+def _absolute(index: str, above: int) -> str:
+    if not index.startswith("-"):
+        return index
+    absolute = above + 1 + int(index)
+    if absolute < 1:
+        raise UnreadableMesh(f"a face counts back {index[1:]} entries where only {above} stand above it")
+    return str(absolute)
+
+
+def _split_concave(lines: list[str]) -> None:
+    faces = [number for number, line in enumerate(lines) if line.startswith("f ") and line.count(" ") > 3]
+    corners = [lines[number].partition("#")[0].split()[1:] for number in faces]
+    index = np.array([int(c.partition("/")[0]) for face in corners for c in face], dtype=np.int64) - 1
+    vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64)
+    if not len(index) or index.min() < 0 or index.max() >= len(vertices):  # said by the loader
+        return
+    sizes = np.array([len(face) for face in corners], dtype=np.int64)
+    for face, triangles in triangulated_if_concave(vertices[index], sizes).items():
+        names = corners[face]
+        lines[faces[face]] = "\n".join(f"f {names[a]} {names[b]} {names[c]}" for a, b, c in triangles.tolist())

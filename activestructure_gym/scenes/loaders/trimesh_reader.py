@@ -1,0 +1,194 @@
+"""Reader for Wavefront OBJ and PLY, through trimesh's parsers: its scenes take a minute for 20,000 materials."""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+import numpy as np
+
+from activestructure_gym.ply_header import MAGIC
+from activestructure_gym.scenes.loaders.budget import LimitError
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.images import opened_image
+from activestructure_gym.scenes.loaders.mesh_parts import (
+    PLAIN_GREY,
+    MeshPart,
+    TextureStore,
+    find_reference,
+)
+from activestructure_gym.scenes.loaders.obj_text import plain_obj
+from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
+
+
+def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
+    """All triangles of the file; quads and polygons are split, colours and textures kept."""
+    import trimesh
+    from trimesh.exchange import obj, ply
+
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what matters of it is said by the loader
+    data = textures.budget.read(path)
+    with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
+        if path.suffix.lower() == ".obj":
+            text = _obj_text(data)
+            _check_materials(text)
+            loaded = obj.load_obj(io.StringIO(text), resolver=_resolver(path, textures))
+        else:
+            _check_ply(data, textures)
+            try:
+                loaded = ply.load_ply(io.BytesIO(data), resolver=_resolver(path, textures))
+            except ValueError as error:
+                if "unexpected length" not in str(error):
+                    raise
+                raise UnreadableMesh(
+                    "it is cut off, or its faces differ in their number of corners: triangulate it or export it as "
+                    "ASCII PLY"
+                ) from error
+        # Points and lines come without faces.
+        meshes = [given for given in loaded.get("geometry", {"": loaded}).values() if given.get("faces") is not None]
+        geometries = [trimesh.Trimesh(**given, process=False) for given in meshes]
+    return [_part(path, geometry, textures) for geometry in geometries if len(geometry.faces)]
+
+
+def _decoded(data: bytes) -> str:
+    """Text in UTF-8, in UTF-16 that says so, or in Latin-1 as older exporters write names."""
+    try:
+        return data.decode("utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _obj_text(data: bytes) -> str:
+    text = _decoded(data)
+    if "\0" in text:
+        raise UnreadableMesh("it is a binary file and no OBJ text, or UTF-16 without a mark: save it as UTF-8")
+    return plain_obj(text)
+
+
+# Materials times vertices: trimesh goes over all vertices for every material, 2 ns each.
+_MOST_PASSES = 5_000_000_000
+_LINE_ENDS = (b"\n", b"\r", b"\v", b"\f", b"\x1c", b"\x1d", b"\x1e")
+
+
+def _check_materials(text: str) -> None:
+    materials, vertices = len(set(re.findall(r"^usemtl.*", text, re.MULTILINE))), text.count("\nv ")
+    if materials * vertices > _MOST_PASSES:
+        raise UnreadableMesh(
+            f"it has {materials:,} materials over {vertices:,} vertices, which takes minutes; join its materials"
+        )
+
+
+def _check_ply(data: bytes, textures: TextureStore) -> None:
+    if not data.startswith(MAGIC):
+        raise UnreadableMesh("it does not begin with the letters 'ply'")
+    if b"ascii" in data[:1000].lower():  # every line becomes an array of its own
+        textures.budget.take("numbers in arrays", 16 * sum(data.count(end) for end in _LINE_ENDS))
+
+
+# trimesh would decode an image for every material that names it: it gets the name as a word that it only keeps.
+_MAP = re.compile(r"^[ \t]*map_kd[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
+_TEXTURE = "texture_reference"
+
+
+def _resolver(path: Path, textures: TextureStore) -> Any:
+    """Finds what the file refers to where `find_reference` looks; trimesh's own keeps silent about what is missing."""
+    from trimesh.resolvers import FilePathResolver
+
+    class NearbyResolver(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            try:
+                data = textures.budget.read(find_reference(path.parent, name))
+                if name.lower().endswith(".mtl"):
+                    return _MAP.sub(lambda found: f"{_TEXTURE} {quote(found[1])}", _decoded(data)).encode()
+                opened_image(data)  # trimesh would open any kind of picture
+                return data
+            except LimitError as error:
+                textures.note_unreadable(f"{name}: {error}")
+                raise
+            except Exception:  # missing, or no picture: Pillow raises whatever the codec raises
+                textures.note_unreadable(name)
+                raise
+
+    return NearbyResolver(str(path))
+
+
+def _part(path: Path, geometry: Any, textures: TextureStore) -> MeshPart:
+    vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    faces, polygon = _triangles(geometry)
+    visual = geometry.visual
+    colors: np.ndarray = np.full(3, PLAIN_GREY)
+    uv, texture = None, -1
+    if visual.kind == "vertex":
+        colors = _srgb(visual.vertex_colors)
+    elif visual.kind == "face":
+        # A vertex can carry only one colour, so every face gets its own three.
+        colors = np.repeat(_srgb(visual.face_colors)[polygon], 3, axis=0)
+        vertices, faces = vertices[faces.reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
+    elif visual.kind == "texture":
+        material = visual.material
+        name = str(getattr(material, "name", "texture"))
+        reference = (getattr(material, "kwargs", None) or {}).get(_TEXTURE)
+        image = getattr(material, "image", None)  # of a PLY file
+        fits = visual.uv is not None and len(visual.uv) == len(vertices)
+        if not fits and (reference or image is not None):
+            textures.without_uv.append(name)
+        elif reference:
+            texture = textures.add_file(path.parent, unquote(reference[0]))
+        elif image is not None:
+            texture = textures.add(id(image), lambda: image, name)
+        if texture >= 0:
+            uv = np.asarray(visual.uv, dtype=np.float64) * [1.0, -1.0] + [0.0, 1.0]
+            # Exporters leave Kd at 0, 0.8 or 1 beside a map; what the author saw is the map.
+            colors = np.ones(3)
+        elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
+            colors = _srgb(np.asarray(material.diffuse))
+    return MeshPart(
+        vertices=vertices,
+        faces=faces,
+        colors=colors,
+        uv=uv,
+        texture=texture,
+    )
+
+
+def _triangles(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles [F, 3], ears instead of fans in concave polygons of a PLY file, and the file's face of each [F]."""
+    faces = np.asarray(geometry.faces)
+    sizes = _polygon_sizes(geometry.metadata.get("_ply_raw"))
+    if not (sizes > 3).any() or (sizes - 2).sum() != len(faces) or faces.max() >= len(geometry.vertices):
+        return faces, np.arange(len(faces))
+    # trimesh puts triangles first, then the first and the second halves (c, d, a) of the quads, then all other fans.
+    polygons = np.concatenate([np.flatnonzero(chosen) for chosen in (sizes == 3, sizes == 4, sizes > 4)])
+    triangles, quads, sizes = (sizes == 3).sum(), (sizes == 4).sum(), sizes[polygons]
+    halves = np.split(faces[triangles : triangles + 2 * quads], 2)
+    in_order = faces.copy()
+    in_order[triangles : triangles + 2 * quads : 2] = halves[0]
+    in_order[triangles + 1 : triangles + 2 * quads : 2] = np.roll(halves[1], 1, axis=1)
+    # The first triangle of a fan has three corners of its polygon, each other one adds its last.
+    own = np.tile([False, False, True], (len(faces), 1))
+    own[np.cumsum(sizes - 2) - (sizes - 2)] = True
+    around = in_order[own]
+    corners = np.asarray(geometry.vertices, dtype=np.float64)[around]
+    if geometry.visual.kind != "face" and not len(concave_corners(corners, sizes)[0]):
+        return faces, np.arange(len(faces))
+    split, polygon = triangulated(corners, sizes)
+    return around[split], polygons[polygon]
+
+
+def _polygon_sizes(elements: Any) -> np.ndarray:  # [P] corners of each face of a PLY file, empty for other files
+    data = (elements or {}).get("face", {}).get("data", {})
+    names = data if isinstance(data, dict) else data.dtype.names or ()
+    for name in ("vertex_index", "vertex_indices"):
+        if name in names:
+            lists = data[name] if isinstance(data, dict) else data[name]["f1"]
+            return np.array([len(face) for face in lists]) if lists.ndim == 1 else np.full(len(lists), lists.shape[1])
+    return np.zeros(0, np.int64)
+
+
+def _srgb(rgba: np.ndarray) -> np.ndarray:  # uint8 [..., 4] -> float [..., 3]
+    return np.asarray(rgba, dtype=np.float64)[..., :3] / 255.0

@@ -1,0 +1,1 @@
+"""Generated apartments: plans, rooms, furniture, light."""

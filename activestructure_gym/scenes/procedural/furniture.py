@@ -1,0 +1,113 @@
+"""The catalogue: every kind of furniture by name, and how one placed piece becomes part of the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.scenes.procedural import furniture_decor as decor
+from activestructure_gym.scenes.procedural import furniture_fixtures as fixtures
+from activestructure_gym.scenes.procedural import furniture_seating as seating
+from activestructure_gym.scenes.procedural import furniture_storage as storage
+from activestructure_gym.scenes.procedural.furniture_pen import Pen
+from activestructure_gym.scenes.procedural.furniture_storage import Size
+from activestructure_gym.scenes.procedural.materials import Materials
+from activestructure_gym.scenes.procedural.mesh_builder import MeshBuilder
+
+BUILDERS: dict[str, Callable[[Pen, Size], None]] = {
+    "armchair": seating.armchair,
+    "bathtub": fixtures.bathtub,
+    "bed": seating.bed,
+    "chair": seating.chair,
+    "coffee table": seating.coffee_table,
+    "curtain": decor.curtain,
+    "curtain rod": decor.curtain_rod,
+    "desk": storage.desk,
+    "dining table": seating.dining_table,
+    "dresser": storage.dresser,
+    "floor lamp": decor.floor_lamp,
+    "fridge": storage.fridge,
+    "front door": decor.front_door,
+    "kitchen run": fixtures.kitchen_run,
+    "mat": decor.mat,
+    "media bench": storage.media_bench,
+    "nightstand": storage.nightstand,
+    "office chair": seating.office_chair,
+    "pendant": decor.pendant,
+    "picture": decor.picture,
+    "plant": decor.plant,
+    "pouf": seating.pouf,
+    "radiator": decor.radiator,
+    "rug": decor.rug,
+    "shelf": storage.shelf,
+    "sofa": seating.sofa,
+    "splashback": fixtures.splashback,
+    "toilet": fixtures.toilet,
+    "towel rail": fixtures.towel_rail,
+    "vanity": fixtures.vanity,
+    "wall units": fixtures.wall_units,
+    "wardrobe": storage.wardrobe,
+    "washing machine": fixtures.washing_machine,
+    "window frame": decor.window_frame,
+}
+# Parts of the building rather than things in it.
+STRUCTURAL_KINDS = frozenset({"front door", "window frame"})
+# Metres that vases, pots and books stand above the piece they belong to.
+_ON_TOP = {"bathtub": 0.13, "coffee table": 0.08, "dining table": 0.27, "dresser": 0.31, "kitchen run": 0.26}
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One piece of furniture where it stands."""
+
+    kind: str
+    x: float  # metres, centre of the footprint
+    y: float
+    yaw: float  # radians; 0 = front towards +y
+    size: Size  # metres: width, depth, height before turning
+    base: float = 0.0  # metres above the floor
+    seed: int = 0  # of its own small variations
+
+    @property
+    def box(self) -> np.ndarray:  # [2, 3] metres
+        """Axis-aligned box around the turned piece and what stands on it."""
+        cos, sin = abs(np.cos(self.yaw)), abs(np.sin(self.yaw))
+        half_x = (cos * self.size[0] + sin * self.size[1]) / 2
+        half_y = (sin * self.size[0] + cos * self.size[1]) / 2
+        return np.array(
+            [
+                [self.x - half_x, self.y - half_y, self.base],
+                [self.x + half_x, self.y + half_y, self.base + self.size[2] + _ON_TOP.get(self.kind, 0.0)],
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Light:
+    """A small lamp that the light baker samples."""
+
+    position: tuple[float, float, float]  # metres
+    radius: float  # metres, horizontal spread: softness of the shadows
+    power: tuple[float, float, float]  # linear RGB; irradiance at 1 m below, facing it
+    upward: float = 1.0  # share of that straight up: below 1 for lamps with a shade that is not part of the mesh
+
+
+def draw_piece(builder: MeshBuilder, materials: Materials, piece: Piece) -> None:
+    """Adds a piece to the mesh as a part of its own."""
+    builder.part(piece.kind, structural=piece.kind in STRUCTURAL_KINDS)
+    with builder.placed((piece.x, piece.y, piece.base), piece.yaw):
+        BUILDERS[piece.kind](Pen(builder, materials, seed=piece.seed), piece.size)
+
+
+def lights_of(piece: Piece) -> list[Light]:
+    """The light a piece gives: lamps shine below (pendant) or above (all others) their shade."""
+    warm = np.array([1.0, 0.80, 0.58])  # about 3000 K, white-balanced halfway to daylight
+    if piece.kind == "pendant":
+        return [Light((piece.x, piece.y, piece.base - 0.06), 0.12, tuple(1.3 * warm))]
+    if piece.kind == "floor lamp":
+        return [Light((piece.x, piece.y, piece.size[2] + 0.05), 0.08, tuple(0.45 * warm))]
+    if piece.kind == "nightstand":
+        return [Light((piece.x, piece.y, piece.size[2] + 0.05), 0.06, tuple(0.22 * warm))]
+    return []

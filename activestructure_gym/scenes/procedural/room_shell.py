@@ -1,0 +1,74 @@
+"""The closed surface around a set of lattice cells: walls, floors, ceilings, jambs and window panes in one go.
+
+Every side of an air cell that touches a cell without air becomes two triangles. The boundary of a set of cells is
+closed by construction, and all its edges lie on the same lattice, so there are no T-junctions a ray could slip through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from activestructure_gym.scenes.procedural.mesh_builder import Material, MeshBuilder
+from activestructure_gym.scenes.procedural.mesh_shapes import Shape
+
+# (owner, axis, sign of the outward side) -> part name, material, whether the texture spans the side once
+Describe = Callable[[int, int, int], tuple[str, Material, bool]]
+
+
+def add_shell(builder: MeshBuilder, owner: np.ndarray, lines: Sequence[np.ndarray], describe: Describe) -> None:
+    """Adds one structural part per flat side of every space.
+
+    ``owner`` [X, Y, Z] holds the space each cell belongs to (-1 = no air); ``lines`` are the lattice coordinates in
+    metres, one more than cells per axis. Normals point into the air.
+    """
+    padded = np.pad(owner, 1, constant_values=-1)
+    for axis in range(3):
+        for sign in (-1, 1):
+            inside = np.moveaxis(padded, axis, 0)
+            beyond = np.roll(inside, -sign, axis=0)
+            cells = np.argwhere((inside >= 0) & (beyond < 0)) - 1  # [S, 3]: (axis, the two others in order)
+            of = inside[tuple((cells + 1).T)]
+            for space in np.unique(of):
+                name, material, fit = describe(int(space), axis, sign)
+                builder.part(name, structural=True)
+                layers = cells[of == space]
+                for layer in np.unique(layers[:, 0]):
+                    side = layers[layers[:, 0] == layer, 1:]
+                    builder.add(_side(side, axis, sign, int(layer) + (sign > 0), lines, fit=fit), material)
+
+
+def _side(
+    cells: np.ndarray,  # [S, 2] lattice cells of a flat side, along the two other axes in order
+    axis: int,
+    sign: int,
+    level: int,  # lattice line the side lies on
+    lines: Sequence[np.ndarray],
+    *,
+    fit: bool,
+) -> Shape:
+    first, second = (k for k in range(3) if k != axis)
+    width = len(lines[second])
+    # Corners of every cell in turn around it, as ids of lattice points.
+    corner = np.stack(
+        [(cells[:, 0] + i) * width + cells[:, 1] + j for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1
+    )
+    points, corner = np.unique(corner, return_inverse=True)
+    corner = corner.reshape(-1, 4)
+    # first x second points along +axis for axes 0 and 2, along -axis for axis 1; the normal must point to -sign.
+    if (sign > 0) == (axis != 1):
+        corner = corner[:, ::-1]
+    vertices = np.empty((len(points), 3))
+    vertices[:, axis] = lines[axis][level]
+    vertices[:, first] = lines[first][points // width]
+    vertices[:, second] = lines[second][points % width]
+    normals = np.zeros_like(vertices)
+    normals[:, axis] = -sign
+    uv = vertices[:, [first, second]].copy()
+    if axis != 2:
+        uv[:, 1] = -uv[:, 1]  # images run down
+    if fit:
+        uv = (uv - uv.min(axis=0)) / np.maximum(np.ptp(uv, axis=0), 1e-9)
+    faces = np.concatenate([corner[:, [0, 1, 2]], corner[:, [0, 2, 3]]])
+    return Shape(vertices, normals, faces, uv)

@@ -1,0 +1,1 @@
+"""Run directories: jobs, what a run keeps, and reading it again."""

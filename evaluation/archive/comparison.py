@@ -1,0 +1,69 @@
+"""A comparison's directory, read: its record, where its runs stand, and those of them that are finished."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import run_files, store
+from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive.store import Run
+
+_REMEDY = (
+    "move it away and give scenes, policies and options again, with the same --out and --resume: finished runs are kept"
+)
+
+
+def run_directory(directory: Path, job: Job) -> Path:
+    """The directory of a job's run within a comparison's directory."""
+    return directory / store.JOBS / job.name
+
+
+def read_record(directory: Path) -> dict[str, Any] | None:
+    """The content of ``compare.json``, None where there is none yet; raises `InputError` if it cannot be read."""
+    file = directory / store.COMPARISON
+    if not file.exists():
+        return None
+    record: dict[str, Any] = store.read_json(file, run_files.COMPARISON, remedy=_REMEDY)
+    return record
+
+
+def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
+    """The jobs of a record; raises `InputError` if they cannot be read."""
+    try:
+        return [Job.from_dict(content) for content in record["jobs"].values()]
+    except InputError as error:
+        raise InputError(f"'{directory / store.COMPARISON}' cannot be read: {error}") from error
+
+
+def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
+    """The finished ones of these jobs, in their order."""
+    labels = scene_labels({job.scene: job.scene_hash for job in jobs})
+    found = [store.read_done(run_directory(directory, job), job, labels[job.scene]) for job in jobs]
+    return [run for run in found if run is not None]
+
+
+def open_comparison(directory: Path) -> list[Run]:
+    """All finished runs of a comparison's directory.
+
+    Parameters
+    ----------
+    directory
+        What ``asg compare --out`` or `compare` wrote into, or a copy of it.
+
+    Returns
+    -------
+    list of Run
+        In the order of the comparison's record: seeds, then scenes, then policies.
+
+    Raises
+    ------
+    InputError
+        The record, or a run, cannot be read.
+    """
+    record = read_record(directory)
+    if record is None:
+        raise InputError(f"'{directory}' cannot be read as a comparison: it has no {store.COMPARISON}")
+    return finished_runs(directory, jobs_of(record, directory))

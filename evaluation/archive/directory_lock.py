@@ -1,0 +1,98 @@
+"""One supervisor at a time in a comparison's directory.
+
+The lock is the operating system's, on a file that stays. It ends with the processes that have the file open, however
+they end: the supervisor, and its workers on this machine, to whom the open file is handed on. So whoever holds a
+directory knows that nobody else of this machine writes into it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+LOCK = ".lock"  # holds "<process> <machine>" of the last supervisor
+_PATIENCE = 15.0  # seconds for the workers of a killed supervisor to end: above the grace they give themselves
+_TICK = 0.1
+_BYTE = 1 << 20  # which one Windows locks: it lets nobody read a locked byte
+
+
+@contextmanager
+def hold(directory: Path) -> Iterator[int]:
+    """Make ``directory`` and hold it while the block runs; gives the descriptor that keeps the hold.
+
+    Raises `InputError` where another supervisor lives that holds it. Where only the workers of one that was killed are
+    left, waits for them to end. Without effect on file systems that know no locks.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise InputError(f"the output '{directory}' cannot be made: {error.strerror}") from error
+    try:
+        _take(descriptor, directory)
+        os.ftruncate(descriptor, 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, f"{os.getpid()} {machine_mark()}".encode())
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def check_free(directory: Path) -> None:
+    """Raise `InputError` where a supervisor holds ``directory``; writes nothing."""
+    try:
+        descriptor = os.open(directory / LOCK, os.O_RDWR)
+    except OSError:
+        return  # not there; or not ours to write, which others say better
+    try:
+        _take(descriptor, directory)
+    finally:
+        os.close(descriptor)
+
+
+def _take(descriptor: int, directory: Path) -> None:
+    waited = 0.0  # not by the clock: time during which everything is suspended does not count
+    while not _try(descriptor):
+        process, _, machine = _owner(descriptor).partition(" ")
+        if not process.isdigit() or machine != machine_mark() or is_alive(int(process)):
+            who = f"process {process}" if machine == machine_mark() else "a process of another machine"
+            raise InputError(f"{who} is at work in '{directory}': wait until it has ended, or choose another --out")
+        if waited > _PATIENCE:
+            raise InputError(
+                f"runs that process {process} began before it was killed have not ended in '{directory}': "
+                "try again in a moment, or end them yourself"
+            )
+        time.sleep(_TICK)
+        waited += _TICK
+
+
+def _try(descriptor: int) -> bool:
+    """Take the lock if it is free."""
+    try:
+        if fcntl is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        else:
+            import msvcrt
+
+            os.lseek(descriptor, _BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except OSError as error:
+        return error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+    return True
+
+
+def _owner(descriptor: int) -> str:
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    return os.read(descriptor, 64).decode(errors="replace")

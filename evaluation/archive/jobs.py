@@ -1,0 +1,211 @@
+"""One cell of a comparison's grid: what decides an episode and its numbers, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym._version import __version__
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+
+_HASH_DIGITS = 12
+LARGEST_SEED = 2**63 - 1
+_LABEL_DIGITS = 8  # of a content hash, in a name that people read
+_LONGEST = 80  # characters of a scene, and of a policy, in a file's name
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy on one scene with one seed. Equal jobs give equal results, whoever runs them."""
+
+    scene: str  # spec, as `load_scene` takes it
+    policy: str  # name, or "module:Class", with its options: "naruto?travel=shared"
+    seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
+    scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
+    preset: Preset = "default"  # of the configuration
+    frame_budget: int | None = None  # frames; None = the preset's
+    overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields, e.g. (("sensor.depth_noise", "kinect"),)
+    start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed
+    protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what the map is measured by
+    also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
+
+    def __post_init__(self) -> None:
+        for kind, name in (("scene", self.scene), ("policy", self.policy)):
+            check_in_one_line(kind, name)
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise InputError(f"a seed is a whole number from 0 to {LARGEST_SEED}, got {shown(self.seed)}")
+        if self.frame_budget is not None and self.frame_budget < 1:
+            raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
+        if self.protocol.name in self.also:
+            raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
+        object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
+        object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
+
+    @cached_property
+    def hash(self) -> str:
+        """Twelve hex digits over everything above but the scene's spec, and over the version of this package."""
+        content = {key: value for key, value in self.as_dict().items() if key != "scene"}
+        text = json.dumps([__version__, content], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:_HASH_DIGITS]
+
+    @cached_property
+    def name(self) -> str:
+        """The name of the job's run directory."""
+        # A checkpoint's place may be longer than a file's name may be; the hash is over all of it.
+        scene, policy = slug(scene_label(self.scene))[-_LONGEST:], slug(self.policy)[-_LONGEST:]
+        return f"{scene}--{policy}--seed{self.seed}--{self.hash}"
+
+    @property
+    def title(self) -> str:
+        """Scene, policy and seed in short names, for people."""
+        return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        content = dataclasses.asdict(self)
+        content["overrides"] = dict(self.overrides)
+        content["protocol"] = self.protocol.parameters()
+        content["also"] = [get_protocol(name).parameters() for name in self.also]
+        return content
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Job:
+        """The job that `as_dict` described."""
+        values = dict(content)
+        if more := values.keys() - {field.name for field in dataclasses.fields(cls)}:
+            raise InputError(f"a job of this version has no {', '.join(sorted(more))}; make the run again")
+        protocol = protocol_from(values.pop("protocol"))
+        if not isinstance(protocol, StandardProtocol):
+            raise InputError(f"a run is measured by protocol '{StandardProtocol.name}' first, got '{protocol.name}'")
+        also = [protocol_from(parameters) for parameters in values.pop("also")]
+        start_pose = values.pop("start_pose")
+        overrides = tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in values.pop("overrides").items())
+        return cls(
+            **values,
+            overrides=overrides,
+            start_pose=None if start_pose is None else tuple(start_pose),
+            protocol=protocol,
+            also=tuple(other.name for other in also),
+        )
+
+
+def check_in_one_line(kind: str, name: str) -> None:
+    """Raise `InputError` for a name that tables and pictures cannot show: with line breaks or control characters."""
+    if any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in name):
+        raise InputError(f"the {kind} {shown(name)} has a line break or a control character in its name: rename it")
+
+
+def refuse_code(jobs: Iterable[Job], file: object) -> None:
+    """Raise `InputError` where jobs that were read from ``file`` name scenes, policies or features that are code.
+
+    They may name what is registered, and files; see `registry.refuse_code`.
+    """
+    from activestructure_gym import registry
+    from activestructure_gym.features import FEATURES
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.scenes.library import imports_code
+
+    for job in jobs:
+        if imports_code(job.scene):
+            registry.refuse_code("scene", job.scene, file)
+        if POLICIES.imports(job.policy.partition("?")[0]):
+            registry.refuse_code("policy", job.policy, file)
+        gains = dict(job.overrides).get("gains", ())
+        for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
+            if isinstance(name, str) and FEATURES.imports(name):
+                registry.refuse_code("feature", name, file)
+
+
+def scene_label(spec: str, parts: int = 1) -> str:
+    """A short name for a scene spec: the file's stem, or the registered name with its options.
+
+    ``parts`` > 1 keeps that many of the last folder names, to tell files of one name apart.
+    """
+    kind, path, options = _split_spec(spec)
+    place = PurePath(path)
+    names = place.with_suffix("").parts[bool(place.anchor) :] if "/" in path or "." in path else (path,)
+    label = "/".join(names[-parts:]) or path or kind
+    short = "&".join(f"{key}={PurePath(value).name}" for key, value in _pairs(options))
+    return f"{label}?{short}" if short else label
+
+
+def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the content's hash, empty if unknown
+    """Short names by spec, which differ for different specs and never hold a whole absolute path.
+
+    Where the names of folders tell two files apart no better than the file's own, the first digits of their content do,
+    ``house@01234567``; of one content under several names, and of unknown content, their order.
+    """
+    deepest = max((len(PurePath(_split_spec(spec)[1]).parts) for spec in hashes), default=1)
+    for parts in range(1, max(4, deepest - 1)):
+        labels = {spec: scene_label(spec, parts) for spec in hashes}
+        if len(set(labels.values())) == len(labels):
+            return labels
+    by_content = {
+        spec: f"{scene_label(spec)}@{content[:_LABEL_DIGITS]}".removesuffix("@") for spec, content in hashes.items()
+    }
+    taken: dict[str, list[str]] = {}
+    for spec, label in by_content.items():
+        taken.setdefault(label, []).append(spec)
+    return {
+        spec: label if len(taken[label]) == 1 else f"{label} ({taken[label].index(spec) + 1})"
+        for spec, label in by_content.items()
+    }
+
+
+def policy_label(spec: str) -> str:
+    """A short name for a policy: a checkpoint's without the folders it lies in, ``learned:bc@01234567``.
+
+    The digits are those of its content, so that names differ where the checkpoints do. A file that is called ``best``
+    is the checkpoint of the run whose directory it lies in.
+    """
+    family, colon, place = spec.partition(":")
+    path, at, digits = place.partition("?")[0].rpartition("@")
+    if family != "learned" or not colon or not at:
+        return spec
+    file = PurePath(path)
+    return f"learned:{file.parent.name if file.stem == 'best' and file.parent.name else file.stem}@{digits}"
+
+
+def absolute_spec(spec: str) -> str:
+    """The scene's spec with absolute paths, so that it is found from any working directory."""
+    kind, path, options = _split_spec(spec)
+    if not path or not Path(os.path.expanduser(path)).exists():
+        return spec
+    places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
+    return (f"{kind}:" if kind else "") + _absolute(path) + (f"?{places}" if places else "")
+
+
+def _absolute(path: str) -> str:
+    place = Path(os.path.expanduser(path))
+    return str(place.resolve()) if place.exists() else path
+
+
+def _pairs(options: str) -> list[tuple[str, str]]:
+    return [(key, value) for key, _, value in (option.partition("=") for option in options.split("&") if option)]
+
+
+def _split_spec(spec: str) -> tuple[str, str, str]:
+    """``kind:path?options`` taken apart; what is missing is empty."""
+    if Path(os.path.expanduser(spec)).exists():
+        return "", spec, ""
+    path, _, options = spec.partition("?")
+    kind, colon, rest = path.partition(":")
+    return (kind, rest, options) if colon and len(kind) > 1 else ("", path, options)  # one letter would be a drive
+
+
+def slug(text: str) -> str:
+    """``text`` as part of a file name on any system."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-.") or "unnamed"

@@ -1,0 +1,89 @@
+"""Arrays that a run keeps for its pictures: held-out views, true and rendered, and the plan of what was mapped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+    from activestructure_gym.reconstruction import Reconstruction
+
+_STORED_VIEWS = 8  # the first of the held-out views, which are in random order
+_PIXELS_PER_METRE = 90
+_LONGEST_SIDE = 640  # pixels; larger scenes are drawn smaller
+_BAND_M = 0.5  # free and occupied are those of this height above and below the camera
+_HEADROOM_M = 0.35  # Gaussians higher than this above the camera's start (ceiling, lamps) would hide the rest
+_ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as parallel
+
+
+def picture_arrays(
+    protocol: StandardProtocol, truth: Truth, reconstruction: Reconstruction, psnr: Sequence[float]
+) -> dict[str, np.ndarray]:
+    """What a run keeps for its pictures: ``rendered`` and ``true`` [n, H, W, 3] uint8, ``psnr`` [n], and the plan's."""
+    count = min(_STORED_VIEWS, len(truth.views))
+    gaussians = reconstruction.mapper.map
+    rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
+    return {
+        "rendered": np.stack([np.rint(255.0 * picture).astype(np.uint8) for picture in rendered]),
+        "true": truth.views.rgb[:count],
+        "psnr": np.asarray(psnr[:count], dtype=np.float64),
+        **plan_arrays(reconstruction),
+    }
+
+
+def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
+    """What `report.plan.draw_plan` needs: the volume's plan, and the Gaussian map seen from above in the same frame."""
+    from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN
+
+    volume = reconstruction.volume
+    voxel = volume.config.voxel_size
+    height = float(reconstruction.trajectory[0][2, 3])
+    low, high = (int(np.floor((height + side * _BAND_M - volume.origin[2]) / voxel)) for side in (-1, 1))
+    band = volume.state[:, :, max(low, 0) : max(high + 1, 1)]
+    state = np.full(band.shape[:2], UNKNOWN, np.uint8)
+    state[(band == FREE).any(axis=2)] = FREE
+    state[(band == OCCUPIED).any(axis=2)] = OCCUPIED
+    corner = np.asarray(volume.origin[:2], np.float64)
+    extent = np.array(state.shape) * voxel
+    colour, alpha = _from_above(reconstruction, corner, extent, height)
+    return {
+        "plan_state": np.select([state == FREE, state == OCCUPIED], [1, 2], 0).astype(np.uint8),
+        "plan_corner": corner,
+        "plan_extent": extent,
+        "above_rgb": colour,
+        "above_alpha": alpha,
+    }
+
+
+def plan_scale(extent: np.ndarray) -> float:  # pixels per metre
+    """Pixels per metre for a plan of this extent [2] metres."""
+    return min(_PIXELS_PER_METRE, _LONGEST_SIDE / float(np.max(extent)))
+
+
+def pixel_size(extent: np.ndarray, scale: float) -> tuple[int, int]:
+    """Width and height of a plan of ``extent`` [2] metres, at least one pixel each."""
+    return max(1, round(float(extent[0]) * scale)), max(1, round(float(extent[1]) * scale))
+
+
+def _from_above(
+    reconstruction: Reconstruction, corner: np.ndarray, extent: np.ndarray, height: float
+) -> tuple[np.ndarray, np.ndarray]:  # [h, w, 3] uint8, [h, w] uint8
+    from activestructure_gym.geometry import PinholeCamera, look_along
+    from activestructure_gym.splatting import cpu
+
+    gaussians = reconstruction.mapper.map
+    below = gaussians.parameters[2, : gaussians.count] < height + _HEADROOM_M
+    parameters = np.ascontiguousarray(gaussians.parameters[:, : gaussians.count][:, below])
+    scale = plan_scale(extent)
+    width, rows = pixel_size(extent, scale)
+    altitude = _ALTITUDE * float(extent.max())
+    focal = altitude * scale
+    camera = PinholeCamera(width, rows, focal, focal, width / 2, rows / 2)
+    eye = np.array([*(corner + extent / 2), height + altitude])
+    seen = cpu.render(parameters, parameters.shape[1], camera, look_along(eye, np.array([0.0, 0.0, -1.0])))
+    solid = seen.alpha > 1e-3
+    colour = np.where(solid[..., None], seen.color / np.where(solid, seen.alpha, 1.0)[..., None], 0.0)
+    return np.rint(255 * np.clip(colour, 0, 1)).astype(np.uint8), np.rint(255 * seen.alpha).astype(np.uint8)

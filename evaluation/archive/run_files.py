@@ -1,0 +1,239 @@
+"""Checks of every file of a comparison and of a run; `store` lists the files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.archive.schema import (
+    Array,
+    Check,
+    Mismatch,
+    anything,
+    check_arrays,
+    each,
+    maybe,
+    number,
+    scalar,
+    table,
+    text,
+)
+
+_FARTHEST = 1e6  # metres
+_WIDEST_IMAGE = 16384  # pixels
+_MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
+_MOST_POSES, _MOST_PICTURES = 200_000, 64
+_MOST_PLANES, _MOST_MARKS = 20_000, 500_000
+_RIGID = 1e-3  # how far a rotation matrix may be from one
+_UNIT = 1e-2  # how far a normal's length may be from 1
+
+_count = number(0, whole=True)
+_size = number(0)
+_numbers = table(others=maybe(number()))
+
+PROTOCOL: Check = table({"name": text, "version": number(whole=True)})
+JOB: Check = table(
+    {
+        "scene": text, "policy": text, "seed": number(0, 2**63 - 1, whole=True), "scene_hash": text, "preset": text,
+        "frame_budget": maybe(number(1, whole=True)), "overrides": table(),
+        "start_pose": maybe(each(number(-_FARTHEST, _FARTHEST), length=4)), "protocol": PROTOCOL,
+        "also": each(PROTOCOL),
+    }
+)  # fmt: skip
+COMPARISON: Check = table(
+    {"jobs": table(others=JOB)},
+    {
+        "format": number(whole=True), "command": text, "resumed": each(text), "engine": text,
+        "workers": maybe(_count), "failed": table(others=text), "attempts": table(others=_count),
+        "versions": table(others=text), "hardware": table(others=scalar),
+    },
+)  # fmt: skip
+CONFIG: Check = table(
+    {
+        "format": number(whole=True),
+        "job": JOB,
+        "scene": table({
+            "source": text, "notes": each(text), "triangles": _count, "extent_m": each(_size, length=3),
+        }, {"name": text, "spec": text, "content_hash": text}),
+        "configuration": table({
+            "frame_budget": number(1, whole=True),
+            "sensor": table({
+                "width": number(1, _WIDEST_IMAGE, whole=True), "height": number(1, _WIDEST_IMAGE, whole=True),
+                "depth_noise": anything,
+            }),
+        }),
+        "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), text),
+                          others=text),
+    },
+    {"hash": text},
+)  # fmt: skip
+
+_MEASURED = (
+    "accuracy_cm", "completion_cm", "precision", "f_score", "ssim", "ms_ssim", "lpips", "depth_l1_cm",
+    *(f"tsdf_{name}" for name in ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "f_score")),
+)  # fmt: skip
+_VIEWS = {"views": each(_numbers), "notes": table(others=text)}
+_POINT = {
+    "decision": _count, "frames": _size, "metres": _size, "completion_ratio": number(), "psnr": number()
+}  # fmt: skip
+METRICS: Check = table(
+    {
+        "format": number(whole=True),
+        "metrics": table(
+            {
+                **_VIEWS, "completion_ratio": number(), "psnr": number(), "lpips": maybe(number()), "frames": _count,
+                "metres": _size, "collisions": _count, "true_area_m2": _size, "true_samples": _count,
+            },
+            dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number())),
+        ),
+        "curve": each(table(_POINT), least=1),
+        "curve_views": _count,
+    },
+    {"protocol": PROTOCOL, "scene": text},
+)  # fmt: skip
+EVALUATION: Check = table(
+    {
+        "protocol": PROTOCOL,
+        "metrics": table(
+            {**_VIEWS, "lpips": maybe(number())},
+            dict.fromkeys((*_MEASURED, "completion_ratio", "psnr"), maybe(number())),
+        ),
+    }
+)
+TIMING: Check = table(
+    {
+        "total": _size, "seconds": table(others=_size), "decisions": each(_size),
+        "hardware": table({"processor": scalar, "cores": scalar}, others=scalar),
+    }
+)  # fmt: skip
+_TRACE: Check = table(
+    {},
+    {
+        "phase": maybe(text), "changed": maybe(text), "chosen": maybe(table(others=scalar)),
+        "runner_up": maybe(table({}, {"total": maybe(number())})),
+    },
+)  # fmt: skip
+STEP: Check = table(
+    {"frames": _size},
+    {
+        "decision": _count, "action": number(whole=True), "candidates": _count, "metres": _size, "gaussians": _count,
+        "planes": _count, "view": maybe(table(others=number())), "gains": maybe(_numbers), "trace": maybe(_TRACE),
+        "graph": maybe(_numbers), "checkpoint": maybe(_numbers),
+    },
+)  # fmt: skip
+
+
+def _places(*shape: int | str, least: int = 0) -> Array:
+    """The `Array` of positions in the world, metres."""
+    return Array("f", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
+
+
+_TRAJECTORY = {
+    "world_from_camera": _places("T", 4, 4, least=1),
+    "keyframes": Array("iu", ("K",), low=0, least=1),
+    "intrinsics": Array("f", (4,)),
+    "image_size": Array("iu", (2,), low=1, high=_WIDEST_IMAGE),
+}
+_PICTURES = {
+    "rendered": Array("u", ("views", "height", "width", 3), high=255, least=1),
+    "true": Array("u", ("views", "height", "width", 3), high=255, least=1),
+    "psnr": Array("f", ("views",), least=1),
+    "plan_state": Array("u", ("columns", "rows"), high=2, least=1),
+    "plan_corner": _places(2),
+    "plan_extent": Array("f", (2,), low=1e-3, high=_FARTHEST),
+    "above_rgb": Array("u", ("h", "w", 3), high=255, least=1),
+    "above_alpha": Array("u", ("h", "w"), high=255, least=1),
+}
+_GRAPH = {
+    "ids": Array("iu", ("planes",)),
+    "normals": Array("f", ("planes", 3), low=-2, high=2),
+    "offsets": Array("f", ("planes",)),
+    "centroids": _places("planes", 3),
+    "areas": Array("f", ("planes",), low=0),
+    "structural": Array("b", ("planes",)),
+    "deficit": Array("f", ("planes",)),
+    "edges": Array("iu", ("edges", 2), low=0),
+    "edge_weights": Array("f", ("edges",)),
+    "edge_in_tree": Array("b", ("edges",)),
+    "deficiency_centres": _places("holes", 3),
+    "deficiency_normals": Array("f", ("holes", 3)),
+    "deficiency_areas": Array("f", ("holes",), low=0),
+    "deficiency_planes": Array("iu", ("holes",), low=0),
+    "cell": Array("f", (), low=1e-4, high=1e3),
+    "patch_corners": _places("planes", 3),
+    "patch_axes": Array("f", ("planes", 2, 3), low=-2, high=2),
+    "patch_shapes": Array("iu", ("planes", 2), low=0, high=1e6),
+    "patch_starts": Array("iu", ("starts",), low=0),
+    "patch_bits": Array("u", ("bytes",), high=255),
+}
+
+
+def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
+    sizes = check_arrays(arrays, _TRAJECTORY)
+    if sizes["T"] > _MOST_POSES:
+        raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
+    poses = arrays["world_from_camera"]
+    rotations = poses[:, :3, :3]
+    off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
+    if off > _RIGID or np.abs(poses[:, 3] - [0, 0, 0, 1]).max() > _RIGID:
+        raise Mismatch("world_from_camera holds matrices that are no rigid poses")
+    if int(arrays["keyframes"].max()) >= sizes["T"]:
+        raise Mismatch(f"keyframes points behind the {sizes['T']} poses")
+    if not (arrays["intrinsics"][:2] > 1e-3).all():
+        raise Mismatch("intrinsics: focal lengths are above 0")
+    width, height = (int(side) for side in arrays["image_size"])
+    if max(width, height) > _MOST_ELONGATED * min(width, height):
+        raise Mismatch(f"image_size: {width} x {height} pixels are no camera's")
+
+
+def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `Mismatch` unless all views have one size and the plan's arrays agree."""
+    sizes = check_arrays(arrays, _PICTURES)
+    if sizes["views"] > _MOST_PICTURES:
+        raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
+
+
+def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `Mismatch` unless indices of planes exist, normals are unit vectors, and patches fit their bits."""
+    sizes = check_arrays(arrays, _GRAPH)
+    planes = sizes["planes"]
+    if planes > _MOST_PLANES or sizes["edges"] + sizes["holes"] > _MOST_MARKS:
+        raise Mismatch(f"it holds {planes} planes, {sizes['edges']} edges and {sizes['holes']} holes: too many to draw")
+    for name in ("edges", "deficiency_planes"):
+        if arrays[name].size and int(arrays[name].max()) >= planes:
+            raise Mismatch(f"{name} points behind the {planes} planes")
+    if planes and np.abs(np.linalg.norm(arrays["normals"], axis=1) - 1.0).max() > _UNIT:
+        raise Mismatch("normals are not of length 1")
+    starts, shapes = arrays["patch_starts"].astype(np.int64), arrays["patch_shapes"].astype(np.int64)
+    packed = -(-shapes.prod(axis=1) // 8)
+    if len(starts) != planes + 1 or starts[0] != 0 or (np.diff(starts) != packed).any() or starts[-1] != sizes["bytes"]:
+        raise Mismatch("patch_starts, patch_shapes and patch_bits do not fit together")
+
+
+def check_steps(steps: list[Any]) -> None:
+    """Raise `Mismatch` unless every decision's entries are valid and frames never fall."""
+    if len(steps) > _MOST_POSES:
+        raise Mismatch(f"it holds {len(steps)} decisions, at most {_MOST_POSES} are read")
+    for number_, step in enumerate(steps, start=1):
+        STEP(step, f"line {number_}")
+    frames = [step["frames"] for step in steps]
+    if any(later < earlier for earlier, later in zip(frames, frames[1:])):
+        raise Mismatch("frames do not rise from line to line")
+
+
+__all__ = [
+    "COMPARISON",
+    "CONFIG",
+    "EVALUATION",
+    "JOB",
+    "METRICS",
+    "TIMING",
+    "anything",
+    "check_graph",
+    "check_pictures",
+    "check_steps",
+    "check_trajectory",
+]

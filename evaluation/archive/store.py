@@ -1,0 +1,433 @@
+"""Run directories: written once, whole or not at all, and readable without us (JSON, JSON lines, npz, PLY).
+
+A comparison's directory::
+
+    compare.json                 the grid: jobs, command, versions, machine
+    jobs/<job name>/             one per finished job
+        .done                    the job's hash; what has no such file is not a result. Behind it the SHA-256 of
+                                 every file that is read again, in the form of sha256sum
+        config.json              job, protocol, resolved configuration, scene, versions
+        metrics.json             the numbers and the convergence curve; no clock in it
+        evaluations/NAME.json    the numbers of a further protocol, measured with the run or later
+        timing.json              wall-clock seconds by stage, and the machine
+        steps.jsonl              one line per decision
+        trajectory.npz           every executed pose, keyframe indices, the camera
+        map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
+        graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
+        pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
+    logs/<job name>.log          what a worker wrote to its standard error
+    .lock                        who is at work here; see `directory_lock`
+    summary.md, results.csv, *.png
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import math
+import os
+import shlex
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import run_files, schema
+from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
+from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+from activestructure_gym.files import replaced
+from activestructure_gym.npz import read_npz
+
+if TYPE_CHECKING:
+    from activestructure_gym.mapping import GaussianMap
+
+T = TypeVar("T")
+
+FORMAT_VERSION = 2
+DONE = ".done"
+CONFIG = "config.json"
+COMPARISON = "compare.json"
+EVALUATIONS = "evaluations"
+JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
+STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
+# What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
+_READ_AGAIN = (CONFIG, "metrics.json", "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
+_LARGEST_LOG = 256 << 20  # bytes of steps.jsonl
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished job, read from its directory."""
+
+    directory: Path  # where it was read from
+    scene: str  # what people call it; differs between the scenes of a comparison
+    job: Job  # what was run
+    config: dict[str, Any]  # of config.json
+    metrics: dict[str, Any]  # of metrics.json: ``metrics``, ``curve``, ...
+    timing: dict[str, Any]  # of timing.json, seconds
+    sums: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of files, as `finish` wrote them
+
+    @cached_property
+    def policy(self) -> str:
+        """Short name of the policy; a checkpoint's is without its folders."""
+        return policy_label(self.job.policy)
+
+    @cached_property
+    def protocols(self) -> dict[str, dict[str, Any]]:
+        """``parameters`` and ``metrics`` by protocol: the run's own first, then those measured on top of it.
+
+        The run's own numbers are `metrics`, completed by an LPIPS that was measured later.
+        """
+        own = self.job.protocol
+        found = {own.name: {"parameters": own.parameters(), "metrics": self.metrics["metrics"]}}
+        for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
+            again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocol {path.stem}` measures"
+            content = read_json(path, run_files.EVALUATION, remedy=f"{again} it again")
+            name, numbers = content["protocol"]["name"], content["metrics"]
+            if name == own.name:
+                numbers = {**numbers, **{k: v for k, v in self.metrics["metrics"].items() if v is not None}}
+            found[name] = {"parameters": content["protocol"], "metrics": numbers}
+        return found
+
+    @cached_property
+    def steps(self) -> list[dict[str, Any]]:
+        """One entry per decision."""
+        return _read(self.directory, STEPS, self.sums, _read_steps)
+
+    @cached_property
+    def trajectory(self) -> dict[str, np.ndarray]:
+        """``world_from_camera`` [T, 4, 4], ``keyframes`` [K] indices into it; the camera: ``intrinsics`` [4] (fx, fy,
+        cx, cy in pixels) and ``image_size`` [2] (width, height)."""
+        return _read(self.directory, TRAJECTORY, self.sums, _arrays_that(run_files.check_trajectory))
+
+    @cached_property
+    def graph(self) -> dict[str, np.ndarray] | None:
+        """The Plane Scene Graph, see `plane_record.graph_arrays`; None if the run kept none."""
+        if GRAPH not in self.sums and not (self.directory / GRAPH).exists():
+            return None
+        return _read(self.directory, GRAPH, self.sums, _arrays_that(run_files.check_graph))
+
+    @cached_property
+    def pictures(self) -> dict[str, np.ndarray]:
+        """What the pictures were drawn from; see `picture_record.picture_arrays`."""
+        return _read(self.directory, PICTURES, self.sums, _arrays_that(run_files.check_pictures))
+
+    @cached_property
+    def gaussians(self) -> GaussianMap:
+        """The map."""
+        from activestructure_gym.mapping import GaussianMap
+
+        return _read(self.directory, MAP, self.sums, GaussianMap.load_npz)
+
+
+def is_done(directory: Path, job: Job) -> bool:
+    """Whether ``directory`` says that it holds the finished result of exactly this job; see `damage_of`."""
+    return _mark(directory)[0] == job.hash
+
+
+def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None:
+    """The finished result of exactly this job, None where there is none; `InputError` where it is damaged."""
+    mark = _mark(directory)[0]
+    if mark != job.hash and (directory / DONE).exists():
+        raise _damaged(directory / DONE, "it is not of the job that the directory is named after")
+    if not mark:
+        return None
+    run = read_run(directory, scene)
+    if run.job.hash != job.hash:
+        raise _damaged(directory / CONFIG, "it is of another job than the directory is named after")
+    return run
+
+
+def damage_of(directory: Path, job: Job) -> str | None:
+    """The damage of a finished job's files in words, None if all can be read; reads every file."""
+    try:
+        run = read_done(directory, job)
+        if run is None:
+            return f"'{directory}' is not a finished run: it has no {DONE} file"
+        _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
+    except InputError as error:
+        return str(error)
+    return None
+
+
+def set_aside(directory: Path) -> None:
+    """Make a damaged run one that is not finished; its files stay until another one takes their place."""
+    (directory / DONE).unlink(missing_ok=True)
+
+
+def finish(directory: Path, job: Job) -> None:
+    """Write the file that makes a run's directory a result, with the sums of the others; the last file of a run."""
+    lines = [job.hash]
+    lines += [f"{_sum_of(directory / name)}  {name}" for name in _READ_AGAIN if (directory / name).is_file()]
+    (directory / DONE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_run(directory: Path, scene: str | None = None) -> Run:
+    """Open a finished job's directory.
+
+    Parameters
+    ----------
+    directory
+        One of ``jobs/`` of a comparison.
+    scene
+        Another short name for the scene; by its spec if not given.
+
+    Returns
+    -------
+    Run
+        Configuration, numbers and clocks; arrays are read when they are asked for.
+
+    Raises
+    ------
+    InputError
+        It is not finished, of another format, or damaged.
+    """
+    if not (directory / DONE).is_file():
+        raise InputError(f"'{directory}' is not a finished run: it has no {DONE} file")
+    return open_run(directory, scene)
+
+
+def open_run(directory: Path, scene: str | None = None) -> Run:
+    """As `read_run`, for a directory whose files are whole but that is not marked as finished."""
+    mark, sums = _mark(directory)
+    found = {}
+    for name, check in (("config", run_files.CONFIG), ("metrics", run_files.METRICS), ("timing", run_files.TIMING)):
+        # The format first: another one may have other names.
+        content = found[name] = _read(directory, f"{name}.json", sums, schema.read_checked_json)
+        version = content.get("format", FORMAT_VERSION) if isinstance(content, dict) else FORMAT_VERSION
+        if version != FORMAT_VERSION:
+            raise InputError(
+                f"'{directory}' has the run format {version}, this version reads {FORMAT_VERSION}; run it again"
+            )
+        _read(directory, f"{name}.json", {}, lambda path: check(content, ""))  # noqa: B023
+    config = found["config"]
+    if mark and config.get("hash", mark) != mark:
+        raise _damaged(directory / CONFIG, f"it is of job {config['hash']}, and {DONE} of job {mark}")
+    job = _read(directory, CONFIG, {}, lambda path: Job.from_dict(config["job"]))
+    return Run(directory, scene or scene_label(job.scene), job, **found, sums=sums)
+
+
+@contextmanager
+def whole_directory(directory: Path) -> Iterator[Path]:
+    """A temporary sibling to write into; it takes the name ``directory`` when the block ends without an error.
+
+    Whatever stood there before is replaced, unless it is the same job's finished result: another process was faster,
+    and equal jobs give equal results. The content is on the disk before the name is. After an error, Ctrl-C included,
+    nothing is left behind.
+    """
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    part = directory.with_name(f".{directory.name}.part-{machine_mark()}-{os.getpid()}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir()
+    try:
+        yield part
+        if _same_result(part, directory):
+            return
+        _flush(part)
+        if directory.exists():
+            shutil.rmtree(directory)
+        try:
+            os.replace(part, directory)
+        except OSError:
+            if not _same_result(part, directory):
+                raise
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def whole_files(directory: Path) -> Iterator[Path]:
+    """A folder to write files into, which take their places in ``directory`` when the block ends without an error.
+
+    Files of other names stay; after an error, all of them do. A place that cannot be written is an `InputError`.
+    """
+    new = not directory.exists()
+    with writing(directory):
+        directory.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".part-{machine_mark()}-{os.getpid()}-", dir=directory))
+    try:
+        with writing(directory):
+            yield part
+            places = {file: directory / file.relative_to(part) for file in sorted(part.rglob("*")) if file.is_file()}
+            for place in places.values():  # before the first takes its place
+                place.parent.mkdir(parents=True, exist_ok=True)
+                if place.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, f"'{place.name}' in it is a folder")
+            for file, place in places.items():
+                os.replace(file, place)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        if new and not any(directory.iterdir()):
+            directory.rmdir()
+
+
+@contextmanager
+def writing(place: str | os.PathLike[str]) -> Iterator[None]:
+    """Make a failure to write to ``place`` an `InputError`."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"'{place}' cannot be written: {error.strerror or error}") from error
+
+
+def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
+    """Keep a further protocol's numbers in a run's directory; replaces those of the same protocol.
+
+    Raises `InputError` where the directory cannot be written.
+    """
+    path = directory / EVALUATIONS / f"{parameters['name']}.json"
+    content = {"format": FORMAT_VERSION, "protocol": parameters, "scene": scene_hash, "metrics": metrics}
+    with writing(path):
+        path.parent.mkdir(exist_ok=True)
+        write_json(path, content)
+    return path
+
+
+def remove_parts(directory: Path, job_name: str | None = None) -> None:
+    """Remove what killed processes left half-written in ``directory``, of one job or of all.
+
+    What a living process of this machine writes is left alone.
+    """
+    pattern = f".{job_name or '*'}.part-*"
+    for part in directory.glob(pattern):
+        machine, _, process = part.name.rpartition(".part-")[2].partition("-")
+        if not (machine == machine_mark() and process.isdigit() and is_alive(int(process))):
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write ``content`` at once: readers see the old file or the new one."""
+    text = json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
+    with replaced(path) as file:
+        file.write(text.encode("utf-8"))
+
+
+def read_json(path: Path, check: schema.Check = schema.anything, *, remedy: str = "") -> Any:
+    """The content of a JSON file that passes a check; raises `InputError` with what to do about it otherwise."""
+    try:
+        return schema.read_checked_json(path, check)
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error, remedy) from error
+
+
+def _read(directory: Path, name: str, sums: Mapping[str, str], read: Callable[[Path], T]) -> T:
+    """A file of a run, compared with its sum where there is one; raises `InputError` that says how to get it back."""
+    path = directory / name
+    try:
+        if name in sums and _sum_of(path) != sums[name]:
+            raise schema.Mismatch(f"its content is not the one that {DONE} has the sum of")
+        return read(path)
+    except (OSError, ValueError) as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, reason: Exception | str) -> InputError:
+    """The `InputError` about a damaged file of a run, with the remedy."""
+    comparison = path.parent.parent.parent
+    remedy = "make the run again"
+    if path.parent.parent.name == JOBS and (comparison / COMPARISON).is_file():
+        remedy = f"`asg compare --out {shlex.quote(str(comparison))} --resume` repeats the run"
+    return _unreadable(path, reason, remedy)
+
+
+def _unreadable(path: Path, reason: Exception | str, remedy: str) -> InputError:
+    remedy = f"; {remedy}" if remedy else ""
+    if isinstance(reason, FileNotFoundError):
+        return InputError(f"'{path}' is missing{remedy}")
+    if isinstance(reason, OSError):
+        return InputError(f"'{path}' cannot be read: {reason.strerror or reason}{remedy}")
+    if isinstance(reason, InputError) and str(path) in str(reason):  # it says whose file it is
+        return InputError(f"{reason}{remedy}")
+    return InputError(f"'{path}' is damaged: {reason}{remedy}")
+
+
+def _mark(directory: Path) -> tuple[str, dict[str, str]]:
+    """The job's hash and the sums by file name; empty where the run is not finished."""
+    try:
+        with open(directory / DONE, "rb") as file:
+            first, *lines = file.read(1 << 16).decode("ascii", "replace").splitlines() or [""]
+    except OSError:
+        return "", {}
+    pairs = (line.split("  ", 1) for line in lines if "  " in line)
+    return first.strip(), {name: digest for digest, name in pairs}
+
+
+def _sum_of(path: Path) -> str:
+    if path.exists() and not path.is_file():
+        raise schema.Mismatch("it is no regular file")
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _read_steps(path: Path) -> list[dict[str, Any]]:
+    if path.stat().st_size > _LARGEST_LOG:
+        raise schema.Mismatch(f"it has more than {_LARGEST_LOG:,} bytes")
+    steps = []
+    with open(path, "rb") as lines:
+        for number, line in enumerate(lines, start=1):
+            try:
+                steps.append(schema.checked_json(line))
+            except schema.Mismatch as error:
+                raise schema.Mismatch(f"line {number}: {error}") from error
+    run_files.check_steps(steps)
+    return steps
+
+
+def _arrays_that(pass_check: Callable[[Mapping[str, np.ndarray]], None]) -> Callable[[Path], dict[str, np.ndarray]]:
+    def read(path: Path) -> dict[str, np.ndarray]:
+        arrays = read_npz(path)
+        pass_check(arrays)
+        return arrays
+
+    return read
+
+
+def json_line(content: Any) -> str:
+    """One line of a JSON lines file."""
+    return json.dumps(plain(content), allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """``value`` in JSON's types; NaN and infinity become null."""
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def _same_result(one: Path, other: Path) -> bool:
+    """Whether both directories are finished results of the same job."""
+    return bool(_mark(one)[0]) and _mark(one)[0] == _mark(other)[0]
+
+
+def _flush(directory: Path) -> None:
+    """Write all files of ``directory`` through to the disk, so that a power cut cannot empty a file that has a name."""
+    if os.name != "posix":
+        return
+    for path in (*directory.rglob("*"), directory):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        except OSError:
+            pass  # a file system that cannot promise it
+        finally:
+            os.close(descriptor)

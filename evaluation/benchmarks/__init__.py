@@ -1,0 +1,1 @@
+"""Benchmarks behind `asg bench`, one file per part."""

@@ -1,0 +1,83 @@
+"""``asg bench evaluation``: what the evaluation of one episode costs by stages, the truth already in the cache."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rich.console import Console
+from rich.markup import escape
+
+from activestructure_gym.evaluation.machine.threads import thread_cap
+from activestructure_gym.ground_truth import ground_truth_of
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+
+T = TypeVar("T")
+SCENES = ("room", "apartment?rooms=3&seed=5")
+
+
+def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) -> list[dict[str, Any]]:
+    """Explore every scene once by `random`, then measure the map by the protocol ``standard`` as `run_job` does."""
+    from activestructure_gym.evaluation.protocols import StandardProtocol
+
+    protocol = StandardProtocol(views=4, surface_samples=20_000) if quick else StandardProtocol()
+    rows = []
+    for scene in scenes or (("box",) if quick else SCENES):
+        with console.status(f"measuring the evaluation of {escape(scene)}"):
+            rows += list(_rows(scene, protocol, frames=25 if quick else 200, preset="fast" if quick else "default"))
+    return rows
+
+
+def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[dict[str, Any]]:
+    from activestructure_gym.evaluation.archive.jobs import Job
+    from activestructure_gym.evaluation.metrics import geometry_scores
+    from activestructure_gym.evaluation.running.episode import (
+        CHECKPOINT_SAMPLES,
+        CHECKPOINT_VIEWS,
+        CHECKPOINTS,
+        run_job,
+    )
+    from activestructure_gym.evaluation.running.remeasure import read_path
+    from activestructure_gym.mapping import GaussianMap
+    from activestructure_gym.scenes import load_scene
+
+    with tempfile.TemporaryDirectory(prefix="asg-bench-") as directory:
+        run = run_job(
+            Job(spec, "random", 0, preset=preset, frame_budget=frames, protocol=protocol), Path(directory) / "r"
+        )
+        gaussians = GaussianMap.load_npz(run.directory / "map.npz")
+        path = read_path(run.directory / "trajectory.npz")
+    scene = load_scene(spec)
+    name = {"scene": spec, "gaussians": gaussians.count, "keyframes": len(path.keyframes), "threads": thread_cap()}
+    truth, cost = _timed(lambda: protocol.truth(ground_truth_of(scene)))
+    yield {**name, "stage": "truth from the cache", **cost}
+    threshold = protocol.threshold_m
+    truth.surface.discs, truth.surface.samples  # noqa: B018 - the trees are built once for a scene
+    _, cost = _timed(lambda: geometry_scores(protocol.points(gaussians), truth.surface, threshold_m=threshold))
+    yield {**name, "stage": "distances of the means", **cost}
+    surface, cost = _timed(lambda: protocol.surface(gaussians, path))
+    yield {**name, "stage": "TSDF surface", **cost}
+    points = protocol.on_surface(surface)
+    _, cost = _timed(lambda: geometry_scores(points, truth.surface, threshold_m=threshold, to_samples=False))
+    yield {**name, "stage": "distances of the surface", **cost}
+    _, cost = _timed(lambda: protocol.looks(gaussians, truth, {}))
+    yield {**name, "stage": f"{len(truth.views)} views", **cost}
+    fresh = protocol.truth(ground_truth_of(scene))
+    _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))
+    yield {**name, "stage": "finished map, all of it", **whole}
+    views, samples = CHECKPOINT_VIEWS, CHECKPOINT_SAMPLES
+    _, point = _timed(lambda: protocol.checkpoint(gaussians, truth, views=views, samples=samples))
+    curve = {key: (CHECKPOINTS + 1) * value for key, value in point.items()}
+    yield {**name, "stage": f"curve of {CHECKPOINTS + 1} points (at most)", **curve}
+    yield {**name, "stage": "episode", **{key: whole[key] + curve[key] for key in whole}}
+
+
+def _timed(work: Callable[[], T]) -> tuple[T, dict[str, float]]:
+    wall, processor = time.perf_counter(), time.process_time()
+    result = work()
+    return result, {"wall_s": time.perf_counter() - wall, "processor_s": time.process_time() - processor}

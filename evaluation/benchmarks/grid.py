@@ -1,0 +1,115 @@
+"""Benchmark of the supervisor: the same jobs through it and by hand, in turn."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.directory_lock import hold
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.machine.threads import worker_environment
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running.comparison import Comparison, run_comparison
+from activestructure_gym.evaluation.running.engines.base import Limits
+from activestructure_gym.evaluation.running.engines.local import count_slots
+from activestructure_gym.evaluation.running.engines.process import search_path
+from activestructure_gym.evaluation.running.live_progress import LiveProgress
+
+# One job in a fresh process, as a shell loop would start it.
+BY_HAND = """
+import json, sys
+from pathlib import Path
+import cv2
+from activestructure_gym.evaluation.running.episode import run_job
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.machine.threads import thread_cap
+cv2.setNumThreads(thread_cap())
+run_job(Job.from_dict(json.loads(Path(sys.argv[1]).read_text())), Path(sys.argv[2]))
+"""
+
+
+def run_grid_benchmark(
+    scenes: Sequence[str] = ("room",),
+    *,
+    frames: int = 60,
+    seeds: Sequence[int] = (0, 1),
+    repeats: int = 3,
+    notify: Callable[[str], None] = lambda _: None,
+) -> list[dict[str, Any]]:
+    """Seconds and processor seconds of both ways, a row per repetition and one of medians, shares included.
+
+    ``own_cpu_%`` is the processor time of the supervisor's process alone beside that of its workers: where the wall
+    clock of a busy machine tells nothing, this still does.
+
+    Two policies per scene and seed, as many jobs at a time as there are cores, the same caps on threads. The live
+    display is on. What `asg compare` does once before (checking, compiling) and after (drawing) is not in it: jobs
+    run by hand need the one and have nothing of the other. The two ways take turns in beginning.
+    """
+    if shutil.which("xargs") is None:
+        raise InputError("asg bench grid runs jobs by hand with xargs, which is not here")
+    comparison = Comparison(
+        scenes, ("random", "pixel_only"), seeds, frame_budget=frames, protocol=StandardProtocol(views=8)
+    )
+    jobs = comparison.prepare(notify)
+    ways = {"by_hand": _by_hand, "supervisor": _supervised}
+    rows: list[dict[str, Any]] = []
+    for repeat in range(repeats):
+        row: dict[str, Any] = {"repetition": str(repeat + 1), "jobs": len(jobs)}
+        for name in sorted(ways, reverse=bool(repeat % 2)):
+            notify(f"repetition {repeat + 1} of {repeats}: {name.replace('_', ' ')}")
+            with tempfile.TemporaryDirectory(prefix="asg-bench-grid-") as directory:
+                began, spent = time.perf_counter(), _processor_seconds()
+                ways[name](jobs, Path(directory))
+                own, workers = (after - before for after, before in zip(_processor_seconds(), spent))
+                row |= {f"{name}_s": time.perf_counter() - began, f"{name}_cpu_s": own + workers}
+                if name == "supervisor":
+                    row["own_cpu_%"] = 100 * own / workers
+        row["overhead_%"] = 100 * (row["supervisor_s"] / row["by_hand_s"] - 1)
+        row["overhead_cpu_%"] = 100 * (row["supervisor_cpu_s"] / row["by_hand_cpu_s"] - 1)
+        rows.append(row)
+    median = {
+        name: statistics.median(row[name] for row in rows) for name in rows[0] if name not in ("repetition", "jobs")
+    }
+    return [*rows, {"repetition": "median", "jobs": len(jobs)} | median]
+
+
+def _by_hand(jobs: Sequence[Job], directory: Path) -> None:
+    """`xargs` runs one command per job, as many at a time as there are cores."""
+    slots = count_slots(len(jobs), Limits())
+    lines = []
+    for number, job in enumerate(jobs):
+        file = directory / f"{number}.json"
+        file.write_text(json.dumps(job.as_dict()), encoding="utf-8")
+        lines.append(f"{file} {directory / job.name}\n")
+    environment = worker_environment(slots) | {"PYTHONPATH": os.pathsep.join(search_path())}
+    command = ["xargs", "-P", str(slots), "-L", "1", sys.executable, "-c", BY_HAND]
+    subprocess.run(command, input="".join(lines), text=True, env=environment, check=True, capture_output=True)
+
+
+def _supervised(jobs: Sequence[Job], directory: Path) -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=120)
+    with hold(directory / "out") as held, LiveProgress(console) as live:
+        result = run_comparison(jobs, directory / "out", live, held=held)
+    if result.failed:
+        raise RuntimeError(f"a run failed: {result.failed[0].error}")
+
+
+def _processor_seconds() -> tuple[float, float]:
+    """Processor seconds of this process and of its children that have ended."""
+    import resource  # not on Windows, which has no xargs either
+
+    own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime, children.ru_utime + children.ru_stime

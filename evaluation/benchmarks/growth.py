@@ -1,0 +1,244 @@
+"""Benchmark of a mapping event and a decision while the map grows elsewhere: the same place in a larger and larger map.
+
+20 keyframes are made around one start of an apartment, 20 around the next, and so on; every such place is put
+on a storey of its own, so far above the last that no view of one reaches another. At certain numbers of keyframes,
+copies of the map are shown the same frames of the first place, and the same 256 views of it are scored. What the camera
+meets there stays the same, Gaussian by Gaussian: whatever costs more comes from the size of the map.
+
+A processor's clock moves within minutes, so the ratio between two sizes is not read off the rows: copies of both maps
+are kept and shown every frame one right after the other.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.evaluation.benchmarks.mapping_views import KEYFRAME_EVERY, capture, random_walk, true_volume
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.mapping.gaussian_map import MEAN
+from activestructure_gym.mapping.mapper import Mapper
+from activestructure_gym.motion import DistanceMap, path_lengths
+from activestructure_gym.planes import PlaneSceneGraph
+from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.volume import VoxelVolume
+
+SCENE = "apartment?seed=1&rooms=4"
+SIZE = (160, 90)  # pixels
+SCORED = 256  # candidate views at half the size, as in the default preset
+CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 9 thousand Gaussians
+PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
+PLACE_KEYFRAMES = 20  # before the walk goes on at the next place; after 16 starts at the first one's again
+MAX_GAUSSIANS = 400_000  # 300 keyframes of the default recipe make about 330 thousand, 400 reach it
+_RADIUS = 1.8  # metres of way: how far a place reaches
+_STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
+
+
+@dataclass(frozen=True)
+class GrowthRow:
+    """One size of the map. Milliseconds are processor time, medians over the probes."""
+
+    keyframes: int
+    gaussians: int
+    in_view: int  # Gaussians whose centre projects into a probe's image, median
+    event_ms: float  # `Mapper.observe` of a new frame of the first place
+    decision_ms: float  # `Mapper.keyframe_psnr`, which a decision asks for once
+    scoring_ms: float  # `render_depth_alpha` of 256 views of the first place
+    memory_mb: float  # resident memory of the whole process
+
+
+@dataclass(frozen=True)
+class GrowthPair:
+    """Two sizes of the map and how much more the same frame costs in the larger one: quartiles over the pairs."""
+
+    keyframes: tuple[int, int]
+    gaussians: tuple[int, int]
+    in_view: tuple[int, int]
+    pairs: int
+    event_ratio: tuple[float, float, float]  # lower quartile, median, upper quartile
+    decision_ratio: tuple[float, float, float]
+
+
+def run_growth_benchmark(
+    scene: Scene,
+    mapper: Mapper,
+    *,
+    checkpoints: Sequence[int] = CHECKPOINTS,
+    size: tuple[int, int] = SIZE,
+    scored: int = SCORED,
+    probes: int = 9,
+    pair: tuple[int, int] = PAIR,  # of the checkpoints
+    seed: int = 0,
+    advance: Callable[[], None] = lambda: None,  # called `growth_steps` times
+) -> tuple[list[GrowthRow], GrowthPair]:
+    """Grow ``mapper`` (empty) along a seeded walk and measure it at every checkpoint, and two of them in pairs.
+
+    The voxel volume and the plane graph of an episode grow along, so that the memory is an episode's.
+    """
+    frames, probe_frames, candidates = _views(scene, max(checkpoints), size, scored, probes, seed, advance)
+    volume, planes = VoxelVolume(scene.bounds), PlaneSceneGraph()
+    scoring = PinholeCamera.from_size(max(1, size[0] // 2), max(1, size[1] // 2))
+    rows, kept = [], {}
+    for index, frame in enumerate(frames):
+        mapper.observe(_raised(frame, index // PLACE_KEYFRAMES))
+        volume.integrate(frame, sensor_range=10.0)
+        planes.update(frame, space_state=volume.state_at)
+        advance()
+        if index + 1 in checkpoints:
+            rows.append(_measure(mapper, probe_frames, scoring, candidates))
+        if index + 1 in pair:
+            kept[index + 1] = copy.deepcopy(mapper)
+    return rows, _compare(kept[pair[0]], kept[pair[1]], probe_frames)
+
+
+def growth_steps(checkpoints: Sequence[int]) -> int:
+    """Number of times `run_growth_benchmark` calls ``advance``."""
+    return 2 * max(checkpoints)
+
+
+def _views(
+    scene: Scene,
+    keyframes: int,
+    size: tuple[int, int],
+    scored: int,
+    probes: int,
+    seed: int,
+    advance: Callable[[], None],
+) -> tuple[list[Frame], list[Frame], np.ndarray]:  # keyframes, probes, candidates [C, 4, 4]
+    """The keyframes (all on the ground floor), the frames that are timed, and the views that are scored."""
+    starts = ground_truth_of(scene).free_space.start_poses
+    volume = true_volume(scene)
+    places = -(-keyframes // PLACE_KEYFRAMES)
+    picks, *walks = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(places + 1))
+    poses = []
+    for place, rng in enumerate(walks):
+        start = starts[place % len(starts)]
+        near = partial(_within_radius, path_lengths(volume, start[:3, 3], min_clearance=0.2))
+        poses.append(
+            random_walk(
+                volume,
+                start,
+                PLACE_KEYFRAMES * KEYFRAME_EVERY,
+                rng,
+                goal_allowed=near,
+            )
+        )
+    keyframe_poses = np.concatenate([walk[::KEYFRAME_EVERY] for walk in poses])[:keyframes]
+    # The frames between the first place's keyframes: new to the map, but not new surface.
+    between = np.delete(poses[0], np.arange(0, len(poses[0]), KEYFRAME_EVERY), axis=0)
+    camera = PinholeCamera.from_size(*size)
+    frames = capture(scene, camera, keyframe_poses, supersample=2, advance=advance)
+    timed = between[np.sort(picks.choice(len(between), probes, replace=False))]
+    candidates = poses[0][picks.integers(len(poses[0]), size=scored)]
+    return frames, capture(scene, camera, timed, supersample=2), candidates
+
+
+def _within_radius(distances: DistanceMap, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] bool
+    return distances.at(points) <= _RADIUS
+
+
+def _raised(frame: Frame, storey: int) -> Frame:
+    pose = frame.world_from_camera.copy()
+    pose[2, 3] += _STOREY * storey
+    return replace(frame, world_from_camera=pose)
+
+
+def _measure(
+    mapper: Mapper, probe_frames: Sequence[Frame], scoring: PinholeCamera, candidates: np.ndarray
+) -> GrowthRow:
+    memory = resident_mb()
+    keyframes, gaussians = len(mapper.keyframes), mapper.map.count
+    scoring_ms = _processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
+    trial = copy.deepcopy(mapper)
+    events, decisions = [], []
+    trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
+    for frame in probe_frames:
+        events.append(_processor_ms(partial(trial.observe, frame)))
+        decisions.append(_processor_ms(trial.keyframe_psnr))
+    return GrowthRow(
+        keyframes=keyframes,
+        gaussians=gaussians,
+        in_view=_median_in_view(mapper, probe_frames),
+        event_ms=statistics.median(events),
+        decision_ms=statistics.median(decisions),
+        scoring_ms=scoring_ms,
+        memory_mb=memory,
+    )
+
+
+def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds: int = 3) -> GrowthPair:
+    """Both maps see the same frames, in turns; every round begins with fresh copies."""
+    events, decisions = [], []
+    for _ in range(rounds):
+        trials = [copy.deepcopy(mapper) for mapper in (small, large)]
+        for trial in trials:
+            trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
+        for number, frame in enumerate(probe_frames):
+            order = (0, 1) if number % 2 else (1, 0)  # nobody always comes second
+            event, decision = {}, {}
+            for size in order:
+                event[size] = _processor_ms(partial(trials[size].observe, frame))
+            for size in order:
+                decision[size] = _processor_ms(trials[size].keyframe_psnr)
+            events.append(event[1] / event[0])
+            decisions.append(decision[1] / decision[0])
+    both = (small, large)
+    counts = [_median_in_view(mapper, probe_frames) for mapper in both]
+    return GrowthPair(
+        keyframes=(len(small.keyframes), len(large.keyframes)),
+        gaussians=(small.map.count, large.map.count),
+        in_view=(counts[0], counts[1]),
+        pairs=len(events),
+        event_ratio=_quartiles(events),
+        decision_ratio=_quartiles(decisions),
+    )
+
+
+def _quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
+    return low, middle, high
+
+
+def _median_in_view(mapper: Mapper, frames: Sequence[Frame]) -> int:
+    return int(np.median([gaussians_in_view(mapper.map.parameters[:, : mapper.map.count], f) for f in frames]))
+
+
+def gaussians_in_view(
+    parameters: np.ndarray,  # [14, n] live Gaussians
+    frame: Frame,
+) -> int:
+    """Number of centres that project into the frame's image, hidden ones included."""
+    camera = frame.camera
+    pose = invert_rigid(frame.world_from_camera).astype(np.float32)
+    x, y, z = pose[:3, :3] @ parameters[MEAN] + pose[:3, 3:]
+    safe = np.maximum(z, 1e-6)
+    u, v = camera.fx * x / safe + camera.cx, camera.fy * y / safe + camera.cy
+    return int(np.count_nonzero((z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)))
+
+
+def resident_mb() -> float:
+    """Resident memory of this process in megabytes (where the system does not tell: its largest so far)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (OSError, ValueError, IndexError):
+        import resource
+        import sys
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _processor_ms(action: Callable[[], object]) -> float:
+    before = time.process_time()
+    action()
+    return 1e3 * (time.process_time() - before)

@@ -1,0 +1,138 @@
+"""Tables and pictures of the mapping benchmarks: quality on held-out views, and cost against the size of the map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.metrics.image import depth_l1, psnr, ssim
+from activestructure_gym.evaluation.report import style
+from activestructure_gym.evaluation.report.canvas import corner_label, tile_grid, to_image
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from PIL import Image
+
+    from activestructure_gym.evaluation.benchmarks.growth import GrowthRow
+    from activestructure_gym.evaluation.benchmarks.mapping import MappedViews, MappingCourse
+
+_RECIPE = ("mapper", "iterations", "stride")  # columns that name a recipe
+MEAN = "mean"  # the scene of the rows that average over all scenes
+_ENLARGED = 2  # screen pixels per rendered pixel, without smoothing
+
+
+def quality_row(course: MappingCourse, mapped: MappedViews) -> dict[str, Any]:
+    """Mean image quality and depth error over the held-out views of one scene and recipe.
+
+    The depth error is the mean over all pixels with a surface, holes counted in full; beside it stands the median over
+    the pixels that are covered, which a few wrong edges do not decide.
+    """
+    images = [frame.rgb.astype(np.float64) / 255.0 for frame in course.truth]
+    depths = [frame.depth for frame in course.truth]
+    errors = [depth_l1(shown, true) for shown, true in zip(mapped.depth, depths)]
+    off = [np.abs(s - t)[(t > 0) & (s > 0)] for s, t in zip(mapped.depth, depths)]
+    return {
+        "scene": mapped.scene,
+        "mapper": mapped.recipe.mapper,
+        "iterations": mapped.recipe.iterations,
+        "stride": mapped.recipe.stride,
+        "psnr_db": float(np.mean([psnr(shown, true) for shown, true in zip(mapped.color, images)])),
+        "ssim": float(np.mean([ssim(shown, true) for shown, true in zip(mapped.color, images)])),
+        "depth_cm": 100.0 * float(np.mean([error for error in errors if error is not None])),
+        "median_depth_cm": 100.0 * float(np.median(np.concatenate(off))),
+        "gaussians": mapped.gaussians,
+        "event_ms": 1e3 * mapped.event_seconds,
+    }
+
+
+def with_means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows, and behind them one per recipe: the mean over the scenes."""
+    recipes = list(dict.fromkeys(tuple(row[key] for key in _RECIPE) for row in rows))
+    means = []
+    for recipe in recipes:
+        own = [row for row in rows if tuple(row[key] for key in _RECIPE) == recipe]
+        numbers = [key for key in own[0] if key not in ("scene", *_RECIPE)]
+        averaged = {key: float(np.mean([row[key] for row in own])) for key in numbers}
+        means.append({"scene": MEAN, **dict(zip(_RECIPE, recipe)), **averaged})
+    return [*rows, *means]
+
+
+def quality_strip(
+    courses: Sequence[MappingCourse],
+    mapped: Sequence[Sequence[MappedViews]],  # per course, one per recipe
+    *,
+    shown: Sequence[str] = ("default at 5", "splatam at 15", "splatam at 15, stride 1"),
+) -> Image.Image:
+    """One row per scene: a held-out view as it is, and as each recipe's map shows it.
+
+    The view is the one with most detail in the true image: the maps have no say in the choice.
+    """
+    rows, labels = [], []
+    for course, entries in zip(courses, mapped):
+        detail = [np.abs(np.diff(frame.rgb.astype(np.float32), axis=1)).mean() for frame in course.truth]
+        index = int(np.argmax(detail))
+        true = course.truth[index].rgb
+        tiles = [_enlarged(true)]
+        for entry in entries:
+            if str(entry.recipe) in shown:
+                tile = _enlarged(np.rint(255.0 * entry.color[index]).astype(np.uint8))
+                corner_label(tile, f"{psnr(entry.color[index], true / 255.0):.1f} dB")
+                tiles.append(tile)
+        rows.append(tiles)
+        labels.append([entries[0].scene])
+    columns = ["true view", *(str(entry.recipe) for entry in mapped[0] if str(entry.recipe) in shown)]
+    title = f"Held-out views after {len(courses[0].keyframes)} keyframes"
+    return tile_grid(rows, title=title, row_labels=labels, column_labels=columns)
+
+
+def _enlarged(image: np.ndarray) -> Image.Image:
+    return to_image(image.repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1))
+
+
+def plot_growth(rows: Sequence[GrowthRow], path: Path, *, title: str) -> None:
+    """Milliseconds against keyframes; above, how the map grows meanwhile."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = Figure(figsize=(10.5, 4.2), dpi=110, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1))
+    costs, sizes = figure.subplots(1, 2)
+    keyframes = [row.keyframes for row in rows]
+    curves: tuple[tuple[str, list[float]], ...] = (
+        ("mapping event", [row.event_ms for row in rows]),
+        ("keyframe PSNR, per decision", [row.decision_ms for row in rows]),
+        ("scoring 256 candidates", [row.scoring_ms for row in rows]),
+    )
+    for index, (label, values) in enumerate(curves):
+        _line(costs, index, keyframes, values, label)
+    costs.set_yscale("log")
+    _dress(costs, "keyframes", "processor time [ms]")
+    _line(sizes, 3, keyframes, [row.gaussians for row in rows], "in the map")
+    _line(sizes, 4, keyframes, [row.in_view for row in rows], "in a timed view")
+    _dress(sizes, "keyframes", "Gaussians")
+    figure.suptitle(title, fontsize=13, fontweight="bold", x=0.01, ha="left")
+    figure.savefig(path, pil_kwargs={"quality": 85} if path.suffix in (".jpg", ".jpeg") else None)
+
+
+def _line(axis: Axes, index: int, x: Sequence[float], y: Sequence[float], label: str) -> None:
+    axis.plot(
+        x,
+        y,
+        color=style.colour(index),
+        linestyle=style.DASHES[index % len(style.DASHES)],
+        marker=style.MARKERS[index % len(style.MARKERS)],
+        markersize=5,
+        label=label,
+    )
+
+
+def _dress(axis: Axes, x_label: str, y_label: str) -> None:
+    axis.set_xlabel(x_label)
+    axis.set_ylabel(y_label)
+    axis.set_xlim(left=0)
+    axis.grid(color="#e3e6e8", linewidth=0.8)
+    axis.legend(frameon=False, fontsize=9)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)

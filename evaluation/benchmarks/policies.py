@@ -1,0 +1,130 @@
+"""Benchmark of a decision by each policy: gains of all candidates and the choice, on one real state of an episode."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.machine.threads import thread_cap
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+
+LIMIT_S = 2.0  # per decision, for every policy but
+LIMITS_S = {"activestructure": 0.2}
+SCENE = "apartment?rooms=3"
+_SEED = 0
+
+
+def run_policy_benchmark(
+    scene: str = SCENE,
+    *,
+    policies: Sequence[str] = (),  # all that are registered if none is given
+    preset: Preset = "default",
+    gaussians: int = 30_000,  # the state is taken when the map has as many and the candidate table is full
+    frames: int = 400,  # or after so many frames
+    repeats: int = 7,
+    notify: Callable[[str], None] = lambda _: None,
+) -> list[dict[str, Any]]:
+    """A row per policy: seconds per decision as medians with quartiles, `gains` and `policy` apart.
+
+    The state is that of an episode of `pixel_only`. ``offer`` (ways, candidates, revisits) is the same work for all;
+    a decision is offer, gains and policy together. Each is decided on a mapper as the last keyframes left it, of which
+    nobody has asked anything since: what planners measure of new keyframes is part of their cost. Policies take turns,
+    and the first round, in which kernels are compiled, is not counted. ``limit`` says whether the median
+    keeps to `LIMIT_S`.
+    """
+    from activestructure_gym.policies import POLICIES
+
+    names = list(policies or POLICIES)
+    env = _explored(scene, preset, gaussians, frames, notify)
+    mapper = env.reconstruction.mapper
+    times: dict[str, list[dict[str, float]]] = {name: [] for name in names}
+    for repeat in range(repeats + 1):
+        for name in names if repeat % 2 else names[::-1]:
+            notify(f"round {repeat} of {repeats}: {name}")
+            env.reconstruction.mapper = copy.deepcopy(mapper)
+            seconds = _decision(env, name)
+            if repeat:
+                times[name].append(seconds)
+    reconstruction = env.reconstruction
+    state = {
+        "candidates": len(reconstruction.candidates),
+        "gaussians": reconstruction.mapper.map.count,
+        "keyframes": len(reconstruction.keyframe_indices),
+        "threads": thread_cap(),
+    }
+    env.close()
+    return [_row(name, times[name]) | state for name in names]
+
+
+def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: Callable[[str], None]) -> Any:
+    """An env in the middle of an episode."""
+    from activestructure_gym.envs import ReconstructionEnv
+    from activestructure_gym.policies import make_policy
+
+    policy = make_policy("pixel_only")
+    env = ReconstructionEnv(
+        scene=scene, preset=preset, frame_budget=frames + 1, gains=policy.required_gains, coverage_target=None
+    )
+    policy.bind(env.config.gains)
+    observation, _ = env.reset(seed=_SEED)
+    policy.reset(_SEED)
+    ended = False
+    while not ended and (env.reconstruction.mapper.map.count < gaussians or not observation["action_mask"].all()):
+        _ask(env)
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation))
+        ended = terminated or truncated
+        notify(f"exploring: {env.reconstruction.frames} frames, {env.reconstruction.mapper.map.count} Gaussians")
+    return env
+
+
+def _ask(env: Any) -> None:
+    """Update what planners keep of the keyframes: movement, reliability, information."""
+    mapper = env.reconstruction.mapper
+    mapper.movement()
+    mapper.reliability()
+    mapper.keyframe_information(env.reconstruction.scoring_camera)
+
+
+def _decision(env: Any, name: str) -> dict[str, float]:
+    """Seconds of one decision of policy ``name`` in the env's state, which stays as it is."""
+    from activestructure_gym.envs.observation import encode
+    from activestructure_gym.policies import make_policy
+
+    policy = make_policy(name)
+    reconstruction = env.reconstruction
+    reconstruction.config = dataclasses.replace(reconstruction.config, gains=tuple(policy.required_gains))
+    before, processor = dict(reconstruction.seconds), time.process_time()
+    reconstruction._refresh()
+    spent = {key: reconstruction.seconds[key] - before.get(key, 0.0) for key in ("planning", "gains")}
+    processor = time.process_time() - processor
+    observation = encode(reconstruction, reconstruction.mapper.keyframes[-1], env.max_planes)
+    policy.bind(reconstruction.config.gains)
+    policy.reset(_SEED)
+    began, processor_began = time.perf_counter(), time.process_time()
+    policy.act(observation)
+    spent["policy"] = time.perf_counter() - began
+    return spent | {"cpu": processor + time.process_time() - processor_began}
+
+
+def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
+    offer, gains, policy, cpu = (np.array([t[key] for t in times]) for key in ("planning", "gains", "policy", "cpu"))
+    decision = offer + gains + policy
+    limit = LIMITS_S.get(name, LIMIT_S)
+    median = float(np.median(decision))
+    return {
+        "policy": name,
+        "decision_s": median,
+        "quartiles": tuple(float(q) for q in np.quantile(decision, [0.25, 0.75])),
+        "gains_s": float(np.median(gains)),
+        "policy_s": float(np.median(policy)),
+        "offer_s": float(np.median(offer)),
+        "processor_s": float(np.median(cpu)),
+        "limit": f"{'under' if median <= limit else 'OVER'} {limit:g}",
+    }

@@ -1,0 +1,99 @@
+"""Frames per second of the sensor on real views, ray casting against pyrender in the same run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.sensors.renderer import Renderer, RendererName, make_renderer, renderer_status
+
+SIZES = ((160, 90), (320, 180), (640, 360))
+
+
+def benchmark_views(scene: Scene, count: int, rng: np.random.Generator) -> np.ndarray:  # [count, 4, 4]
+    """Views as an agent has them: free positions 0.3 m off every surface, any heading, 30 deg down to 15 deg up."""
+    positions = ground_truth_of(scene).free_space.sample_positions(count, rng, min_clearance=0.3)
+    heading, pitch = rng.uniform(-np.pi, np.pi, count), np.radians(rng.uniform(-30.0, 15.0, count))
+    directions = np.stack([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
+    return np.stack([look_along(position, direction) for position, direction in zip(positions, directions)])
+
+
+def time_renderers(
+    renderers: Sequence[Renderer],
+    camera: PinholeCamera,
+    views: np.ndarray,  # [V, 4, 4] world_from_camera
+    *,
+    repeats: int,
+    supersample: int,
+) -> np.ndarray:  # [R, repeats * V] seconds per frame
+    """Draw every view ``repeats`` times with every renderer in turn, so that all meet the same load of the machine.
+
+    One round ahead is not counted: it holds compilation, uploads and first touches.
+    """
+    seconds = np.empty((len(renderers), repeats + 1, len(views)))
+    for repeat in range(repeats + 1):
+        for view, pose in enumerate(views):
+            order = range(len(renderers)) if repeat % 2 else reversed(range(len(renderers)))
+            for index in order:
+                start = time.perf_counter()
+                renderers[index].render(camera, pose, supersample=supersample)
+                seconds[index, repeat, view] = time.perf_counter() - start
+    return seconds[:, 1:].reshape(len(renderers), -1)
+
+
+def run_sensor_benchmark(
+    scenes: Sequence[str | Scene],
+    *,
+    sizes: Sequence[tuple[int, int]] = SIZES,  # (width, height)
+    repeats: int = 5,
+    views: int = 10,
+    supersample: int = 2,
+    seed: int = 0,
+) -> list[dict[str, Any]]:
+    """One row per scene and size: frames per second of each renderer as median, 10th and 90th percentile.
+
+    ``ratio`` is the median over frames of pyrender's time divided by ray casting's (above 1: ray casting is faster).
+    Where pyrender cannot run its numbers are None and ``note`` says why. Scenes are given as specs of
+    `load_scene`; a wrong one raises `InputError`.
+    """
+    from activestructure_gym.scenes.library import load_scene
+
+    if repeats < 1 or views < 1:
+        raise InputError(f"repeats and views must be at least 1, got {repeats} and {views}")
+    status = renderer_status()["pyrender"]
+    names: tuple[RendererName, ...] = ("raycast", "pyrender") if status == "works" else ("raycast",)
+    rows = []
+    for spec in scenes:
+        scene = load_scene(spec)
+        poses = benchmark_views(scene, views, np.random.default_rng(seed))
+        renderers = [make_renderer(name, scene) for name in names]
+        try:
+            for width, height in sizes:
+                camera = PinholeCamera.from_size(width, height)
+                seconds = time_renderers(renderers, camera, poses, repeats=repeats, supersample=supersample)
+                row: dict[str, Any] = {
+                    "scene": scene.name,
+                    "triangles": len(scene.mesh.faces),
+                    "size": f"{width}x{height}",
+                    "supersample": supersample,
+                    "frames": repeats * len(poses),
+                }
+                for index, name in enumerate(("raycast", "pyrender")):
+                    rates = 1.0 / seconds[index] if index < len(names) else None
+                    row[f"{name}_fps"] = None if rates is None else float(np.median(rates))
+                    row[f"{name}_p10_p90"] = None if rates is None else tuple(np.percentile(rates, (10, 90)).tolist())
+                row["ratio"] = float(np.median(seconds[1] / seconds[0])) if len(names) == 2 else None
+                if status != "works":
+                    row["note"] = status
+                rows.append(row)
+        finally:
+            for renderer in renderers:
+                renderer.close()
+    return rows

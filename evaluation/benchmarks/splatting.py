@@ -1,0 +1,385 @@
+"""Benchmark of the CPU rasteriser: real seeded inputs, warm, medians with spread.
+
+Workloads (sizes of docs/notebook/groundwork.md): Gaussians seeded as disks from the RGB-D pixels of six views
+of a furnished box room, and one of those views as the target.
+W1 160x120 / 20k, W2 320x240 / 80k, W3 640x480 / 300k: one fused mapping iteration. W4: alpha and depth of 64 cameras at
+80x60 over 50k Gaussians (candidate scoring).
+
+Next to the times stand ratios, which compare machines and versions where milliseconds do not, all from the same run:
+``floor_share``, the time the needed arithmetic would take at the measured multiply-add peak over the time taken (of an
+iteration: forward and backward alone, so that losses and Adam count against it); ``vs_torch``, the time of the batched
+plain-torch renderer over the time taken; ``vs_one``, the time on the first thread count over the time taken;
+``second_pass``, what the information of a view (`fisher`) takes beyond a forward rendering, in forward renderings.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.compiling.thread_team import TEAM
+from activestructure_gym.errors import unknown_name
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
+from activestructure_gym.splatting import kernels, layout
+from activestructure_gym.splatting.cpu import LossWeights, mapping_step, render, render_depth_alpha
+from activestructure_gym.splatting.fisher import view_information
+from activestructure_gym.splatting.simd import LANES
+from activestructure_gym.splatting.workspace import PooledWorkspace, aligned_zeros, inverse_of_pose
+
+WORKLOADS = ("W1", "W2", "W3", "W4")
+_SIZES = {"W1": (160, 120, 20_000), "W2": (320, 240, 80_000), "W3": (640, 480, 300_000), "W4": (80, 60, 50_000)}
+# Per needed pair, a multiply-add as two: offsets 2, exponent 8, exp2 13, limits 2, transmittance 3, sums 8; backward
+# the first 25 again and 40.
+_FLOPS_FORWARD, _FLOPS_BACKWARD = 36, 65
+_INFORMATION = "information"  # render and second pass
+_IN_A_ROW = 5  # runs per repetition, as a mapping event has iterations, after one that is not counted
+_RATES = np.zeros(14, np.float32)  # all the arithmetic, but every repetition meets the same map
+_ROOM = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 2.8]])
+_BOXES = np.array([
+    [[0.5, 0.4, 0.0], [1.5, 1.9, 0.7]], [[4.6, 0.3, 0.0], [5.6, 1.1, 1.9]], [[2.4, 4.2, 0.0], [4.0, 4.9, 0.9]],
+    [[0.2, 3.9, 0.0], [0.9, 4.8, 2.0]], [[5.0, 3.0, 0.0], [5.8, 4.4, 0.5]], [[2.7, 0.2, 0.0], [3.5, 0.8, 1.1]],
+])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Workload:
+    """A Gaussian map, the cameras it is rendered from, and the target images."""
+
+    parameters: np.ndarray  # [14, capacity] float32
+    count: int
+    camera: PinholeCamera
+    poses: np.ndarray  # [C, 4, 4] world_from_camera
+    target_rgb: np.ndarray  # [H, W, 3] float32
+    target_depth: np.ndarray  # [H, W] float32
+
+
+def make_workload(name: str, seed: int = 0) -> Workload:
+    """Build one of W1 to W4; the same for every call."""
+    if name not in _SIZES:
+        raise unknown_name("splatting workload", name, _SIZES)
+    width, height, count = _SIZES[name]
+    rng = np.random.default_rng(seed)
+    camera = PinholeCamera.from_size(width, height)
+    # W1 to W3 look where neighbouring views have seeded too; W4 looks all around.
+    poses = _poses(np.radians([0, 50, -50, 100, -100, 150]) if name != "W4" else np.arange(64) / 32 * np.pi, rng)
+    sources = poses if name != "W4" else poses[::11]
+    per_view = -(-count // 6)
+    # W4 is seeded at a density that suits its count, not from its own small images.
+    seeding = camera if name != "W4" else PinholeCamera.from_size(224, 168)
+    blocks = [_seed(seeding, pose, per_view, rng) for pose in sources]
+    live = np.concatenate(blocks, axis=1)[:, :count]
+    parameters = _aligned((14, -(-count // 16) * 16))
+    parameters[:, :count] = live
+    rgb, depth, _ = _see(camera, poses[0])
+    return Workload(parameters, count, camera, poses, rgb.astype(np.float32), depth.astype(np.float32))
+
+
+def run_splatting_benchmark(
+    workloads: Iterable[str] = WORKLOADS,
+    *,
+    repeats: int = 15,
+    threads: Iterable[int] | None = None,
+    baseline: bool = True,
+    progress: Callable[[str], None] = lambda line: None,
+) -> list[dict]:
+    """Rows ``{workload, visible, pairs_per_pixel, task, threads, median_ms, low_ms, high_ms, best_ms, cpu_ms,
+    floor_share, vs_torch, vs_one, second_pass, repeats}``; of the last but one quartiles, by processor time, for the
+    task "information" alone.
+
+    ``visible`` Gaussians and needed (pixel, Gaussian) ``pairs_per_pixel`` are means over the workload's views. A
+    repetition is the mean of five runs one after the other, after a sixth that is not counted: as in a mapping event,
+    where the iteration before has left its map in the caches (plain torch: one run, longer than these). Low and high
+    are the quartiles of the repetitions, ``cpu_ms`` the median processor time of all threads together (what is left to
+    look at on a machine shared with others). Ratios are of medians, nan where they are not defined. ``baseline`` runs
+    the batched plain-torch renderer (tasks ending in ", torch") and the path through torch's autograd as well; the
+    former up to 5 times, as it takes a hundred times longer. All tasks and thread counts are alternated, so that a busy
+    spell of the machine hits all of them.
+
+    Raises:
+        InputError: an unknown workload.
+    """
+    names, counts = tuple(workloads), tuple(threads) if threads is not None else (1, 2)
+    for name in names:
+        if name not in _SIZES:
+            raise unknown_name("splatting workload", name, _SIZES)
+    rows = []
+    for name in names:
+        progress(f"splatting workload {name}")
+        work = make_workload(name)
+        views = work.poses if name == "W4" else work.poses[:1]
+        visible, pairs = np.mean([count_work(work, pose) for pose in views], axis=0)
+        tasks = _tasks(name, work)
+        if baseline:
+            tasks |= _torch_tasks(name, work)
+        few = {task: min(repeats, 5) if task.endswith(", torch") else repeats for task in tasks}
+        wall, busy, peaks = _measure(tasks, counts, few, repeats)
+        for task in tasks:
+            flops = _flops(task) * pairs * len(views)
+            for count in counts:
+                own = wall[task, count]
+                low, median, high = statistics.quantiles(own, n=4) if len(own) > 1 else own * 3
+                rival = wall.get((f"{_BASELINES.get(task, '')}, torch", count))
+                rows.append({
+                    "workload": name, "visible": round(visible), "pairs_per_pixel": pairs / work.target_depth.size,
+                    "task": task, "threads": count, "median_ms": median, "low_ms": low, "high_ms": high,
+                    "best_ms": min(own), "cpu_ms": statistics.median(busy[task, count]),
+                    "floor_share": _floor_share(flops, peaks[task, count], own) if flops else float("nan"),
+                    "vs_torch": statistics.median(rival) / median if rival else float("nan"),
+                    "vs_one": statistics.median(wall[task, counts[0]]) / median,
+                    "second_pass": _second_pass(busy[task, count], busy["forward", count])
+                    if task == _INFORMATION else None,
+                    "repeats": len(own),
+                })  # fmt: skip
+    return rows
+
+
+def _floor_share(flops: float, peaks: list[float], times_ms: list[float]) -> float:
+    """Median over the repetitions: each beside the peak measured just before it, as clocks rise and fall."""
+    return statistics.median(1e3 * flops / peak / time_ms for peak, time_ms in zip(peaks, times_ms))
+
+
+def _second_pass(whole: list[float], forward: list[float]) -> tuple[float, ...]:
+    """Quartiles over the repetitions, each beside the forward rendering of the same round."""
+    shares = [(own - first) / first for own, first in zip(whole, forward)]
+    return tuple(statistics.quantiles(shares, n=4)) if len(shares) > 1 else tuple(shares) * 3
+
+
+def _measure(tasks, counts, few, repeats):
+    """Per (task, thread count): milliseconds of the clock, of the processor, and the peak before each repetition."""
+    keys = [(task, count) for task in tasks for count in counts]
+    wall: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
+    busy: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
+    peaks: dict[tuple[str, int], list[float]] = {key: [] for key in keys}
+    for repeat in range(-1, repeats):
+        for task, action in tasks.items():
+            if repeat >= few[task]:
+                continue
+            for count in counts:
+                runs = 1
+                peak = multiply_add_peak(count, tries=2) if _flops(task) else float("nan")
+                if not task.endswith(", torch"):
+                    action(count)  # as in use, where the iteration before has left its map in the caches
+                    runs = _IN_A_ROW
+                start, busy_start = time.perf_counter(), time.process_time()
+                for _ in range(runs):
+                    action(count)
+                if repeat >= 0:  # the first round warms up
+                    wall[task, count].append(1e3 / runs * (time.perf_counter() - start))
+                    busy[task, count].append(1e3 / runs * (time.process_time() - busy_start))
+                    peaks[task, count].append(peak)
+            if task.endswith((", torch", "autograd")):
+                time.sleep(0.02)  # torch's threads spin for a while after their work, on the cores of the next task
+    return wall, busy, peaks
+
+
+# Which run of plain torch a task is compared with; both do render, loss, backward and Adam, or the same pictures.
+_BASELINES = {
+    "iteration, L1": "iteration, L1", "iteration, L1 + SSIM": "iteration, L1",
+    "iteration, L1, through autograd": "iteration, L1", "score 64 views": "score 64 views",
+}  # fmt: skip
+
+
+def _flops(task: str) -> int:
+    """Floating-point operations of a task per needed (pixel, Gaussian) pair; 0 where they were not counted."""
+    if task.endswith(", torch") or task == _INFORMATION:
+        return 0
+    return _FLOPS_FORWARD if task in ("forward", "score 64 views") else _FLOPS_FORWARD + _FLOPS_BACKWARD
+
+
+def multiply_add_peak(threads: int, *, tries: int = 6) -> float:
+    """Flops per second of 16-lane multiply-adds on so many threads, the best of a few tries."""
+    pieces, rounds = 8 * threads, 20_000
+    values = aligned_zeros(LANES * (2 + pieces))
+    values[: 2 * LANES] = 0.5
+    best = float("inf")
+    for _ in range(tries):
+        tickets = np.zeros(1, np.int64)
+        start = time.perf_counter()
+        TEAM.run(kernels.multiply_add, (tickets, rounds, pieces, values), threads)
+        best = min(best, time.perf_counter() - start)
+    return 10 * 2 * LANES * pieces * rounds / best
+
+
+def count_work(work: Workload, world_from_camera: np.ndarray) -> tuple[int, int]:
+    """Visible Gaussians, and how many (pixel, Gaussian) pairs enter the picture: the pixel still open and alpha at
+    least 1/255.
+    """
+    pooled = PooledWorkspace()
+    workspace = pooled.workspace
+    workspace.render(work.parameters, work.count, work.camera, invert_rigid(world_from_camera), threads=1, keep=False)
+    visible = np.unpackbits(workspace.visible[: -(-work.count // LANES)].view(np.uint8)).sum()
+    splats = workspace.entries[layout.SORTED_SPLAT]
+    return int(visible), _count_pairs(workspace.grid, workspace.tile_start, splats, workspace.records)
+
+
+@kernel
+def _count_pairs(grid, tile_start, entries, records):
+    pairs = 0
+    for tile in range(grid[layout.TILES_X] * grid[layout.TILES_Y]):
+        top, left = layout.TILE * (tile // grid[layout.TILES_X]), layout.TILE * (tile % grid[layout.TILES_X])
+        for row in range(top, min(top + layout.TILE, grid[layout.HEIGHT])):
+            for column in range(left, min(left + layout.TILE, grid[layout.WIDTH])):
+                rest = 1.0
+                for entry in range(tile_start[tile], tile_start[tile + 1]):
+                    base = layout.RECORD * np.int64(entries[entry] & np.uint64(0xFFFFFFFF))
+                    dx, dy = column + 0.5 - records[base + layout.U], row + 0.5 - records[base + layout.V]
+                    across = records[base + layout.L00] * dx + records[base + layout.L01] * dy
+                    down = records[base + layout.L11] * dy
+                    power = records[base + layout.LOG_OPACITY] - across * across - down * down
+                    if power >= -layout.LOG2_255:
+                        rest *= 1.0 - min(2.0**power, 0.999)
+                        if rest <= layout.MIN_TRANSMITTANCE:
+                            break
+                        pairs += 1
+    return pairs
+
+
+def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
+    if name == "W4":
+        return {
+            "score 64 views": lambda threads: render_depth_alpha(
+                work.parameters, work.count, work.camera, work.poses, threads=threads
+            )
+        }
+    parameters, first, second = (_aligned(work.parameters.shape) for _ in range(3))
+    parameters[:] = work.parameters
+
+    def step(weights: LossWeights, threads: int) -> None:
+        mapping_step(
+            parameters, first, second, work.count, work.camera, work.poses[0], work.target_rgb, work.target_depth,
+            weights=weights, learning_rates=_RATES, threads=threads,
+        )  # fmt: skip
+
+    pooled, gradient = PooledWorkspace(), np.zeros_like(work.parameters)
+    workspace = pooled.workspace
+    height, width = work.target_depth.shape
+    images = (np.ones((height, width, 3), np.float32), *np.ones((2, height, width), np.float32))
+
+    def there_and_back(threads: int) -> None:
+        _ = pooled  # holds the workspace
+        workspace.render(work.parameters, work.count, work.camera, inverse_of_pose(work.poses[0]), threads=threads)
+        workspace.set_gradient_images(*images)
+        workspace.backward(np.zeros(layout.RATES, np.float32), gradient, gradient, gradient)
+
+    return {
+        "forward + backward": there_and_back,
+        "forward": lambda threads: render(work.parameters, work.count, work.camera, work.poses[0], threads=threads),
+        _INFORMATION: lambda threads: next(
+            view_information(work.parameters, work.count, work.camera, work.poses[0], threads=threads)
+        ),
+        "iteration, L1": lambda threads: step(LossWeights(l1_share=1.0), threads),
+        "iteration, L1 + SSIM": lambda threads: step(LossWeights(), threads),
+    }
+
+
+def _aligned(shape: tuple[int, int]) -> np.ndarray:
+    """Zeros whose rows start on cache lines, as those of the mapper's map do."""
+    return aligned_zeros(shape[0] * shape[1]).reshape(shape)
+
+
+def _torch_tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
+    """Plain torch; and the kernels as a node of torch's graph, with loss and optimiser of torch."""
+    import torch
+
+    from activestructure_gym.evaluation.benchmarks.torch_tiles import rasterize_torch_tiles
+    from activestructure_gym.splatting.api import parameter_rows, rasterize
+
+    live = torch.from_numpy(work.parameters[:, : work.count].copy())
+    columns = (live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T)
+    means, quaternions, log_scales, logits, colors = (group.contiguous().requires_grad_() for group in columns)
+    optimizer = torch.optim.Adam([means, quaternions, log_scales, logits, colors], lr=0.0, fused=True)
+    # Each in the layout it is fastest with: plain torch with a row per Gaussian, the kernels with one per parameter.
+    rows = [group.requires_grad_() for group in parameter_rows(torch.from_numpy(work.parameters.copy()))]
+    of_rows = torch.optim.Adam(rows, lr=0.0, fused=True)
+    poses = torch.from_numpy(invert_rigid(work.poses).astype(np.float32))
+    target, measured = torch.from_numpy(work.target_rgb), torch.from_numpy(work.target_depth)
+
+    def score() -> None:
+        with torch.no_grad():
+            for pose in poses:
+                rasterize_torch_tiles(
+                    means, quaternions, log_scales, logits, colors, pose, work.camera, with_color=False
+                )
+
+    def descend(color: torch.Tensor, depth: torch.Tensor, alpha: torch.Tensor, optimizer: torch.optim.Adam) -> None:
+        seen = alpha.detach() > 0.5
+        error = torch.where(seen, depth / alpha.clamp_min(0.5) - measured, 0.0).abs().mean()
+        optimizer.zero_grad()
+        (0.5 * (color - target).abs().mean() + error).backward()
+        optimizer.step()
+
+    def iteration() -> None:
+        picture = rasterize_torch_tiles(means, quaternions, log_scales, logits, colors, poses[0], work.camera)
+        descend(picture[..., :3], picture[..., 3], picture[..., 4], optimizer)
+
+    def through_autograd(threads: int) -> None:
+        mean_rows, quaternion_rows, scale_rows, logit_row, color_rows = rows
+        seen = rasterize(
+            mean_rows.T, quaternion_rows.T, scale_rows.T, logit_row, color_rows.T, camera_from_world=poses[0],
+            camera=work.camera, backend="cpu", threads=threads,
+        )  # fmt: skip
+        descend(seen.color, seen.depth, seen.alpha, of_rows)
+
+    def on(threads: int, action: Callable[[], None]) -> None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(threads)
+        try:
+            action()
+        finally:
+            torch.set_num_threads(before)
+
+    if name == "W4":
+        return {"score 64 views, torch": lambda threads: on(threads, score)}
+    return {
+        "iteration, L1, through autograd": lambda threads: on(threads, lambda: through_autograd(threads)),
+        "iteration, L1, torch": lambda threads: on(threads, iteration),
+    }
+
+
+def _poses(yaws: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # [C] radians -> [C, 4, 4]
+    """Cameras around the middle of the room."""
+    poses = []
+    for yaw in yaws:
+        position = np.array([3.0, 2.5, 1.4]) + rng.uniform(-0.6, 0.6, 3) * [1.0, 1.0, 0.4]
+        poses.append(look_along(position, np.array([np.cos(yaw), np.sin(yaw), rng.uniform(-0.3, 0.1)])))
+    return np.stack(poses)
+
+
+def _see(camera: PinholeCamera, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour ``[H, W, 3]``, depth ``[H, W]`` and normals ``[H, W, 3]`` of the box room, by slabs."""
+    directions = camera.rays().astype(np.float64) @ pose[:3, :3].T
+    origin = pose[:3, 3]
+    walls = np.where(directions > 0, _ROOM[1] - origin, _ROOM[0] - origin) / directions
+    axis, depth = walls.argmin(axis=-1), walls.min(axis=-1)
+    for low, high in _BOXES:
+        a, b = (low - origin) / directions, (high - origin) / directions
+        near, far = np.minimum(a, b), np.maximum(a, b).min(axis=-1)
+        enters = near.max(axis=-1)
+        hit = (enters > 0) & (enters < far) & (enters < depth)
+        depth, axis = np.where(hit, enters, depth), np.where(hit, near.argmax(axis=-1), axis)
+    normals = np.eye(3)[axis] * -np.sign(np.take_along_axis(directions, axis[..., None], axis=-1))
+    points = origin + directions * depth[..., None]
+    waves = np.sin(points @ np.array([[9.0, 4.0, 2.0], [3.0, 11.0, 5.0], [6.0, 2.0, 13.0]]))
+    return 0.5 + 0.2 * normals + 0.25 * waves, depth, normals
+
+
+def _seed(camera: PinholeCamera, pose: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:  # [14, count]
+    """Disks on the surface at ``count`` pixels in raster order, footprint sigma 1.0 to 1.5 px, blur included."""
+    rgb, depth, normals = _see(camera, pose)
+    pixels = np.sort(rng.choice(depth.size, count, replace=count > depth.size))
+    z = depth.reshape(-1)[pixels]
+    points = pose[:3, 3] + (camera.rays().reshape(-1, 3)[pixels] @ pose[:3, :3].T) * z[:, None]
+    normal = normals.reshape(-1, 3)[pixels]
+    quaternion = np.concatenate([1.0 + normal[:, 2:], np.cross([0.0, 0.0, 1.0], normal)], axis=1)
+    quaternion[normal[:, 2] < -0.5] = [0.0, 1.0, 0.0, 0.0]  # facing down: half a turn
+    sigma = np.sqrt(rng.uniform(1.0, 1.5, count) ** 2 - layout.BLUR_VARIANCE) * z / camera.fx
+    opacity = rng.uniform(0.5, 0.95, count)
+    return np.concatenate([
+        points.T, quaternion.T, np.log(sigma)[None], np.log(sigma)[None], np.log(0.1 * sigma)[None],
+        np.log(opacity / (1.0 - opacity))[None], rgb.reshape(-1, 3)[pixels].T,
+    ])  # fmt: skip

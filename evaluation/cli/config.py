@@ -1,0 +1,105 @@
+"""``asg config``: print the configuration of an episode."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import json
+import textwrap
+import tokenize
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from io import StringIO
+from typing import Annotated, Any
+
+import tyro
+from rich.markup import escape
+
+from activestructure_gym.evaluation.cli.fields import Changes, Switch, option
+from activestructure_gym.evaluation.cli.listing import print_json, print_listed
+from activestructure_gym.evaluation.cli.options import parse_overrides
+from activestructure_gym.evaluation.cli.output import plain_table
+
+
+@dataclass(frozen=True)
+class Config:
+    """Print the configuration of an episode: every field with its value, its default and its meaning."""
+
+    preset: Annotated[str, tyro.conf.Positional, option("[fast|default|paper]")] = "default"
+    """The preset."""
+    set: Changes = ()
+    """Changes of it, as compare and train take them; what they change is said at the end."""
+    json: Switch = False
+    """For programs; `gym.make(..., config=...)` takes it."""
+
+    def run(self) -> int:
+        """Field by field, and what the preset and ``--set`` change of the defaults."""
+        from activestructure_gym.config import ReconstructionConfig, configure, known_preset
+
+        preset = configure(preset_name := known_preset(self.preset))
+        chosen = configure(preset_name, parse_overrides(self.set))
+        if self.json:
+            return print_json(dataclasses.asdict(chosen))
+        defaults = dict(leaves(ReconstructionConfig()))
+        before, after, meanings = dict(leaves(preset)), dict(leaves(chosen)), dict(_meanings(chosen))
+        table = plain_table(f"Preset {self.preset}", "field", "value", "default", "meaning")
+        for name, value in after.items():
+            style = "bold" if value != before[name] else None
+            default = "" if value == defaults[name] else _shown(defaults[name])
+            table.add_row(*map(escape, (name, _shown(value), default, meanings[name])), style=style)
+        print_listed(table, "Where nothing stands under default, the value is it. Changes: --set FIELD=VALUE")
+        changes = [name for name, value in after.items() if value != before[name]]
+        for name in changes:
+            print(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
+        return 0
+
+
+def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    """The fields of a nested dataclass by their dotted names."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from leaves(value, f"{before}{field.name}.")
+        else:
+            yield before + field.name, value
+
+
+def _meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
+    notes = field_notes(type(config))
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _meanings(value, f"{before}{field.name}.")
+        else:
+            yield before + field.name, notes.get(field.name, "")
+
+
+def field_notes(kind: type) -> Mapping[str, str]:
+    """Descriptions of a dataclass's fields from its source: a text below, a comment behind, or comments above."""
+    source = textwrap.dedent(inspect.getsource(kind))
+    comments = {
+        token.start[0]: (token.string.lstrip("# ").rstrip(), token.line.strip().startswith("#"))
+        for token in tokenize.generate_tokens(StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    body = next(node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)).body
+    notes = {}
+    for node, after in zip(body, [*body[1:], None]):
+        if not isinstance(node, ast.AnnAssign) or not isinstance(node.target, ast.Name):
+            continue
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and isinstance(after.value.value, str):
+            notes[node.target.id] = " ".join(after.value.value.split())
+        elif (node.end_lineno or node.lineno) in comments:
+            notes[node.target.id] = comments[node.end_lineno or node.lineno][0]
+        else:
+            above, line = list[str](), node.lineno - 1
+            while line in comments and comments[line][1]:
+                above.insert(0, comments[line][0])
+                line -= 1
+            notes[node.target.id] = " ".join(above)
+    return notes
+
+
+def _shown(value: Any) -> str:
+    return json.dumps(value) if not isinstance(value, str) else value

@@ -1,0 +1,77 @@
+"""``asg policies``: list the policies, or describe one."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+from rich.markup import escape
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.fields import Switch, option
+from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+
+
+@dataclass(frozen=True)
+class Policies:
+    """List the policies known by name: what each decides by, whose it is, which features it needs; or describe one."""
+
+    name: Annotated[str | None, tyro.conf.Positional, option("[NAME]", "")] = None
+    """One of them, with its options and its description."""
+    json: Switch = False
+    """For programs."""
+
+    def run(self) -> int:
+        """All registered policies in a table, or one with its options and its whole description."""
+        from activestructure_gym.policies import POLICIES, canonical_policy
+
+        if self.name is None:
+            rows = [_policy_facts(name) for name in POLICIES]
+            if self.json:
+                return print_json(rows)
+            table = plain_table("Policies", "name", "decides by", "source", "features it needs")
+            for row in rows:
+                gains = ", ".join(row["gains"])
+                table.add_row(*map(escape, (row["name"], row["decides_by"], row["source"], gains)))
+            print_listed(table, "One of them with its options: asg policies NAME")
+            return 0
+        facts = _policy_facts(canonical_policy(self.name) if "?" in self.name else self.name)
+        if self.json:
+            return print_json(facts)
+        console = make_console()
+        console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
+        console.print(escape(facts["about"]), soft_wrap=True)
+        console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
+        if not facts["options"]:
+            console.print("It takes no options.")
+            return 0
+        table = plain_table("Options", "name", "default")
+        for name, default in facts["options"].items():
+            table.add_row(escape(name), escape(str(default)))
+        print_whole(console, table)
+        example = f"{self.name.partition('?')[0]}?{next(iter(facts['options']))}=..."
+        console.print(escape(f"They are written as in {example}"))
+        return 0
+
+
+def _policy_facts(name: str) -> dict[str, Any]:
+    from activestructure_gym.policies import POLICIES, make_policy
+    from activestructure_gym.policies.base import gains_of
+
+    kind: Any = POLICIES.get(name.partition("?")[0])
+    try:  # some ask for a gain more or less by their options
+        gains = gains_of(make_policy(name))
+    except InputError:  # it has an option without a default
+        gains = gains_of(kind)
+    parameters = inspect.signature(kind).parameters.values()
+    return {
+        "name": name,
+        "decides_by": kind.decides_by or first_line(kind),
+        "gains": list(gains),
+        "source": kind.source,
+        "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
+        "about": inspect.getdoc(kind) or "",
+    }

@@ -1,0 +1,49 @@
+"""Options that all parts of ``asg train`` share, about the episodes that are played."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from activestructure_gym.cores import core_count
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.fields import Changes, Count, PathName, PresetName, Switch, option
+from activestructure_gym.evaluation.cli.options import use_trust
+from activestructure_gym.evaluation.machine.threads import capped_environment
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Options about the episodes: directory, processes, preset, budget, layouts."""
+
+    out: PathName = None
+    """Directory for the results; runs/score-<date>-<time> if not given."""
+    trust_code: Switch = False
+    """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
+    workers: int = 0
+    """Processes at a time; 0 is one per core. Changes no result."""
+    preset: PresetName = "fast"
+    """What `asg config PRESET` prints."""
+    frames: Count = None
+    """Frame budget of every episode; the preset's if not given."""
+    set: Changes = ()
+    """Changes of the configuration (see `asg config`), e.g. mapper.iterations=0."""
+    rooms: Annotated[tuple[int, ...], option("N [N ...]")] = (1, 2, 3)
+    """Rooms of the layouts, in turn."""
+
+    def begin(self) -> int:
+        """Prepare this process, before torch is loaded; returns the number of processes to use."""
+        # Small networks gain nothing from a second thread, and one thread makes equal results.
+        os.environ.update(capped_environment(1))
+        use_trust(self.trust_code)
+        if self.workers < 0:
+            raise InputError(f"--workers is a number of processes, or 0 for one per core, got {self.workers}")
+        return self.workers or core_count()
+
+
+def check_empty(directory: Path) -> None:
+    """Raise `InputError` if the directory holds anything."""
+    if directory.exists() and any(path.name != ".lock" for path in directory.iterdir()):
+        raise InputError(f"'{directory}' holds other files: choose another --out")

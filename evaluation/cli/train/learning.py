@@ -1,0 +1,111 @@
+"""Run a training from its beginning, or from where it was stopped."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.evaluation.cli.train.live import Live
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.training.config import TrainingConfig
+
+
+def check(config: TrainingConfig) -> None:
+    """Raise `InputError` for names of features or fields of the configuration that do not exist."""
+    from activestructure_gym.evaluation.training.config import ORACLE
+    from activestructure_gym.evaluation.training.world import world_config
+
+    extra = () if config.teacher == ORACLE or config.method == "ppo" else (config.teacher,)
+    world_config(config.world, (*config.world.gains, *extra))
+
+
+def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers: int, begun: bool) -> int:
+    """Begin or resume a training run; returns 0 when there is a checkpoint to use, 1 without one, 130 if stopped."""
+    from activestructure_gym.evaluation.archive.directory_lock import hold
+
+    console = make_console()
+    began = time.monotonic()
+    try:
+        with hold(directory), Live(console) as live:
+            if begun:
+                console.print(f"going on with {escape(str(directory))}")
+            best, validated = _run(config, directory, data, workers, live)
+    except KeyboardInterrupt:
+        words = f"asg train {config.method} --out {shlex.quote(str(directory))} --resume"
+        if data:
+            words += f" --data {shlex.quote(data)}"
+        print(f"asg: stopped; what is finished is kept, go on with: {words}", file=sys.stderr)
+        return 130
+    console.print(
+        f"{config.units} {_unit(config)}, {time.monotonic() - began:.0f} s"
+        + ("" if best is None else f"; best validation: coverage {100 * best:.1f} %")
+    )
+    console.print(f"Compare it: [bold]asg compare --policies learned:{escape(str(directory))},pixel_only[/]")
+    return 0 if validated else 1
+
+
+def _run(
+    config: TrainingConfig, directory: Path, data: str | None, workers: int, live: Live
+) -> tuple[float | None, bool]:
+    """Train; returns the best validation, and whether there is a checkpoint to use."""
+    import torch
+
+    from activestructure_gym.evaluation.training import demonstrations
+    from activestructure_gym.evaluation.training.runs import BEST, TrainingRun
+    from activestructure_gym.evaluation.training.spreading import one_thread
+    from activestructure_gym.evaluation.training.validation import Validation
+
+    torch.set_num_threads(1)
+    one_thread()
+    run = TrainingRun(directory, config)
+    validate = Validation(config, directory, live.say)
+    try:
+        if config.method == "ppo":
+            from activestructure_gym.evaluation.training.reinforcement import train_ppo, vector_env
+            from activestructure_gym.evaluation.training.spreading import single_threaded_children
+            from activestructure_gym.evaluation.training.world import TrainingEnv, learning_layouts
+
+            layouts = learning_layouts(config.world, "train", config.world.layouts)
+            live.say("starting the environments")
+            with single_threaded_children():
+                envs = vector_env(
+                    [partial(TrainingEnv, config.world, layouts)] * config.envs,
+                    processes=workers > 1 and config.envs > 1,
+                )
+            live.begin("ppo", config.units, run.position, config.envs * config.steps)
+            try:
+                train_ppo(config, envs, run, validate, live.unit)
+            finally:
+                envs.close()
+        else:
+            from activestructure_gym.evaluation.training.supervised import train_supervised
+
+            episodes = Path(data) if data else directory / demonstrations.DATA
+            live.begin(f"demonstrations of {config.teacher}", 1, 0)
+
+            def tell(done: int, total: int) -> None:
+                live.files(done, total)
+                run.timing.save()
+
+            run.timing.switch("collecting")
+            missing = demonstrations.collect(config, episodes, workers=workers, tell=tell)
+            states = demonstrations.load(config, episodes)
+            if missing:
+                run.timing.count("collecting", len(states))
+            live.begin(f"{config.method} on {len(states)} states", config.units, run.position)
+            train_supervised(config, states, run, validate, live.unit)
+    finally:
+        run.close()
+    return run.best, (directory / BEST).is_file()
+
+
+def _unit(config: TrainingConfig) -> str:
+    return "iterations" if config.method == "ppo" else "epochs"

@@ -1,0 +1,80 @@
+"""Progress of a training run, in a terminal or in a log."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+_SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
+
+
+class Live:
+    """A bar with the latest numbers; validations are printed above it and stay. A context manager."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            TextColumn("{task.fields[numbers]}"),
+            TimeRemainingColumn(),
+            TextColumn("[dim]{task.fields[stage]}"),
+            console=console,
+            refresh_per_second=4,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task: TaskID | None = None
+        self._steps, self._tenth = 0, 0
+        self._last = (0, time.monotonic())
+
+    def __enter__(self) -> Live:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def begin(self, title: str, total: int, done: int, steps: int = 0) -> None:
+        """A new bar; ``steps`` of an environment are made per unit."""
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._task = self._progress.add_task(escape(title), total=total, completed=done, numbers="", stage="")
+        self._steps, self._last = steps, (done, time.monotonic())
+        self._tenth = 0
+        if not self._console.is_terminal:
+            self._console.print(escape(title) + (f", {done} of {total} done before" if done else ""), highlight=False)
+
+    def say(self, stage: str) -> None:
+        """Show the current stage."""
+        if self._task is not None:
+            self._progress.update(self._task, stage=escape(stage))
+
+    def files(self, done: int, total: int) -> None:
+        """Move the bar of files or episodes."""
+        if self._task is not None:
+            self._progress.update(self._task, completed=done, total=total)
+        if not self._console.is_terminal and 10 * done // max(1, total) > self._tenth:
+            self._tenth = 10 * done // max(1, total)
+            self._console.print(f"[dim]{done}/{total}", highlight=False)
+
+    def unit(self, done: int, row: Mapping[str, float]) -> None:
+        """Move the bar on by an epoch or an iteration, and show the numbers of ``row``."""
+        numbers = [f"{name.rpartition('/')[2]} {row[name]:.3g}" for name in _SHOWN if name in row]
+        if self._steps and done > self._last[0]:
+            seconds = time.monotonic() - self._last[1]
+            numbers.append(f"{self._steps * (done - self._last[0]) / max(seconds, 1e-9):.0f} steps/s")
+        self._last = (done, time.monotonic())
+        if self._task is not None:
+            self._progress.update(self._task, completed=done, numbers="  ".join(numbers), stage="")
+        if "validation/normalised" in row:
+            self._console.print(
+                f"[green]✓[/] after {done}: coverage {100 * row['validation/auc']:.1f} %, normalised "
+                f"{row['validation/normalised']:.3f}[dim]  {'  '.join(numbers)}",
+                highlight=False,
+            )

@@ -1,0 +1,79 @@
+"""``asg train score``: the table that compares checkpoints and planners where nobody was trained."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from rich.markup import escape
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.fields import Names, NoNames, option
+from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, split_policies, split_scenes
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
+from activestructure_gym.evaluation.cli.train.live import Live
+
+_BASELINE = "pixel_only"
+
+
+@dataclass(frozen=True)
+class Score(Episodes):
+    """Let policies play on layouts nobody was trained on, between random (0) and the one-step oracle (1)."""
+
+    layouts: int = 24
+    """Procedural apartments to play on, one episode each."""
+    policies: Names = ("pixel_only", "hole_area")
+    """Who plays, beside random and the one-step oracle."""
+    scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "")] = ()
+    """Further scenes, each with an episode per seed."""
+    seeds: Annotated[tuple[str, ...], option("N [N ...]", "(default: 0 to 19)")] = tuple(str(n) for n in range(20))
+    """Of the episodes on --scenes; each takes the scene's next start pose."""
+    baseline: NoNames = ()
+    """Whom the others are measured against, a column for each; pixel_only if not given, where it plays."""
+
+    def run(self) -> int:
+        """Play what is not in the directory yet, print and write the table."""
+        workers = self.begin()
+
+        from activestructure_gym.config import known_preset
+        from activestructure_gym.evaluation.archive.directory_lock import hold
+        from activestructure_gym.evaluation.training import scoring
+        from activestructure_gym.evaluation.training.config import WorldConfig
+        from activestructure_gym.evaluation.training.world import world_config
+        from activestructure_gym.policies import canonical_policy, make_policy
+
+        console = make_console()
+        policies = [canonical_policy(name) for name in split_policies(self.policies)]
+        asked = self.baseline or tuple(name for name in policies if name == _BASELINE)
+        baselines = [canonical_policy(name) for name in split_policies(asked)]
+        for baseline in baselines:
+            if baseline not in (*policies, scoring.RANDOM):
+                raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{baseline}'")
+        world = WorldConfig(
+            rooms=self.rooms, preset=known_preset(self.preset), frames=self.frames, noise=False,
+            overrides=tuple(parse_overrides(self.set).items()),
+        )  # fmt: skip
+        for name in policies:
+            world_config(world, tuple(make_policy(name).required_gains))
+        cells = scoring.cells(self.layouts, world.rooms, split_scenes(self.scenes), parse_seeds(self.seeds))
+        directory = Path(self.out or time.strftime("runs/score-%Y%m%d-%H%M%S"))
+        if not (directory / scoring.RECORD).is_file():
+            check_empty(directory)
+        with hold(directory), Live(console) as live:
+            live.begin("episodes", len(cells), 0)
+            live.say(f"{len(policies) + 2} policies each, {workers} at a time")
+            scoring.play_cells(world, policies, cells, directory, workers=workers, tell=live.files)
+        rows = scoring.table(directory, policies, cells, baselines)
+        (directory / "score.md").write_text(scoring.markdown(rows, baselines), encoding="utf-8")
+        shown = plain_table(
+            "mean coverage over the budget; normalised: 0 = random, 1 = one-step oracle; 95 %",
+            *scoring.headings(rows, baselines),
+        )
+        for entries in scoring.entries(rows):
+            shown.add_row(*map(escape, entries))
+        print_whole(console, shown)
+        console.print(f"written: {escape(str(directory / 'score.md'))}")
+        return 0

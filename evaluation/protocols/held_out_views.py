@@ -1,0 +1,119 @@
+"""Held-out views: where a finished map is looked at from, and what is truly seen there."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.ground_truth import FreeSpace, GroundTruth
+from activestructure_gym.scenes.cache import cached_arrays
+from activestructure_gym.scenes.scene import Scene
+from activestructure_gym.sensors.renderer import make_renderer
+
+# A view straight at the floor or the ceiling shows one texture and tells little; 45 deg keeps all furniture in play.
+_STEEPEST_DEG = 45.0
+_MIN_CLEARANCE = 0.3  # metres from the camera to the nearest surface, as for candidate views
+
+# Raised whenever the drawing or the rendering of views changes, so that no old cache file is read.
+_CACHE_VERSION = 1
+
+
+@dataclass(frozen=True)
+class HeldOutViews:
+    """Views no planner has been told about."""
+
+    camera: PinholeCamera
+    world_from_camera: np.ndarray  # [V, 4, 4]
+    rgb: np.ndarray  # [V, H, W, 3] uint8
+    depth: np.ndarray  # [V, H, W] float32 metres, 0 = no surface
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+
+def free_space_views(
+    known: GroundTruth,
+    *,
+    count: int,
+    camera: PinholeCamera,
+    supersample: int = 4,  # 4 x 4 rays per pixel: what the truth looks like must not depend on aliasing
+) -> HeldOutViews:
+    """``count`` views drawn uniformly in the scene's free space, the same ones for every run on this scene.
+
+    The first n of them do not depend on ``count``. Rendered once and cached by the scene's content. Raises
+    `InputError` where the scene has no free space, and for more than 1024 views.
+    """
+    if count > _POSES_DRAWN:
+        raise InputError(f"at most {_POSES_DRAWN} held-out views can be drawn, got {count}")
+    scene = known.scene
+    key = f"views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{count}-{camera}-{supersample}"
+    arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(known, count), camera, supersample))
+    return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
+
+
+def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, supersample: int) -> HeldOutViews:
+    """The scene as seen from ``poses`` [V, 4, 4] world_from_camera. Rendered once and cached by content and poses."""
+    digest = hashlib.sha256(np.ascontiguousarray(poses, dtype="<f8").tobytes()).hexdigest()[:16]
+    key = f"posed-views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{digest}-{camera}-{supersample}"
+    arrays = cached_arrays(key, lambda: _render(scene, poses, camera, supersample))
+    return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
+
+
+def roomiest_circle(space: FreeSpace) -> tuple[tuple[float, float, float], float]:  # centre, radius in metres
+    """A horizontal circle around the free place that is farthest from every surface, of at most 1 m radius.
+
+    Every point of it keeps the distance from surfaces that held-out views keep, or half of what there is.
+    """
+    voxel = np.unravel_index(int(space.clearance.argmax()), space.clearance.shape)
+    clearance = float(space.clearance[voxel])
+    x, y, z = (float(value) for value in space.centers(np.array(voxel)))
+    return (x, y, z), min(1.0, max(clearance - _MIN_CLEARANCE, 0.5 * clearance))
+
+
+def recorded_views(scene: Scene, *, count: int) -> HeldOutViews:
+    """At most ``count`` of the recorded views that came with the scene, evenly spaced over the recording."""
+    sequence = scene.evaluation_views
+    if sequence is None or not len(sequence):
+        raise InputError(f"scene '{scene.name}' came without recorded views; use views drawn in free space instead")
+    chosen = np.unique(np.linspace(0, len(sequence) - 1, min(count, len(sequence))).round().astype(int))
+    frames = [sequence.frame(int(index)) for index in chosen]
+    return HeldOutViews(
+        camera=frames[0].camera,
+        world_from_camera=np.stack([frame.world_from_camera for frame in frames]),
+        rgb=np.stack([frame.rgb for frame in frames]),
+        depth=np.stack([frame.depth for frame in frames]),
+    )
+
+
+def _draw_poses(known: GroundTruth, count: int) -> np.ndarray:  # [count, 4, 4]
+    seed = int(known.scene.content_hash[:16], 16)
+    positions, directions = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
+    # Uniform over the band of the sphere: the height of a uniform point on it is uniform.
+    height = np.sin(np.radians(_STEEPEST_DEG)) * directions.uniform(-1.0, 1.0, _POSES_DRAWN)[:count]
+    azimuth = directions.uniform(0.0, 2.0 * np.pi, _POSES_DRAWN)[:count]
+    across = np.sqrt(1.0 - height**2)
+    looking = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
+    places = known.free_space.sample_positions(_POSES_DRAWN, positions, min_clearance=_MIN_CLEARANCE)[:count]
+    return np.stack([look_along(place, direction) for place, direction in zip(places, looking)])
+
+
+# Poses are always drawn for this many views and cut to the number asked for, so that a shorter evaluation looks at
+# a subset of a longer one's views.
+_POSES_DRAWN = 1024
+
+
+def _render(scene: Scene, poses: np.ndarray, camera: PinholeCamera, supersample: int) -> dict[str, np.ndarray]:
+    renderer = make_renderer("raycast", scene)
+    try:
+        images = [renderer.render(camera, pose, supersample=supersample) for pose in poses]
+    finally:
+        renderer.close()
+    return {
+        "world_from_camera": poses,
+        "rgb": np.stack([rgb for rgb, _ in images]),
+        "depth": np.stack([depth for _, depth in images]),
+    }

@@ -1,0 +1,1 @@
+"""Running jobs: one episode, its worker, the engines, a whole comparison."""

@@ -1,0 +1,310 @@
+"""Comparing policies: scenes x policies x seeds under one budget, checked before anything is written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
+from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.machine import hardware as machine
+from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
+from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
+from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
+from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
+from activestructure_gym.evaluation.running.warmup import warming_up
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+    from activestructure_gym.scenes import Scene
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Scenes, policies, seeds and the conditions that all of them share."""
+
+    scenes: Sequence[str]  # texts as `load_scene` takes them
+    policies: Sequence[str]  # names with options
+    seeds: Sequence[int] = (0,)  # equal seeds share start and noise
+    preset: Preset = "default"  # of the configuration
+    frame_budget: int | None = None  # frames; None = the preset's
+    overrides: Mapping[str, Any] = field(default_factory=dict)  # of the preset's fields
+    start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg
+    protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what maps are measured by
+    also_protocols: Sequence[str] = ()  # every finished map is measured by these too
+    recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
+
+    def __post_init__(self) -> None:
+        for name in ("scenes", "policies", "seeds"):
+            given = getattr(self, name)
+            if not given:
+                raise InputError(f"a comparison needs at least one of {name}, got none")
+            object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
+        object.__setattr__(self, "scenes", tuple(absolute_spec(spec) for spec in self.scenes))
+
+    @classmethod
+    def of(cls, jobs: Sequence[Job]) -> Comparison:
+        """The smallest comparison that has all of these jobs, which were made under the same conditions."""
+        first = jobs[0]
+        return cls(
+            scenes=[job.scene for job in jobs],
+            policies=[job.policy for job in jobs],
+            seeds=[job.seed for job in jobs],
+            preset=first.preset,
+            frame_budget=first.frame_budget,
+            overrides=dict(first.overrides),
+            start_pose=first.start_pose,
+            protocol=first.protocol,
+            also_protocols=first.also,
+            recorded={job.scene: job.scene_hash for job in jobs},
+        )
+
+    def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
+        """Check everything a job could fail on, and compute what all jobs of a scene share.
+
+        Loads every scene, finds its free space, and fills the cache with its observable surface and its held-out
+        views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
+        stopped early has compared something. Raises `InputError` for the first thing that cannot work.
+        """
+        policies = self._check_policies()
+        hashes = {}
+        with warming_up(policies, self.overrides, notify):
+            for number, spec in enumerate(self.scenes, start=1):
+                notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
+                hashes[spec] = self._check_scene(spec).content_hash
+            notify("making sure that all kernels are compiled")
+        return [
+            Job(
+                scene=scene,
+                policy=policy,
+                seed=seed,
+                scene_hash=hashes[scene],
+                preset=self.preset,
+                frame_budget=self.frame_budget,
+                overrides=tuple(self.overrides.items()),
+                start_pose=self.start_pose,
+                protocol=self.protocol,
+                also=tuple(self.also_protocols),
+            )
+            for seed in self.seeds
+            for scene in self.scenes
+            for policy in policies
+        ]
+
+    def _check_policies(self) -> list[str]:
+        """Canonical names of the policies, each once; raises `InputError` where a policy or a change cannot be used."""
+        from activestructure_gym.config import configure
+        from activestructure_gym.policies import canonical_policy, make_policy
+
+        configure(self.preset, self.overrides)  # what policies replace must be usable too
+        changes = dict(self.overrides)
+        if self.frame_budget is not None:
+            changes["frame_budget"] = self.frame_budget
+        for spec in self.policies:
+            configure(self.preset, changes | {"gains": tuple(make_policy(spec).required_gains)})
+        for seed in self.seeds:
+            Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
+        return list(dict.fromkeys(canonical_policy(spec) for spec in self.policies))
+
+    def _check_scene(self, spec: str) -> Scene:
+        from activestructure_gym.config import configure
+        from activestructure_gym.envs.reconstruction_env import as_pose
+        from activestructure_gym.ground_truth import check_start_pose, ground_truth_of
+        from activestructure_gym.volume.voxel_volume import grid_shape
+
+        scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
+        known = ground_truth_of(scene)
+        config = configure(self.preset, self.overrides)
+        grid_shape(scene.bounds, config.volume.voxel_size)
+        if not len(known.free_space.start_poses) and self.start_pose is None:
+            raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
+        if self.start_pose is not None:
+            check_start_pose(known.free_space, scene.bounds, as_pose(self.start_pose), config.motion.body_radius)
+        self.protocol.truth(known)
+        for name in self.also_protocols:
+            get_protocol(name).truth(known)
+        return scene
+
+
+@dataclass(frozen=True)
+class Result:
+    """Finished, failed, skipped and missing jobs of a comparison."""
+
+    runs: list[Run]  # every finished job of the grid, those of earlier sittings included
+    failed: list[Outcome]  # with the error of each
+    skipped: int  # of the jobs asked for: finished before, and not run again
+    missing: int = 0  # jobs of earlier sittings that are not finished and were not asked for
+
+
+def check_output(directory: Path, *, resume: bool) -> None:
+    """Refuse a directory that cannot be written, or that holds something else; raises `InputError`."""
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
+    if directory.is_dir():
+        check_free(directory)
+        if (directory / store.COMPARISON).is_file():
+            if not resume:
+                raise InputError(
+                    f"'{directory}' holds a comparison already; add --resume to go on, or choose another one"
+                )
+        elif resume and (directory / store.JOBS).is_dir():
+            pass  # its record is lost, its runs are not
+        elif any(not _is_ours(path) for path in directory.iterdir()):
+            raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
+    parent = directory
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir():
+        raise InputError(f"the output '{directory}' cannot be made: '{parent}' is a file")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise InputError(f"the output '{directory}' cannot be written: no permission in '{parent}'")
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a comparison that was killed before it wrote its record can have left this file."""
+    return path.name == LOCK or path.name.startswith(f".{store.COMPARISON}.")
+
+
+def jobs_to_resume(directory: Path, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
+    """The jobs of a comparison that was begun, checked like those of a new one; raises `InputError`."""
+    recorded = recorded_jobs(directory)
+    if not recorded:
+        raise InputError(f"there is no comparison in '{directory}' to go on with; say what to compare, or check --out")
+    refuse_code(recorded, directory / store.COMPARISON)
+    prepared = {job.name: job for job in Comparison.of(recorded).prepare(notify)}
+    # Raises for a scene that has changed.
+    merged(recorded, list(prepared.values()), directory)
+    return recorded
+
+
+def run_comparison(
+    jobs: Sequence[Job],
+    directory: Path,
+    listener: Listener,
+    *,
+    engine: str = "local",
+    limits: Limits | None = None,  # the usual ones
+    resume: bool = False,
+    command: str = "",  # how the comparison was asked for; kept in the archive
+    held: int | None = None,  # the descriptor that `directory_lock.hold` gave for the directory
+    tell: Callable[[str], None] = lambda _: None,  # hears of every damaged run
+) -> Result:
+    """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
+
+    Unfinished jobs are never counted, finished ones never repeated unless their files are damaged. Jobs of earlier
+    sittings stay part of the comparison. Raises `InputError` where the jobs cannot stand beside those, see
+    `resuming.merged`. Call `check_output` first, and hold the directory.
+
+    Parameters
+    ----------
+    jobs
+        From `Comparison.prepare`, or those of a comparison that is gone on with.
+    directory
+        Where results go; see `archive.store`.
+    listener
+        Who is told how the jobs get on.
+    engine
+        ``"local"``, ``"inline"`` or ``"ray"``.
+    limits
+        Jobs at a time, minutes per job, further attempts.
+    resume
+        Whether there may be a comparison in the directory.
+    command
+        How the comparison was asked for; kept in the archive.
+    held
+        The descriptor that `directory_lock.hold` gave for the directory.
+    tell
+        Hears of every damaged run, which counts as not finished.
+
+    Returns
+    -------
+    Result
+        All finished runs, and what became of the others.
+
+    Raises
+    ------
+    InputError
+        The jobs cannot stand beside those that the directory records, or the engine is unknown.
+    """
+    chosen, limits = get_engine(engine), limits or Limits()
+    recorded = recorded_jobs(directory)
+    if recorded and not resume:
+        raise InputError(f"'{directory}' holds a comparison already; add --resume to go on, or choose another one")
+    everything = merged(recorded, jobs, directory)
+    store.remove_parts(directory / store.JOBS)
+    for path in directory.glob(f".{store.COMPARISON}.*"):
+        path.unlink(missing_ok=True)
+    for job in everything:
+        place = run_directory(directory, job)
+        if store.is_done(place, job) and (damage := store.damage_of(place, job)):
+            store.set_aside(place)
+            tell(f"{job.title} counts as not finished: {damage}")
+    todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
+    slots = chosen.slots(len(todo), limits) if todo else 1
+    record = _record(everything, read_record(directory), engine=engine, slots=slots, command=command)
+    store.write_json(directory / store.COMPARISON, record)
+    listener.begin(todo, len(jobs) - len(todo))
+    watch = _Recording(listener, directory, record)
+    if todo:
+        chosen.run(todo, directory, watch, limits, keep_open=() if held is None else (held,))
+    asked = {job.name for job in jobs}
+    missing = [
+        job for job in everything if job.name not in asked and not store.is_done(run_directory(directory, job), job)
+    ]
+    return Result(finished_runs(directory, everything), watch.failed, len(jobs) - len(todo), len(missing))
+
+
+def _record(
+    jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
+) -> dict[str, Any]:
+    """The content of ``compare.json``; the command is the first sitting's, those of later ones stand beside it."""
+    return {
+        "format": store.FORMAT_VERSION,
+        "command": before["command"] if before else command,
+        "resumed": [*before.get("resumed", []), command] if before else [],
+        "engine": engine,
+        "workers": slots,
+        "jobs": {job.name: job.as_dict() for job in jobs},
+        "failed": {},
+        "attempts": dict(before.get("attempts", {})) if before else {},
+        "versions": machine.versions(),
+        "hardware": machine.hardware(),
+    }
+
+
+class _Recording:
+    """Passes everything on, and keeps in the record what failed and what took several attempts."""
+
+    def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
+        self._listener, self._directory, self._content = listener, directory, record
+        self.failed: list[Outcome] = []
+
+    def begin(self, jobs: Sequence[Job], finished: int) -> None:
+        """See `Listener`."""
+        self._listener.begin(jobs, finished)
+
+    def progress(self, job: Job, progress: Progress) -> None:
+        """See `Listener`."""
+        self._listener.progress(job, progress)
+
+    def again(self, job: Job, error: str) -> None:
+        """See `Listener`."""
+        self._listener.again(job, error)
+
+    def ended(self, outcome: Outcome) -> None:
+        """See `Listener`."""
+        if not outcome.finished:
+            self.failed.append(outcome)
+            self._content["failed"][outcome.job.title] = outcome.error
+        if outcome.attempts > 1:
+            self._content["attempts"][outcome.job.name] = outcome.attempts
+        if not outcome.finished or outcome.attempts > 1:
+            store.write_json(self._directory / store.COMPARISON, self._content)
+        self._listener.ended(outcome)

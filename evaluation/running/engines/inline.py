@@ -1,0 +1,41 @@
+"""One job after the other in this process: for debugging, and for one core."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
+from activestructure_gym.evaluation.running.episode import run_job
+
+
+def run_inline(
+    jobs: Sequence[Job], directory: Path, listener: Listener, limits: Limits, *, keep_open: Sequence[int] = ()
+) -> list[Outcome]:
+    """Run all jobs; one that fails is reported and the others go on. What kills a job here kills the comparison."""
+    outcomes = []
+    for job in jobs:
+        outcome = Outcome(job)
+        try:
+            run_job(job, run_directory(directory, job), partial(listener.progress, job))
+        except Exception as error:  # a third party's policy may raise anything
+            log = directory / LOGS / f"{job.name}.log"
+            log.parent.mkdir(parents=True, exist_ok=True)
+            log.write_text(traceback.format_exc(), encoding="utf-8")
+            outcome = Outcome(job, f"{type(error).__name__}: {error}")
+        listener.ended(outcome)
+        outcomes.append(outcome)
+    return outcomes
+
+
+def _check(limits: Limits) -> None:
+    if limits.timeout:
+        raise InputError("engine 'inline' cannot stop a run; give --timeout with engine 'local'")
+
+
+ENGINE = Engine(run_inline, slots=lambda jobs, limits: 1, check=_check)

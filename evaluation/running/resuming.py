@@ -1,0 +1,89 @@
+"""Going on with a comparison: what its record says, and which jobs may be added to it.
+
+A comparison has one set of conditions (preset, budget, overrides, start, protocols) and one version of every scene and
+of this package. Its grid may grow; no job ever leaves it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from activestructure_gym._version import __version__
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record
+from activestructure_gym.evaluation.archive.jobs import Job
+
+# What tells the cells of one grid apart; whatever else a job has is the same for all of them.
+_CELL = ("scene", "scene_hash", "policy", "seed")
+
+
+def recorded_jobs(directory: Path) -> list[Job]:
+    """The jobs a comparison was begun with, none where there is no record; `InputError` if by another version."""
+    record = read_record(directory)
+    if record is None:
+        return []
+    jobs = jobs_of(record, directory)
+    if [job.name for job in jobs] != list(record["jobs"]):
+        versions = record.get("versions") or {}
+        raise InputError(
+            f"'{directory}' was begun with version {versions.get('activestructure-gym', 'unknown')} of "
+            f"activestructure-gym, this is {__version__}: results are not mixed, begin a new comparison"
+        )
+    return jobs
+
+
+def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> list[Job]:
+    """The jobs of the record and those that are new; raises `InputError` where they do not belong into one table."""
+    if recorded and asked:
+        _check_conditions(conditions(recorded[0]), conditions(asked[0]), directory)
+        hashes = {job.scene: job.scene_hash for job in recorded}
+        for job in asked:
+            if hashes.get(job.scene, job.scene_hash) != job.scene_hash:
+                raise InputError(
+                    f"scene '{job.scene}' has changed since '{directory}' was begun: begin a new comparison"
+                )
+    return list({job.name: job for job in (*recorded, *asked)}.values())
+
+
+def conditions(job: Job) -> dict[str, Any]:
+    """The conditions that a job shares with all others of its comparison, in JSON's types."""
+    content: dict[str, Any] = json.loads(json.dumps(store.plain(job.as_dict())))
+    return {key: value for key, value in content.items() if key not in _CELL}
+
+
+def _check_conditions(before: Mapping[str, Any], asked: Mapping[str, Any], directory: Path) -> None:
+    if before == asked:
+        return
+    old, new = _flat(before), _flat(asked)
+    different = [
+        f"{name} was {_words(old.get(name))}, asked for is {_words(new.get(name))}"
+        for name in dict.fromkeys((*old, *new))
+        if old.get(name) != new.get(name)
+    ]
+    raise InputError(
+        f"'{directory}' was begun under other conditions ({'; '.join(different)}): give --out and --resume alone to go "
+        "on with it, or choose another --out"
+    )
+
+
+def _flat(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested names joined by dots."""
+    flat: dict[str, Any] = {}
+    for name, value in content.items():
+        if isinstance(value, dict):
+            flat |= {f"{name}.{inner}": entry for inner, entry in _flat(value).items()}
+        else:
+            flat[name] = value
+    return flat
+
+
+def _words(value: Any) -> str:
+    if value is None:
+        return "not given"
+    if isinstance(value, list) and all(isinstance(entry, dict) for entry in value):  # protocols
+        return ", ".join(str(entry.get("name", entry)) for entry in value) or "none"
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,116 @@
+"""`Candidates`: the candidate views of one observation with their features by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from activestructure_gym.envs.observation import candidate_columns, feature_columns
+from activestructure_gym.errors import InputError
+
+Observation = dict[str, np.ndarray]
+
+(_LENGTH,), (_FRAMES,), (_REVISIT,) = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
+_XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
+
+
+class Candidates:
+    """The K candidate views of an observation. Arrays are those of the observation: change none of them.
+
+    Parameters
+    ----------
+    observation : mapping of str to array
+        Of one env, as `ReconstructionEnv` returns it.
+    columns : sequence of str, optional
+        Full names of the columns of ``candidate_gains``, in order: ``env.config.gains`` or ``info["gains"]``. Without
+        them there are no features to be read.
+    reader : str
+        Who reads, for the errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> views = {"candidates": np.array([[0, 0, 1, 1, 0, 0, 2.5, 30, 0]]), "action_mask": np.array([1])}
+    >>> seen = Candidates(views | {"candidate_gains": np.array([[0.25]])}, ("pixel",))
+    >>> seen.path_length, seen.valid, seen["pixel"]
+    (array([2.5]), array([ True]), array([0.25]))
+    """
+
+    def __init__(
+        self, observation: Mapping[str, np.ndarray], columns: Sequence[str] | None = None, reader: str = "this policy"
+    ) -> None:
+        self._observation, self._columns, self._reader = observation, columns, reader
+
+    def __len__(self) -> int:
+        return len(self._observation["action_mask"])
+
+    @property
+    def xyz(self) -> np.ndarray:  # [K, 3]
+        """Camera positions, metres in the world."""
+        return self._table[:, _XYZ]
+
+    @property
+    def look(self) -> np.ndarray:  # [K, 3]
+        """Viewing directions: unit vectors in the world; 0 in rows without a candidate."""
+        return self._table[:, _LOOK]
+
+    @property
+    def path_length(self) -> np.ndarray:  # [K]
+        """Metres of the shortest way through space that is known to be free."""
+        return self._table[:, _LENGTH]
+
+    @property
+    def frames(self) -> np.ndarray:  # [K]
+        """The least number of frames that the move costs."""
+        return self._table[:, _FRAMES]
+
+    @property
+    def revisit(self) -> np.ndarray:  # [K] bool
+        """Which ones are the pose of a stored keyframe."""
+        return self._table[:, _REVISIT] > 0
+
+    @property
+    def valid(self) -> np.ndarray:  # [K] bool, a new array
+        """Which rows hold a candidate."""
+        return self._observation["action_mask"].astype(bool)
+
+    def __getitem__(self, column: str) -> np.ndarray:  # [K]
+        """The column of this full name, such as ``"hole_area"`` or ``"gs_planner_volume"``.
+
+        Raises `InputError` where the names of the columns are not known, or this one is not among them.
+        """
+        return self._columns_of(column, (column,))[:, 0]
+
+    def feature(self, name: str) -> np.ndarray:  # [K, C]
+        """All columns of a feature, in its order. Raises `InputError` as `__getitem__` does, or if it is unknown."""
+        return self._columns_of(name, None)
+
+    @property
+    def _table(self) -> np.ndarray:  # [K, 9]
+        return self._observation["candidates"]
+
+    def _columns_of(self, asked: str, names: tuple[str, ...] | None) -> np.ndarray:  # [K, C]
+        """The columns ``names``, or without them those of the feature ``asked``."""
+        known, table, who = self._columns, self._observation["candidate_gains"], self._reader
+        if known is None:
+            raise InputError(
+                f"{who} does not know which column of the observation is the feature '{asked}': call policy.bind(env) "
+                "before act(), or make both with env, policy = make_env_and_policy(...)"
+            )
+        if table.shape[1:] != (len(known),):
+            raise InputError(
+                f"{who} is bound to an env with the gains {listed(known)}, but this observation's candidate_gains "
+                f"has the shape {table.shape}: call policy.bind(env) with the env that made it"
+            )
+        names = feature_columns(asked) if names is None else names
+        if not set(names) <= set(known):
+            raise InputError(
+                f"{who} reads the gain '{asked}', and the env offers {listed(known)}: name it in required_gains"
+            )
+        return table[:, [known.index(name) for name in names]]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names joined for a sentence."""
+    return ", ".join(names) or "none"

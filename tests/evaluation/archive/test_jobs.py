@@ -1,0 +1,147 @@
+import json
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import jobs
+from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.protocols import StandardProtocol
+
+JOB = Job("room", "random", 3, scene_hash="abc", overrides=(("sensor.width", 96), ("mapper.iterations", 2)))
+
+
+def test_a_job_survives_json():
+    job = Job("a.glb", "p:Q", 1, frame_budget=7, start_pose=(1, 2, 3, 4), protocol=StandardProtocol(views=3))
+    assert Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
+    assert Job.from_dict(json.loads(json.dumps(JOB.as_dict()))).hash == JOB.hash
+
+
+def test_the_hash_does_not_depend_on_the_order_of_overrides_nor_on_how_the_scene_is_named():
+    turned = Job("room", "random", 3, scene_hash="abc", overrides=JOB.overrides[::-1])
+    assert turned == JOB
+    assert Job("other/path/to/it", "random", 3, scene_hash="abc", overrides=JOB.overrides).hash == JOB.hash
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"policy": "pixel_only"},
+        {"policy": "random?travel=shared"},
+        {"seed": 4},
+        {"scene_hash": "abd"},
+        {"preset": "fast"},
+        {"frame_budget": 10},
+        {"overrides": ()},
+        {"start_pose": (0.0, 0.0, 1.0, 0.0)},
+        {"protocol": StandardProtocol(opacity_threshold=0.4)},
+    ],
+)
+def test_whatever_decides_the_numbers_is_in_the_hash(change):
+    content = {"scene": "room", "policy": "random", "seed": 3, "scene_hash": "abc", "overrides": JOB.overrides}
+    assert Job(**(content | change)).hash != JOB.hash
+
+
+def test_the_hash_is_the_same_in_every_process_and_release(monkeypatch):
+    # Written down once. Whoever moves it makes every stored result of the same version unfindable.
+    monkeypatch.setattr(jobs, "__version__", "test")
+    assert Job("box", "random", 0, scene_hash="0" * 64).hash == "c18cfef47063"
+
+
+def test_wrong_numbers_are_refused():
+    with pytest.raises(InputError, match="frame budget must be at least 1, got 0"):
+        Job("box", "random", 0, frame_budget=0)
+    with pytest.raises(InputError, match="seed"):
+        Job("box", "random", -1)
+
+
+def test_a_result_of_another_protocol_version_is_not_mixed_in():
+    content = JOB.as_dict()
+    content["protocol"]["version"] = 99
+    with pytest.raises(InputError, match="version 99"):
+        Job.from_dict(content)
+
+
+@pytest.mark.parametrize(
+    "spec, label",
+    [
+        ("room", "room"),
+        ("apartment?seed=3&rooms=4", "apartment?seed=3&rooms=4"),
+        ("some/where/hotel_room.glb", "hotel_room"),
+        ("some/where/house.obj?units=cm", "house?units=cm"),
+        ("replica:data/room_0", "room_0"),
+        ("my_scene:cube_room?side=5", "cube_room?side=5"),
+        ("data/room_0?sequence=/somewhere/else/seq_0", "room_0?sequence=seq_0"),
+    ],
+)
+def test_short_names_of_scenes(spec, label):
+    assert scene_label(spec) == label
+
+
+def test_files_of_one_name_are_told_apart():
+    labels = scene_labels(dict.fromkeys(("a/scene.glb", "b/scene.glb", "room"), ""))
+    assert labels == {"a/scene.glb": "a/scene", "b/scene.glb": "b/scene", "room": "room"}
+    # However deep they lie, the place of neither is told; nor where only folders in options differ.
+    deep = [f"/home/me/{name}/1/2/3/4/scene.glb" for name in "ab"]
+    assert list(scene_labels(dict.fromkeys(deep, "")).values()) == ["a/1/2/3/4/scene", "b/1/2/3/4/scene"]
+    options = [f"room.glb?sequence=/home/{name}/views" for name in "ab"]
+    labels = scene_labels(dict.fromkeys(options, ""))
+    assert list(labels.values()) == ["room?sequence=views (1)", "room?sequence=views (2)"]
+
+
+def test_a_label_never_holds_a_whole_path():
+    assert scene_label("/scene.glb", parts=3) == "scene"
+    files = [f"/{disk}/home/me/sets/scene.glb" for disk in "abc"]
+    labels = scene_labels({spec: digit * 64 for spec, digit in zip(files, "122")})
+    assert labels == dict(zip(files, ["scene@11111111", "scene@22222222 (1)", "scene@22222222 (2)"]))
+
+
+def test_files_are_found_from_any_directory(tmp_path, monkeypatch):
+    (tmp_path / "house.obj").touch()
+    monkeypatch.chdir(tmp_path)
+    assert absolute_spec("house.obj?units=cm") == f"{tmp_path}/house.obj?units=cm"
+    assert absolute_spec("house.obj?sequence=./house.obj") == f"{tmp_path}/house.obj?sequence={tmp_path}/house.obj"
+    assert absolute_spec("mesh:house.obj") == f"mesh:{tmp_path}/house.obj"
+    assert absolute_spec("room?seed=1") == "room?seed=1"
+
+
+def test_run_directory_names_work_on_any_system():
+    job = Job("my_scene:cube?side=5&x=a/b", "my_policy:Mine", 0)
+    assert set(job.name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
+    assert job.name.endswith(job.hash)
+    assert slug("../..") == "unnamed"
+    assert Job("room", "naruto?travel=shared", 0).name.startswith("room--naruto-travel-shared--seed0--")
+
+
+@pytest.mark.parametrize("change", [{"scene": "a\nb.glb"}, {"policy": "random?a=\x1b[2J"}, {"scene": "\u2028"}])
+def test_names_that_no_table_can_hold_are_refused_before_anything_runs(change):
+    with pytest.raises(InputError, match="has a line break or a control character in its name: rename it") as error:
+        Job(**({"scene": "room", "policy": "random", "seed": 0} | change))
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_run_directory_s_name_fits_into_a_file_system():
+    assert len(Job("a" * 250 + ".glb", "p:" + "b" * 250, 2**62).name) <= 255
+
+
+@pytest.mark.parametrize(
+    "change, what",
+    [
+        ({"scene": "subprocess:getoutput?cmd=touch hacked"}, "scene"),
+        ({"scene": "room:getoutput"}, "scene"),  # a generated scene's name is no reader's
+        ({"policy": "os:system?command=touch hacked"}, "policy"),
+        ({"overrides": (("gains", ["pixel", "os:system"]),)}, "feature"),
+        ({"overrides": (("gains", "os:system"),)}, "feature"),
+    ],
+)
+def test_what_a_record_names_is_not_imported(change, what, monkeypatch):
+    job = Job(**({"scene": "room", "policy": "random", "seed": 0} | change))
+    with pytest.raises(InputError, match=f"'compare.json' names the {what} .* add --trust-code"):
+        refuse_code([JOB, job], "compare.json")
+    monkeypatch.setenv("ASG_TRUST_CODE", "1")
+    refuse_code([job], "compare.json")
+
+
+@pytest.mark.parametrize("scene", ["room?seed=3", "a/b.glb?up=y", "mesh:c:d.obj", "replica:room_0", "nothing_known"])
+@pytest.mark.parametrize("policy", ["random", "naruto?travel=shared", "learned:runs/bc@01234567"])
+def test_registered_names_and_files_are_taken_from_a_record(scene, policy):
+    refuse_code([Job(scene, policy, 0, overrides=(("gains", ["pixel"]),))], "compare.json")

@@ -1,0 +1,3 @@
+"""The scenes with known answers of the sensors' tests."""
+
+from tests.sensors.conftest import box_room  # noqa: F401

@@ -1,0 +1,58 @@
+import pytest
+
+from activestructure_gym.evaluation.benchmarks import policies as policy_benchmark
+from activestructure_gym.evaluation.benchmarks.policies import run_policy_benchmark
+from activestructure_gym.mapping.information import KeyframeInformation
+from activestructure_gym.mapping.reliability import DirectionalReliability
+
+
+def test_a_row_per_policy_on_one_state():
+    said = []
+    rows = run_policy_benchmark(
+        "box", policies=["random", "pixel_only"], preset="fast", gaussians=1, frames=12, repeats=2,
+        notify=said.append,
+    )  # fmt: skip
+    assert [row["policy"] for row in rows] == ["random", "pixel_only"]
+    states = [[row[key] for key in ("candidates", "gaussians", "keyframes", "threads")] for row in rows]
+    assert states[0] == states[1] and min(states[0]) > 0
+    for row in rows:
+        low, high = row["quartiles"]
+        assert 0 < low <= row["decision_s"] <= high
+        assert row["decision_s"] >= max(row["gains_s"], row["policy_s"], row["offer_s"]) > 0
+    assert rows[1]["gains_s"] > rows[0]["gains_s"]  # random asks for none
+    assert any("exploring" in line for line in said) and said[-1] == "round 2 of 2: random"
+
+
+def test_the_row_by_hand():
+    times = [
+        {"planning": 0.1, "gains": gains, "policy": 0.01, "cpu": 1.0} for gains in (0.05, 0.08, 0.09, 0.06, 9.0)
+    ]  # fmt: skip
+    row = policy_benchmark._row("activestructure", times)
+    assert row["decision_s"] == pytest.approx(0.19) and row["limit"] == "under 0.2"
+    assert row["quartiles"] == pytest.approx((0.17, 0.2)) and row["gains_s"] == pytest.approx(0.08)
+    times[0]["gains"] = times[3]["gains"] = 0.3
+    assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.2"
+    assert policy_benchmark._row("naruto", times)["limit"] == "under 2"
+
+
+def test_new_keyframes_are_measured_in_every_round(monkeypatch):
+    measured, voted = [], []
+    measure, vote = KeyframeInformation._measure, DirectionalReliability._vote
+    monkeypatch.setattr(KeyframeInformation, "_measure", lambda *a: (measured.append(a[1]), measure(*a))[1])
+    monkeypatch.setattr(DirectionalReliability, "_vote", lambda *a: (voted.append(a[1]), vote(*a))[1])
+    decide, spent = policy_benchmark._decision, {}
+
+    def counting(env, name):
+        before = len(measured), len(voted)
+        seconds = decide(env, name)
+        spent.setdefault(name, []).append((len(measured) - before[0], len(voted) - before[1]))
+        return seconds
+
+    monkeypatch.setattr(policy_benchmark, "_decision", counting)
+    rows = run_policy_benchmark(
+        "box", policies=["gauss_mi_pure", "fisherrf_pure"], preset="fast", gaussians=1, frames=12, repeats=2
+    )
+    votes, shares = spent["gauss_mi_pure"], spent["fisherrf_pure"]
+    assert votes[0][1] > 0 and len({*votes}) == 1
+    assert shares[0][0] > 0 and len({*shares}) == 1
+    assert votes[0][1] < rows[0]["keyframes"]  # the others voted before

@@ -1,0 +1,125 @@
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running import comparison as module
+from activestructure_gym.evaluation.running.comparison import Comparison, check_output
+from activestructure_gym.evaluation.running.warmup import smallest_job, warming_up
+
+
+@pytest.fixture
+def no_warm_up(monkeypatch):
+    """Nothing is compiled in another process, and a scene's truth is left alone."""
+    from contextlib import nullcontext
+
+    monkeypatch.setattr(module, "warming_up", lambda *_: nullcontext())
+    monkeypatch.setattr(StandardProtocol, "truth", lambda self, scene: None)
+
+
+def test_the_grid_has_its_seeds_outside(no_warm_up):
+    jobs = Comparison(["box", "box?seed=1", "box"], ["random", "pixel_only"], seeds=[3, 4]).prepare()
+    cells = [(job.seed, job.scene, job.policy) for job in jobs]
+    assert cells == list(itertools.product((3, 4), ("box", "box?seed=1"), ("random", "pixel_only")))
+    assert len({job.hash for job in jobs}) == 8
+    assert all(len(job.scene_hash) == 64 for job in jobs)
+
+
+def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):
+    from activestructure_gym.policies import POLICIES, Greedy
+
+    class Plain(Greedy):
+        required_gains = ("pixel",)
+
+    monkeypatch.setitem(POLICIES._entries, "plain", Plain)
+    specs = ["plain?travel=shared", "plain", "plain?travel=native"]
+    jobs = Comparison(["box"], specs).prepare()
+    assert [job.policy for job in jobs] == ["plain?travel=shared", "plain"]
+    assert len({job.hash for job in jobs}) == 2
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"scenes": []}, "at least one of scenes"),
+        ({"policies": ["frontire"]}, "unknown policy 'frontire'"),
+        ({"policies": ["randm"]}, "did you mean 'random'"),
+        ({"policies": ["random?travel=shared"]}, "policy 'random' takes no options, got 'travel=shared'"),
+        ({"policies": ["no_module:Policy"]}, "no module called 'no_module'"),
+        ({"policies": ["os:path"]}, "must be a class derived from"),
+        ({"scenes": ["bxo"]}, "unknown scene 'bxo'; did you mean 'box'"),
+        ({"scenes": ["missing.glb"]}, "missing.glb"),
+        ({"frame_budget": 0}, "frame budget must be at least 1"),
+        ({"seeds": [-1]}, "seed"),
+        ({"preset": "fats"}, "unknown preset 'fats'; did you mean 'fast'"),
+        ({"overrides": {"sensor.widht": 3}}, "did you mean 'width'"),
+        ({"overrides": {"sensor.width": -3}}, "-3"),
+        ({"start_pose": (0.0, 0.0, -5.0, 0.0)}, "start"),
+        ({"start_pose": (0.05, 0.0, 1.2, 0.0), "scenes": ["room"]}, "start"),
+        ({"protocol": StandardProtocol(view_source="recorded")}, "recorded views"),
+    ],
+)
+def test_everything_a_job_could_fail_on_is_said_in_one_sentence_before(change, message, request):
+    if "protocol" not in change:
+        request.getfixturevalue("no_warm_up")
+    else:
+        from contextlib import nullcontext
+
+        request.getfixturevalue("monkeypatch").setattr(module, "warming_up", lambda *_: nullcontext())
+    with pytest.raises(InputError) as error:
+        Comparison(**({"scenes": ["box"], "policies": ["random"], "preset": "fast"} | change)).prepare()
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_warm_up_is_the_policy_with_most_gains_on_a_few_frames():
+    job = smallest_job(["random", "pixel_only"], {"sensor.depth_noise": "kinect"})
+    assert (job.scene, job.policy, job.frame_budget) == ("box", "pixel_only", 12)
+    assert dict(job.overrides) == {"sensor.depth_noise": "kinect"}
+
+
+def test_an_output_that_is_not_ours_is_left_alone(tmp_path):
+    check_output(tmp_path / "new" / "deep", resume=False)
+    check_output(tmp_path, resume=False)  # empty
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="is a file"):
+        check_output(file, resume=False)
+    with pytest.raises(InputError, match="other files"):
+        check_output(tmp_path, resume=False)
+    with pytest.raises(InputError, match="other files"):
+        check_output(tmp_path, resume=True)
+    (tmp_path / "compare.json").touch()
+    with pytest.raises(InputError, match="--resume"):
+        check_output(tmp_path, resume=False)
+    check_output(tmp_path, resume=True)
+    with pytest.raises(InputError, match="cannot be made: '.*file' is a file"):
+        check_output(file / "below", resume=False)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permission bits")
+def test_an_output_without_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    code = (
+        "import sys; from pathlib import Path;"
+        "from activestructure_gym.evaluation.running.comparison import check_output;"
+        "check_output(Path(sys.argv[1]), resume=False)"
+    )
+    prefix = []
+    if os.geteuid() == 0:  # permissions do not bind root, unless it gives that up
+        if shutil.which("setpriv") is None:
+            pytest.skip("no setpriv to give up root's rights")
+        prefix = ["setpriv", "--bounding-set=-dac_override", "--inh-caps=-dac_override"]
+    command = [*prefix, sys.executable, "-c", code, str(tmp_path / "new")]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert ended.returncode == 1 and "InputError" in ended.stderr and "no permission" in ended.stderr
+
+
+def test_the_warm_up_ends_with_its_block_when_that_fails():
+    with pytest.raises(InputError, match="bad scene"), warming_up(["random"], {}):
+        raise InputError("bad scene")

@@ -1,0 +1,231 @@
+"""Going on: with the same, with more, and not with something else."""
+
+import dataclasses
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import jobs, store
+from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running import comparison, engines
+from activestructure_gym.evaluation.running.comparison import Comparison, check_output, jobs_to_resume, run_comparison
+from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Outcome
+from activestructure_gym.evaluation.running.resuming import conditions, recorded_jobs
+from tests.evaluation.written_runs import write_comparison, write_run
+
+JOB = Job("box", "random", 0, scene_hash="a" * 64, preset="fast", frame_budget=9, overrides=(("sensor.width", 64),))
+
+
+def variant(**changes) -> Job:
+    return dataclasses.replace(JOB, **changes)
+
+
+class Silent:
+    def __init__(self):
+        self.begun = None
+
+    def begin(self, jobs, finished):
+        self.begun = ([job.title for job in jobs], finished)
+
+    def progress(self, job, progress):
+        pass
+
+    def again(self, job, error):
+        pass
+
+    def ended(self, outcome):
+        pass
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """An engine that writes nothing but the mark of a finished run; jobs of policy "bad" fail."""
+    done = []
+
+    def run(jobs, directory, listener, limits, *, keep_open=()):
+        for job in jobs:
+            done.append(job.title)
+            if job.policy == "bad":
+                listener.ended(Outcome(job, "it is bad"))
+                continue
+            place = run_directory(directory, job)
+            place.mkdir(parents=True)
+            (place / store.DONE).write_text(job.hash)
+            listener.ended(Outcome(job, attempts=1 + job.seed))
+
+    engine = Engine(run, slots=lambda jobs, limits: 2, check=lambda limits: None)
+    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    monkeypatch.setattr(store, "read_run", lambda place, scene: place.name)
+    monkeypatch.setattr(store, "damage_of", lambda place, job: None)
+    monkeypatch.setattr(store, "read_done", lambda place, job, scene: place.name if place.exists() else None)
+    return done
+
+
+def go(jobs, directory, **options):
+    listener = Silent()
+    directory.mkdir(exist_ok=True)
+    return run_comparison(jobs, directory, listener, engine="fake", **options), listener
+
+
+def test_finished_jobs_are_never_repeated_and_failed_ones_are(ran, tmp_path):
+    both = [JOB, variant(policy="bad")]
+    first, _ = go(both, tmp_path, command="asg compare one")
+    assert (len(first.runs), len(first.failed), first.skipped, first.missing) == (1, 1, 0, 0)
+    second, listener = go(both, tmp_path, resume=True, command="asg compare two")
+    assert (second.runs, len(second.failed), second.skipped) == (first.runs, 1, 1)
+    assert listener.begun == (["box · bad · seed 0"], 1)
+    assert ran == ["box · random · seed 0", "box · bad · seed 0", "box · bad · seed 0"]
+    record = store.read_json(tmp_path / store.COMPARISON)
+    assert record["failed"] == {"box · bad · seed 0": "it is bad"}
+    assert (record["command"], record["resumed"]) == ("asg compare one", ["asg compare two"])
+
+
+def test_a_grid_may_grow_and_nothing_leaves_its_record(ran, tmp_path):
+    go([JOB, variant(policy="bad")], tmp_path)
+    result, listener = go([JOB, variant(seed=1)], tmp_path, resume=True)
+    assert listener.begun == (["box · random · seed 1"], 1)
+    # The table shows all that is finished; what was not asked for this time is told apart from what failed.
+    assert (len(result.runs), result.failed, result.skipped, result.missing) == (2, [], 1, 1)
+    assert [job.title for job in recorded_jobs(tmp_path)] == [
+        "box · random · seed 0", "box · bad · seed 0", "box · random · seed 1"
+    ]  # fmt: skip
+    assert store.read_json(tmp_path / store.COMPARISON)["attempts"] == {variant(seed=1).name: 2}
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"preset": "default"}, "preset was fast, asked for is default"),
+        ({"frame_budget": None}, "frame_budget was 9, asked for is not given"),
+        ({"overrides": ()}, "overrides.sensor.width was 64, asked for is not given"),
+        ({"overrides": (("sensor.width", 64), ("a.b", 3))}, "overrides.a.b was not given, asked for is 3"),
+        ({"start_pose": (1.0, 2.0, 3.0, 4.0)}, "start_pose was not given, asked for is [1.0, 2.0, 3.0, 4.0]"),
+        ({"protocol": StandardProtocol(views=3)}, f"protocol.views was {JOB.protocol.views}, asked for is 3"),
+        ({"also": ("activegamer",)}, "also was none, asked for is activegamer"),
+        ({"scene_hash": "b" * 64}, "scene 'box' has changed since"),
+    ],
+)  # fmt: skip
+def test_other_conditions_are_refused_by_name_and_the_record_stays(changes, words, ran, tmp_path):
+    go([JOB], tmp_path)
+    before = (tmp_path / store.COMPARISON).read_bytes()
+    other = variant(**changes)
+    assert other.hash != JOB.hash
+    with pytest.raises(InputError) as error:
+        go([other], tmp_path, resume=True)
+    assert words in str(error.value) and "\n" not in str(error.value)
+    assert (tmp_path / store.COMPARISON).read_bytes() == before
+    assert len(ran) == 1
+
+
+def test_every_option_that_decides_a_result_is_compared():
+    # A new field of a job is a condition, unless it is said to differ within one comparison.
+    may_differ = {"scene", "scene_hash", "policy", "seed"}
+    assert set(conditions(JOB)) == {field.name for field in dataclasses.fields(Job)} - may_differ
+
+
+def test_results_of_another_version_are_not_mixed(ran, tmp_path, monkeypatch):
+    go([JOB], tmp_path)
+    monkeypatch.setattr(jobs, "__version__", "99.0")
+    with pytest.raises(InputError, match="begun with version"):
+        go([variant()], tmp_path, resume=True)
+
+
+def test_a_second_start_is_no_resume(ran, tmp_path):
+    go([JOB], tmp_path)
+    with pytest.raises(InputError, match="add --resume"):
+        go([JOB], tmp_path)
+
+
+def test_the_grid_of_a_record_is_checked_like_a_new_one(ran, tmp_path, monkeypatch):
+    grid = [variant(policy=policy, seed=seed) for policy, seed in (("random", 0), ("bad", 3), ("random", 3))]
+    go(grid, tmp_path)
+    prepared = []
+
+    def prepare(self, notify):
+        prepared.append(self)
+        return [
+            variant(scene=scene, policy=policy, seed=seed, scene_hash=now)
+            for scene in self.scenes
+            for policy in self.policies
+            for seed in self.seeds
+        ]
+
+    monkeypatch.setattr(comparison.Comparison, "prepare", prepare)
+    now = JOB.scene_hash
+    assert jobs_to_resume(tmp_path) == grid  # and not the fourth one of the product
+    assert prepared == [
+        Comparison(
+            ["box"], ["random", "bad"], [0, 3], "fast", 9, {"sensor.width": 64}, None, JOB.protocol,
+            recorded={"box": JOB.scene_hash},
+        )
+    ]  # fmt: skip
+    now = "b" * 64
+    with pytest.raises(InputError, match="scene 'box' has changed"):
+        jobs_to_resume(tmp_path)
+
+
+def test_unused_limits_are_the_usual_ones(ran, tmp_path):
+    assert Limits() == Limits(workers=0, timeout=0.0, retries=1)
+    go([], tmp_path)
+    assert ran == []
+
+
+def test_a_record_runs_no_code(ran, tmp_path, monkeypatch):
+    job = variant(scene=f"pathlib:Path?path={tmp_path}/hacked", policy="bad")
+    go([job], tmp_path)
+    with pytest.raises(InputError, match="compare.json' names the scene 'pathlib:Path.* add --trust-code"):
+        jobs_to_resume(tmp_path)
+    monkeypatch.setenv("ASG_TRUST_CODE", "1")
+    with pytest.raises(InputError, match="unknown policy 'bad'"):  # and no more about code
+        jobs_to_resume(tmp_path)
+
+
+def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path):
+    grid = [variant(seed=seed) for seed in range(3)]
+    write_comparison(tmp_path / "all", grid)
+    places = [run_directory(tmp_path / "all", job) for job in grid]
+    (places[0] / "pictures.npz").write_bytes(b"")
+    (places[1] / store.DONE).write_text("nonsense")
+    stamp = (places[2] / store.DONE).stat().st_mtime_ns
+    done = []
+
+    def run(jobs, directory, listener, limits, *, keep_open=()):
+        for job in jobs:
+            done.append(job)
+            with store.whole_directory(run_directory(directory, job)) as part:
+                part.rmdir()
+                write_run(part, job)
+            listener.ended(Outcome(job))
+
+    engine = Engine(run, slots=lambda jobs, limits: 1, check=lambda limits: None)
+    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    heard = []
+    result, listener = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
+    assert done == grid[:2] and listener.begun == ([job.title for job in grid[:2]], 0)
+    assert len(heard) == 1 and "seed 0 counts as not finished: '" in heard[0] and "pictures.npz' is damaged" in heard[0]
+    assert [run.job for run in result.runs] == grid and [store.damage_of(*pair) for pair in zip(places, grid)] == [
+        None
+    ] * 3
+    assert (places[2] / store.DONE).stat().st_mtime_ns == stamp
+    # One that is damaged and not asked for is told apart from those that failed.
+    (places[2] / "map.npz").unlink()
+    result, _ = go(grid[:2], tmp_path / "all", resume=True, tell=heard.append)
+    assert (len(result.runs), result.missing, result.failed) == (2, 1, []) and len(heard) == 2
+
+
+def test_a_comparison_whose_record_was_lost_is_gone_on_with(monkeypatch, tmp_path):
+    engine = Engine(lambda *_, **__: pytest.fail("run"), slots=lambda *_: 1, check=lambda limits: None)
+    monkeypatch.setitem(engines.ENGINES, "fake", engine)
+    grid = [variant(seed=seed) for seed in range(2)]
+    write_comparison(tmp_path / "all", grid)
+    (tmp_path / "all" / store.COMPARISON).write_bytes(b"\x00\xff")
+    with pytest.raises(InputError, match="compare.json' is damaged: it is no text in UTF-8; move it away and give"):
+        go(grid, tmp_path / "all", resume=True)
+    (tmp_path / "all" / store.COMPARISON).unlink()
+    with pytest.raises(InputError, match="holds other files"):
+        check_output(tmp_path / "all", resume=False)
+    check_output(tmp_path / "all", resume=True)
+    result, _ = go(grid, tmp_path / "all", resume=True)
+    assert len(result.runs) == 2 and recorded_jobs(tmp_path / "all") == grid

@@ -1,0 +1,45 @@
+"""A finished run on the disk that was never run: every file that is read again, made up and consistent."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.mapping import GaussianMap
+from tests.evaluation.report import conftest as made_up
+
+JOB = Job("room", "random", 0, scene_hash="ab" * 32)
+
+
+def write_run(directory: Path, job: Job = JOB, *, sums: bool = True) -> Path:
+    """Write it into ``directory``, which is returned; without ``sums`` as versions before them did."""
+    run = made_up.maker(directory.parent)(job.scene, job.policy, job.seed, planes=True)
+    directory.mkdir(parents=True)
+    config = {"format": store.FORMAT_VERSION, "job": job.as_dict(), "hash": job.hash, **run.config}
+    metrics = {**run.metrics["metrics"], "lpips": None, "notes": {"lpips": "no weights"}}
+    store.write_json(directory / "config.json", config)
+    store.write_json(directory / "metrics.json", {"format": store.FORMAT_VERSION, **run.metrics, "metrics": metrics})
+    store.write_json(directory / "timing.json", run.timing)
+    (directory / store.STEPS).write_text("".join(store.json_line(step) for step in run.steps))
+    camera = {"intrinsics": np.array([48.0, 48, 48, 27]), "image_size": np.array([96, 54])}
+    np.savez(directory / store.TRAJECTORY, **run.trajectory, **camera)
+    np.savez_compressed(directory / store.GRAPH, **run.graph)
+    np.savez_compressed(directory / store.PICTURES, **run.pictures)
+    GaussianMap(8).save_npz(directory / store.MAP)
+    store.finish(directory, job)
+    if not sums:
+        (directory / store.DONE).write_text(job.hash + "\n")
+    return directory
+
+
+def write_comparison(directory: Path, jobs: list[Job], *, sums: bool = True) -> Path:
+    """A finished comparison of such runs."""
+    for job in jobs:
+        write_run(directory / store.JOBS / job.name, job, sums=sums)
+    record = {"format": store.FORMAT_VERSION, "command": "asg compare", "jobs": {j.name: j.as_dict() for j in jobs}}
+    (directory / store.COMPARISON).write_text(json.dumps(record))
+    return directory

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from activestructure_gym.scenes.loaders.mesh_parts import (
+    MeshPart,
+    TextureStore,
+    assemble,
+    find_reference,
+    srgb_from_linear,
+)
+
+
+def test_srgb_by_hand():
+    # Ends are fixed; 0.0031308 is where the two pieces meet; linear 0.2140 is middle grey 0.5.
+    linear = np.array([0.0, 1.0, 0.0031308, 0.21404])
+    np.testing.assert_allclose(srgb_from_linear(linear), [0, 1, 0.04045, 0.5], atol=1e-4)
+
+
+def test_each_picture_is_kept_once_however_often_it_is_named(tmp_path):
+    Image.new("RGB", (8, 4), (10, 20, 30)).save(tmp_path / "a.png")
+    Image.new("RGB", (8, 4), (10, 20, 30)).save(tmp_path / "b.bmp")  # other bytes, same pixels
+    Image.new("RGB", (8, 4), (99, 20, 30)).save(tmp_path / "c.png")
+    store = TextureStore()
+    assert [store.add_file(tmp_path, name) for name in ("a.png", "a.png", "b.bmp", "c.png")] == [0, 0, 0, 1]
+    assert len(store.images) == 2
+
+
+def test_large_pictures_shrink_and_keep_their_shape(tmp_path):
+    Image.new("RGBA", (1000, 250), (255, 0, 0, 10)).save(tmp_path / "wide.png")
+    store = TextureStore(max_size=100)
+    store.add_file(tmp_path, "wide.png")
+    assert store.images[0].shape == (25, 100, 3)
+    assert (store.images[0] == [255, 0, 0]).all()
+
+
+def test_what_cannot_be_read_is_remembered_once(tmp_path):
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    store = TextureStore()
+    assert [store.add_file(tmp_path, n) for n in ("gone.png", "gone.png", "broken.png")] == [-1, -1, -1]
+    assert store.unreadable == ["gone.png", "broken.png"]
+
+
+@pytest.mark.parametrize(
+    "reference",
+    ["../textures/oak wood.png", "../textures/oak%20wood.png", "..\\textures\\oak wood.png", "C:\\Users\\me\\plain.png",
+     "-s 2 2 1 plain.png", "./plain.png"],
+)  # fmt: skip
+def test_references_are_found_wherever_exporters_point(tmp_path, reference):
+    (tmp_path / "textures").mkdir()
+    (tmp_path / "models").mkdir()
+    (tmp_path / "textures" / "oak wood.png").write_bytes(b"x")
+    (tmp_path / "models" / "plain.png").write_bytes(b"x")
+    assert find_reference(tmp_path / "models", reference).read_bytes() == b"x"
+
+
+def test_nothing_outside_of_the_model_is_opened(tmp_path):
+    """Meshes stand beside their textures; a file of a stranger has no business anywhere else."""
+    models = tmp_path / "flat" / "models"
+    models.mkdir(parents=True)
+    Image.new("RGB", (4, 4)).save(tmp_path / "secret.png")
+    store = TextureStore()
+    for reference in ("../../secret.png", str(tmp_path / "secret.png"), f"file://{tmp_path}/secret.png"):
+        assert store.add_file(models, reference) == -1
+        assert f"lies outside of '{models.parent}'" in store.unreadable[-1]
+    assert store.add_file(models, "x" * 5000) == -1 and len(store.unreadable[-1]) <= 200
+    (models.parent / "near.png").write_bytes(b"x")
+    assert find_reference(models, "../near.png").is_file()
+    with pytest.raises(ValueError, match="outside"):
+        find_reference(models, "../near.png", climb=0)
+
+
+def test_a_name_that_begins_with_a_blank(tmp_path):
+    (tmp_path / " wood.png").write_bytes(b"x")
+    (tmp_path / "oak.png").write_bytes(b"x")
+    assert find_reference(tmp_path, " wood.png").name == " wood.png"
+    assert find_reference(tmp_path, " oak.png\n").name == "oak.png"
+
+
+def test_parts_keep_their_order_and_their_own_vertices():
+    triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
+    uv = np.array([[0, 0], [1, 0], [0, 1]], dtype=float)
+    parts = [
+        MeshPart(triangle, np.array([[0, 1, 2]]), np.array([1.0, 0.0, 0.0])),
+        MeshPart(triangle + 5, np.array([[2, 1, 0]]), np.full((3, 3), 0.5), uv=uv, texture=0),
+        MeshPart(triangle + 9, np.array([[0, 1, 2]]), np.full(3, 0.5), uv=None, texture=0),  # a texture without uv
+    ]
+    mesh = assemble(parts, [np.zeros((2, 2, 3), np.uint8)])
+    assert mesh.faces.tolist() == [[0, 1, 2], [5, 4, 3], [6, 7, 8]]
+    assert mesh.face_texture.tolist() == [-1, 0, -1]
+    np.testing.assert_array_equal(mesh.uv[3:6], uv)
+    np.testing.assert_array_equal(mesh.colors[0], [1, 0, 0])
+
+
+def test_colours_are_linear_only_where_it_makes_a_difference():
+    triangle, face = np.eye(3), np.array([[0, 1, 2]])
+    plain = MeshPart(triangle, face, np.full(3, 0.21404), linear=True)
+    grey = MeshPart(triangle, face, np.full(3, 0.5))
+    shaded = MeshPart(triangle, face, np.eye(3), linear=True)
+    mesh = assemble([plain, grey], ())
+    assert not mesh.linear_colors
+    np.testing.assert_allclose(mesh.colors, 0.5, atol=1e-4)
+    mesh = assemble([plain, grey, shaded], ())
+    assert mesh.linear_colors
+    np.testing.assert_allclose(mesh.colors[:6], 0.21404, atol=1e-4)
+    np.testing.assert_array_equal(mesh.colors[6:], np.eye(3))
+
+
+def test_textures_that_repeat_keep_their_places():
+    part = MeshPart(np.eye(3), np.array([[0, 1, 2]]), np.ones(3), uv=np.zeros((3, 2)), texture=1)
+    mesh = assemble([part, part], [np.zeros((2, 2, 3), np.uint8)] * 3)
+    assert mesh.face_texture.tolist() == [1, 1] and len(mesh.textures) == 3 and mesh.texture_wrap == ()

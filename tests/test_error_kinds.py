@@ -1,0 +1,139 @@
+"""`InputError` is what a user gave, `ValueError` what a programmer did: who raises which, room by room.
+
+The rule stands in CONTRIBUTING.md. An `InputError` is read by people: it came from the command line, a file,
+`gymnasium.make`, a name or a configuration. A `ValueError` says that a function was called as it cannot be.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TOP = ("activestructure_gym", "envs", "policies", "evaluation")
+
+# Everything that comes here was given by somebody; below the functions that are no entrance of theirs.
+ENTRANCES = (
+    "activestructure_gym/config.py",
+    "activestructure_gym/reconstruction.py",
+    "activestructure_gym/registry.py",
+    "activestructure_gym/specs.py",
+    "activestructure_gym/scenes/library.py",
+    "activestructure_gym/scenes/loaders/",
+    "activestructure_gym/ground_truth/",
+    "activestructure_gym/mapping/files.py",
+    "activestructure_gym/mapping/ply.py",
+    "activestructure_gym/mapping/splat_file.py",
+    "activestructure_gym/mapping/splatam_file.py",
+    "activestructure_gym/splatting/api.py",
+    "envs/",
+    "policies/",
+    "evaluation/archive/",
+    "evaluation/benchmarks/",
+    "evaluation/cli/",
+    "evaluation/protocols/",
+    "evaluation/report/",
+    "evaluation/running/",
+    "evaluation/training/",
+)
+# Rooms of functions: what they are given was made by other functions.
+INSIDE = (
+    "activestructure_gym/geometry/",
+    "activestructure_gym/compiling/",
+    "activestructure_gym/volume/",
+    "activestructure_gym/motion/",
+    "activestructure_gym/planes/",
+    "activestructure_gym/splatting/",
+    "activestructure_gym/mapping/",
+    "activestructure_gym/sensors/",
+    "evaluation/statistics/",
+)
+# What inside of those rooms looks at a machine, a file or a whole scene, which is the user's.
+USERS_INSIDE = {
+    "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
+    "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
+    "activestructure_gym/sensors/renderer.py": {"make_renderer"},
+    "activestructure_gym/volume/voxel_volume.py": {"grid_shape"},
+}
+# Who is called wrongly here, not given something wrong.
+PROGRAMMERS = {
+    "policies/base.py": {"best_valid"},
+    "policies/random.py": {"Random.act"},
+    "activestructure_gym/scenes/loaders/sequence.py": {"_parsed_camera"},  # its caller makes the sentence
+    "activestructure_gym/specs.py": {"_typed"},  # as above
+    "evaluation/cli/parsing.py": {"_rule.read"},  # tyro asks for it
+}
+
+
+@dataclass(frozen=True)
+class Raise:
+    """One raise statement."""
+
+    path: str
+    line: int
+    where: str  # names of the classes and functions around it
+    what: str
+
+    @property
+    def place(self) -> str:
+        return f"{self.path}:{self.line} in {self.where}"
+
+    @property
+    def of_a_config(self) -> bool:
+        return self.where.endswith("__post_init__")
+
+
+def raises() -> Iterator[Raise]:
+    for top in TOP:
+        for path in sorted((ROOT / top).rglob("*.py")):
+            yield from _raises_in(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(ROOT).as_posix(), ())
+
+
+def _raises_in(node: ast.AST, path: str, around: tuple[str, ...]) -> Iterator[Raise]:
+    for child in ast.iter_child_nodes(node):
+        named = isinstance(child, ast.FunctionDef | ast.ClassDef)
+        inner = (*around, child.name) if named else around  # type: ignore[union-attr]
+        if isinstance(child, ast.Raise) and child.exc is not None:
+            raised = child.exc.func if isinstance(child.exc, ast.Call) else child.exc
+            what = raised.attr if isinstance(raised, ast.Attribute) else getattr(raised, "id", "")
+            yield Raise(path, child.lineno, ".".join(inner), "InputError" if what == "unknown_name" else what)
+        yield from _raises_in(child, path, inner)
+
+
+def test_what_a_user_gave_raises_an_input_error() -> None:
+    wrong = [
+        found.place
+        for found in raises()
+        if found.what == "ValueError" and found.path.startswith(ENTRANCES)
+        and found.where not in PROGRAMMERS.get(found.path, ())
+    ]  # fmt: skip
+    assert not wrong, f"raise InputError at an entrance: {wrong}"
+
+
+def test_a_configuration_refuses_with_an_input_error() -> None:
+    wrong = [
+        found.place
+        for found in raises()
+        if found.what == "ValueError" and found.of_a_config and "Config." in found.where
+    ]
+    assert not wrong, f"raise InputError for a configuration's values: {wrong}"
+
+
+def test_a_function_inside_raises_a_value_error() -> None:
+    wrong = [
+        found.place
+        for found in raises()
+        if found.what == "InputError" and found.path.startswith(INSIDE) and not found.path.startswith(ENTRANCES)
+        and not found.of_a_config and found.where not in USERS_INSIDE.get(found.path, ())
+    ]  # fmt: skip
+    assert not wrong, f"raise ValueError where a function is called wrongly: {wrong}"
+
+
+def test_the_exceptions_are_in_use() -> None:
+    here = {(found.path, found.where) for found in raises()}
+    listed = {
+        (path, where) for rooms in (USERS_INSIDE, PROGRAMMERS) for path, names in rooms.items() for where in names
+    }
+    assert listed <= here, f"take these away: {listed - here}"

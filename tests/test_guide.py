@@ -1,0 +1,42 @@
+"""What the guide shows is run as shown, and a newcomer reads it in an hour."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+GUIDE = Path(__file__).resolve().parents[1] / "docs" / "guide"
+SHOWN = ("first_episode.md", "compare.md", "own_parts.md", "run_format.md")
+
+
+def blocks(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (GUIDE / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(("page", "number"), [(page, i) for page in SHOWN for i in range(len(blocks(page)))])
+def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    from activestructure_gym.evaluation.protocols import PROTOCOLS
+    from activestructure_gym.evaluation.running.engines import ENGINES
+
+    for names in (PROTOCOLS, ENGINES):
+        for name in ("two_scales", "in_turn"):
+            monkeypatch.setitem(names, name, None)  # type: ignore[misc,arg-type]
+            monkeypatch.delitem(names, name)
+    module = ModuleType("shown_in_the_guide")  # dataclasses look their module up
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(compile(blocks(page)[number], f"{page}, block {number}", "exec"), module.__dict__)
+
+
+def test_every_page_of_the_guide_stands_in_the_order_of_reading() -> None:
+    listed = re.findall(r"^\| \[([\w.]+)\]", (GUIDE / "index.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert sorted(listed) == sorted(path.name for path in GUIDE.glob("*.md") if path.name != "index.md")
+
+
+def test_the_guide_is_an_hour_of_reading() -> None:
+    words = {path.name: len(path.read_text(encoding="utf-8").split()) for path in GUIDE.glob("*.md")}
+    assert sum(count for name, count in words.items() if name != "planners.md") <= 14_000
+    assert words["planners.md"] <= 6_000

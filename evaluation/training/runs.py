@@ -115,6 +115,8 @@ class TrainingRun:
             known = number.isdecimal() and len(number) < 10 and int(number) < len(parameters) and key in _MOMENTS
             if not known or value.shape != (() if key == "step" else parameters[int(number)].shape):
                 raise self._damaged_state(Mismatch(f"it holds '{name[:80]}' of the shape {tuple(value.shape)}"))
+            if key != "exp_avg" and bool((value < 0).any()):  # a count, and a mean of squares
+                raise self._damaged_state(Mismatch(f"it holds '{name[:80]}' below 0"))
             moments.setdefault(int(number), {})[key] = value
         if any(len(own) != len(_MOMENTS) for own in moments.values()):
             raise self._damaged_state(Mismatch("it lacks moments of the optimiser"))

@@ -40,7 +40,9 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
                 files[name] = after
             elif rng.random() < 0.1:
                 files[f"{name}/file"] = b""  # a folder in its place
-    if rng.random() < 0.6 and f"{run}/.done" in files:
+    if rng.random() < 0.4:  # what is drawn is drawn again
+        files = {name: content for name, content in files.items() if not name.endswith(".png")}
+    if rng.random() < 0.7 and f"{run}/.done" in files:
         seal(files, run)
     write(files, folder / "all")
     (folder / "command.json").write_text(json.dumps([command, run, damaged]))

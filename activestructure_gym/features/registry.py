@@ -97,15 +97,25 @@ class FeatureRegistry(Registry[Feature]):
         Raises `InputError` where there is neither.
         """
         names = [asked, *_beginnings(asked)] if isinstance(asked, str) else []
-        for name in names:
-            if name in self._entries and asked in (name, *self.columns(name)):
-                return name
-        for name in names[1:]:  # what has to be imported first
+        at_hand = [name for name in names if name in self._entries]
+        for name in (*at_hand, *names):  # what has to be imported comes last
             with suppress(InputError):
-                if asked in self.columns(name):
+                if asked in (name, *self.columns(name)):
                     return name
-        self.get(asked)
-        return asked
+        self.get(asked)  # which says what is wrong with it
+        raise InputError(f"there is no feature {shown(asked)}")
+
+    def expanded(self, asked: str) -> tuple[str, ...]:
+        """The columns of the feature called ``asked``, or the one column of this full name.
+
+        Raises `InputError` where there is neither, and for a feature whose column has the name of another's.
+        """
+        owner = self.owner(asked)
+        names = self.columns(owner) if owner == asked else (asked,)
+        for name in names:
+            if (other := self.owner(name)) != owner:
+                raise InputError(f"'{name}' is a column of the feature '{owner}' and of '{other}': rename one of them")
+        return names
 
 
 FEATURES = FeatureRegistry("feature", "features", fits=callable, wanted="a function of a FeatureContext")
@@ -121,11 +131,7 @@ def column_names(asked: Iterable[str]) -> tuple[str, ...]:
 
     Raises `InputError` for a name that is neither a feature's nor a column's.
     """
-    names: dict[str, None] = {}
-    for name in asked:
-        columns = FEATURES.columns(owner) if (owner := FEATURES.owner(name)) == name else (name,)
-        names.update(dict.fromkeys(columns))
-    return tuple(names)
+    return tuple(dict.fromkeys(name for each in asked for name in FEATURES.expanded(each)))
 
 
 def evaluate_features(asked: Iterable[str], context: FeatureContext) -> np.ndarray:  # [K, G] float32

@@ -175,6 +175,20 @@ def test_an_unknown_column_is_an_unknown_feature(name: str, place: list[int]) ->
         column_names((name,))
 
 
+def test_two_features_cannot_share_a_column(place: list[int]) -> None:
+    for name, columns in (("place_for_this_test_x", ("",)), ("place_for_this_test_left", ("x",))):
+        FEATURES.register(name, columns=columns)(lambda ctx: np.zeros(len(ctx.world_from_camera)))
+        try:
+            with pytest.raises(InputError, match=f"is a column of the feature 'place_for_this_test' and of '{name}'"):
+                column_names(("place_for_this_test",))
+        finally:
+            del FEATURES._entries[name]
+
+
+def test_no_two_of_ours_share_a_column() -> None:
+    assert len(column_names(FEATURES)) == sum(len(FEATURES.columns(name)) for name in FEATURES)
+
+
 def test_a_module_s_feature_has_its_columns_and_a_plain_function_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,9 +64,7 @@ def se3_exp(tangent: np.ndarray) -> np.ndarray:
         left_jacobian = np.eye(3) + 0.5 * hat
     else:
         left_jacobian = (
-            np.eye(3)
-            + (1 - np.cos(angle)) / angle**2 * hat
-            + (angle - np.sin(angle)) / angle**3 * hat @ hat
+            np.eye(3) + (1 - np.cos(angle)) / angle**2 * hat + (angle - np.sin(angle)) / angle**3 * hat @ hat
         )
     transform = np.eye(4)
     transform[:3, :3] = Rotation.from_rotvec(theta).as_matrix()

@@ -195,9 +195,7 @@ class Mapper:
             self._reliability = DirectionalReliability(self.map)
         return self._reliability.update(self.keyframes)
 
-    def _seed(
-        self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None
-    ) -> tuple[int, int, int, float]:
+    def _seed(self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None) -> tuple[int, int, int, float]:
         """Insert Gaussians where the map lacks them, and in the pixels ``bared`` [H, W] bool.
 
         Returns seed stride, added, dropped, share of new pixels.
@@ -205,9 +203,7 @@ class Mapper:
         config = self.config
         if self.map.count:
             camera, pose = frame.camera, frame.world_from_camera
-            rendering = cpu.render(
-                self.map.parameters, self.map.count, camera, pose, unseen=parts.unseen(camera, pose)
-            )
+            rendering = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=parts.unseen(camera, pose))
             missing = missing_pixels(
                 frame.depth,
                 rendering.depth,

@@ -193,9 +193,7 @@ class DistanceMap:
         From a start with too little clearance the first edge leads straight out to where there is enough.
         """
         point = np.asarray(point, dtype=np.float64)
-        _, index = _best_corner(
-            self._field, self._lengths, self._corner, self._coordinates(point), self.min_clearance
-        )
+        _, index = _best_corner(self._field, self._lengths, self._corner, self._coordinates(point), self.min_clearance)
         if index < 0:
             return None
         parents = self._parents.ravel()

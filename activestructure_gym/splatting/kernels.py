@@ -109,9 +109,7 @@ def prepare(
 
 
 @kernel
-def blend(
-    tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha
-):
+def blend(tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha):
     """Sort, blend and write every tile.
 
     The alphas that `unblend` needs go to ``kept`` as far as its room goes. ``kept_at [2 * tiles]``: where those of a
@@ -143,8 +141,27 @@ def blend(
 
 @kernel
 def fuse(
-    tickets, view, grid, records, tile_start, tile_order, entries, scratch, factors, target, target_depth, terms, slots,
-    parameters, first_moment, second_moment, rates, visible, gradient, pose_parts, results,
+    tickets,
+    view,
+    grid,
+    records,
+    tile_start,
+    tile_order,
+    entries,
+    scratch,
+    factors,
+    target,
+    target_depth,
+    terms,
+    slots,
+    parameters,
+    first_moment,
+    second_moment,
+    rates,
+    visible,
+    gradient,
+    pose_parts,
+    results,
 ):
     """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches; then step."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
@@ -172,7 +189,19 @@ def fuse(
 
 @kernel
 def compare(
-    tickets, strip, grid, image, depth, alpha, target, target_depth, scratch, factors, terms, by_color, by_depth,
+    tickets,
+    strip,
+    grid,
+    image,
+    depth,
+    alpha,
+    target,
+    target_depth,
+    scratch,
+    factors,
+    terms,
+    by_color,
+    by_depth,
     by_alpha,
 ):
     """Losses and gradient images: colour in strips of so many vectors, then depth in pieces.
@@ -224,9 +253,32 @@ def compare(
 
 @kernel
 def unblend(
-    tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha,
-    by_color, by_depth, by_alpha, by_layout, slots, parameters, first_moment, second_moment, rates, visible, gradient,
-    pose_parts, results,
+    tickets,
+    view,
+    grid,
+    records,
+    tile_start,
+    tile_order,
+    entries,
+    scratch,
+    kept,
+    kept_at,
+    color,
+    depth,
+    alpha,
+    by_color,
+    by_depth,
+    by_alpha,
+    by_layout,
+    slots,
+    parameters,
+    first_moment,
+    second_moment,
+    rates,
+    visible,
+    gradient,
+    pose_parts,
+    results,
 ):
     """The backward pass of what `blend` has left, from the gradients by its pictures; then step.
 

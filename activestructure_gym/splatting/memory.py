@@ -268,9 +268,7 @@ def load_color_block(typingctx, array, index, stride):
             rows.append(builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind))
         channels = []
         for channel in range(3):
-            eight = ir.Constant(
-                ir.VectorType(I32, 8), [12 * (x // 4) + 3 * (x % 4) + channel for x in range(8)]
-            )
+            eight = ir.Constant(ir.VectorType(I32, 8), [12 * (x // 4) + 3 * (x % 4) + channel for x in range(8)])
             halves = [builder.shuffle_vector(rows[i], rows[i + 1], eight) for i in (0, 2)]
             channels.append(builder.shuffle_vector(*halves, ir.Constant(INTS, list(range(LANES)))))
         return context.make_tuple(builder, sig.return_type, channels)

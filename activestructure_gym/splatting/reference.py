@@ -71,8 +71,7 @@ def blend_reference(
     for start in range(0, len(pixels), at_once):
         offset = pixels[start : start + at_once, None, :] - position[None]  # [p, M, 2]
         power = (
-            -0.5
-            * (inverse_covariance[:, 0] * offset[..., 0] ** 2 + inverse_covariance[:, 2] * offset[..., 1] ** 2)
+            -0.5 * (inverse_covariance[:, 0] * offset[..., 0] ** 2 + inverse_covariance[:, 2] * offset[..., 1] ** 2)
             - inverse_covariance[:, 1] * offset[..., 0] * offset[..., 1]
         )
         alpha = torch.clamp(opacity * torch.exp(power), max=max_alpha)

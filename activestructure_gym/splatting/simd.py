@@ -97,9 +97,7 @@ for _op, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
 
 
 def call_llvm(builder, name, result, args):
-    function = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(result, [arg.type for arg in args]), name
-    )
+    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, [arg.type for arg in args]), name)
     return builder.call(function, args)
 
 

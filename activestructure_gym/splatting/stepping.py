@@ -180,7 +180,18 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
 
 @inner
 def _step_chunk(
-    chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts,
+    chunk,
+    parameters,
+    first_moment,
+    second_moment,
+    rates,
+    view,
+    grid,
+    records,
+    visible,
+    slots,
+    gradient,
+    pose_parts,
     scratch,
 ):
     """Gather the slots of 1024 Gaussians and step them (Adam), write their dense gradient, or only the pose's.
@@ -269,8 +280,21 @@ def _sum_up(grid, pose_parts, terms, results):
 
 @inner
 def step_parameters(
-    tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient, pose_parts,
-    terms, results, scratch,
+    tickets,
+    parameters,
+    first_moment,
+    second_moment,
+    rates,
+    view,
+    grid,
+    records,
+    visible,
+    slots,
+    gradient,
+    pose_parts,
+    terms,
+    results,
+    scratch,
 ):
     """When the slots of all tiles are there: `_step_chunk` for every chunk. The last to finish sums up the parts."""
     if not all_done(tickets, TILES_DONE, grid[TILES_X] * grid[TILES_Y]):

@@ -162,9 +162,7 @@ class Workspace:
 
         ``keep`` also keeps what makes `backward` faster, up to 64 MiB of it.
         """
-        self.prepare(
-            parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads, unseen=unseen
-        )
+        self.prepare(parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads, unseen=unseen)
         pixels = camera.width * camera.height
         self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
         self.color = self._image("color")

@@ -74,10 +74,10 @@ def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
         return None
     try:
         x, y, z, yaw = (float(part) for part in text.split(","))
-        if not all(map(math.isfinite, (x, y, z, yaw))):
-            raise ValueError
     except ValueError:
-        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got {shown(text)}") from None
+        x = y = z = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, z, yaw))):
+        raise InputError(f"--start is x,y,z,yaw in metres and degrees, four numbers, got {shown(text)}")
     return x, y, z, yaw
 
 

@@ -87,9 +87,7 @@ class GltfWriter:
 
     def view(self, data: bytes, **extra: Any) -> int:
         self.data += b"\0" * (-len(self.data) % 4)
-        self.header["bufferViews"].append(
-            {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **extra}
-        )
+        self.header["bufferViews"].append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **extra})
         self.data += data
         return len(self.header["bufferViews"]) - 1
 

@@ -268,7 +268,15 @@ def test_fitting_lowers_the_loss(splats_of):
     first, second = np.zeros_like(moved), np.zeros_like(moved)
     history = [
         mapping_step(
-            moved, first, second, 200, splats.camera, splats.world_from_camera, picture.color, depth, LossWeights(),
+            moved,
+            first,
+            second,
+            200,
+            splats.camera,
+            splats.world_from_camera,
+            picture.color,
+            depth,
+            LossWeights(),
             RATES,
         )  # fmt: skip
         for _ in range(60)

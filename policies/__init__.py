@@ -15,6 +15,7 @@ from activestructure_gym.policies.activestructure import (
 )
 from activestructure_gym.policies.anm_s import AnmS
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
+from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.fisherrf import FisherRF, FisherRFPure
 from activestructure_gym.policies.frontier import Frontier
 from activestructure_gym.policies.gauss_mi import GaussMI, GaussMIPure
@@ -58,6 +59,7 @@ __all__ = [
     "ActiveStructureC",
     "ActiveStructureD",
     "AnmS",
+    "Candidates",
     "CovTrace",
     "CovTraceBlock",
     "CovTraceBlockPure",

@@ -24,10 +24,11 @@ def blocks(page: str) -> list[str]:
 
 @pytest.fixture
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The files of docs/guide/own_policy.md and own_scene.md, importable."""
-    for block in (*blocks("docs/guide/own_policy.md"), *blocks("docs/guide/own_scene.md")):
+    """The files of docs/guide/own_policy.md, own_feature.md and own_scene.md, importable."""
+    pages = [f"docs/guide/{name}.md" for name in ("own_policy", "own_feature", "own_scene")]
+    for page, block in [(page, block) for page in pages for block in blocks(page)]:
         name = re.match(r"# (\w+\.py)\n", block)
-        assert name, f"a block of docs/guide/own_policy.md or own_scene.md does not begin with its file name:\n{block}"
+        assert name, f"a block of {page} does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)
         filled = [line for line in block.splitlines() if line.strip()]
         assert len(filled) <= (20 if name[1] != "my_planner.py" else 59)

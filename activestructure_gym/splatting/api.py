@@ -272,8 +272,8 @@ def _render_cpu(request: _Request) -> Rasterization:
     options = CpuOptions(request.camera, request.max_alpha, request.median_depth, request.threads)
     return Rasterization(
         *CpuRasterization.apply(
-            request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors, request.sh,
-            request.channels, request.camera_from_world, options,
+            options, request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
+            request.sh, request.channels, request.camera_from_world,
         )
     )  # fmt: skip
 

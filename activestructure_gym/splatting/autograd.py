@@ -6,6 +6,7 @@ Parameters go through `packing` both ways: without a copy if they lie in memory 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -31,18 +32,32 @@ class CpuOptions:
     threads: int | None
 
 
+class _Given(NamedTuple):
+    """The tensors of a rendering, see `api.rasterize`; torch follows them only as arguments one by one."""
+
+    means: torch.Tensor  # [N, 3]
+    quaternions: torch.Tensor  # [N, 4]
+    log_scales: torch.Tensor  # [N, 3]
+    opacity_logits: torch.Tensor  # [N]
+    colors: torch.Tensor | None  # [N, 3]
+    sh: torch.Tensor | None  # [N, K, 3]
+    channels: torch.Tensor | None  # [N, D]
+    camera_from_world: torch.Tensor  # [4, 4] or [C, 4, 4]
+
+
 class CpuRasterization(torch.autograd.Function):
     """Colour, depth, alpha, channels and median depth (None where not asked for) of one or several cameras."""
 
     @staticmethod
-    def forward(ctx, means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world, options):
-        tensors = (means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world)
+    def forward(ctx: Any, options: CpuOptions, *tensors: Any) -> Any:
+        """``tensors`` are those of `_Given`, in that order."""
         ctx.save_for_backward(*tensors)
         ctx.set_materialize_grads(False)
-        camera, count = options.camera, len(means)
+        given = _Given(*tensors)
+        camera, count, sh, channels = options.camera, len(given.means), given.sh, given.channels
         ctx.threads = options.threads or default_threads()
-        poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
-        ctx.parameters = packed(_detached(tensors), ctx.threads)
+        poses = given.camera_from_world.detach().numpy().reshape(-1, 4, 4)
+        ctx.parameters = packed(_detached(given), ctx.threads)
         coefficients = None if sh is None else sh.detach().contiguous().numpy()
         features = None if channels is None else channels.detach().contiguous().numpy()
         pictures, ctx.rendered = [], []
@@ -66,7 +81,7 @@ class CpuRasterization(torch.autograd.Function):
             pictures.append(own)
             if goes_back:
                 ctx.rendered.append((pooled, kept))
-        if camera_from_world.dim() == 2:
+        if given.camera_from_world.dim() == 2:
             outputs = [torch.from_numpy(picture) for picture in pictures[0]]
         else:
             outputs = [torch.from_numpy(np.stack(of_cameras)) for of_cameras in zip(*pictures)]
@@ -80,13 +95,13 @@ class CpuRasterization(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, by_color, by_depth, by_alpha, by_extra, _):
-        tensors = ctx.saved_tensors  # refused by torch if one has been changed in place since
-        sh, channels, camera_from_world = tensors[5:]
+        given = _Given(*ctx.saved_tensors)  # refused by torch if one has been changed in place since
+        sh, channels, camera_from_world = given.sh, given.channels, given.camera_from_world
         cameras, batched = len(ctx.rendered), camera_from_world.dim() == 3
         poses = camera_from_world.detach().numpy().reshape(-1, 4, 4)
         coefficients = None if sh is None else sh.detach().contiguous().numpy()
         features = None if channels is None else channels.detach().contiguous().numpy()
-        still = sh is None and channels is None and not any(ctx.needs_input_grad[:5])  # a camera looks for its place
+        still = sh is None and channels is None and not any(ctx.needs_input_grad[1:6])  # a camera looks for its place
         total = torch.zeros(ctx.parameters.shape).numpy()  # torch reuses memory that numpy would fetch anew
         by_sh = torch.zeros(sh.shape if sh is not None else 0)
         by_channels = torch.zeros(channels.shape if channels is not None else 0)
@@ -111,19 +126,19 @@ class CpuRasterization(torch.autograd.Function):
                 own_pose += passes.unblend_channels(workspace, features, kept, own[3], part, by_channels.numpy())
             if index:
                 total += part
-        by_parameters = [None] * 5 if still else unpacked(total, _detached(tensors), ctx.threads)
+        by_parameters = [None] * 5 if still else unpacked(total, _detached(given), ctx.threads)
         return (
+            None,
             *by_parameters,
             None if sh is None else by_sh,
             None if channels is None else by_channels,
             torch.from_numpy(by_pose).reshape(camera_from_world.shape),
-            None,
         )
 
 
-def _detached(tensors: tuple[torch.Tensor | None, ...]) -> tuple[torch.Tensor | None, ...]:
+def _detached(given: _Given) -> tuple[torch.Tensor | None, ...]:
     """Means, quaternions, log-scales, opacity logits and colours without their graph."""
-    return tuple(None if tensor is None else tensor.detach() for tensor in tensors[:5])
+    return tuple(None if tensor is None else tensor.detach() for tensor in given[:5])
 
 
 def _filled(images: list[np.ndarray | None], camera: PinholeCamera) -> list[np.ndarray]:

@@ -69,6 +69,11 @@ _BLOCK_Y = np.array([4 * (block // 8) for block in range(64)], np.float32)
 
 
 @inline
+def corner_of(tile, grid):
+    return TILE * (tile % grid[TILES_X]), TILE * (tile // grid[TILES_X])
+
+
+@inline
 def open_tile(tile, grid, state, width):
     """Transmittance 1 in the image's pixels, -1 outside, zeros behind; returns the blocks with pixels as bits."""
     tiles_x, zero = grid[TILES_X], spread(F(0.0))
@@ -133,12 +138,16 @@ def _make_forward(with_color):
     width = COLORED_STATE if with_color else SCORING_STATE
 
     @inner
-    def forward(x, y, start, stop, alive, entries, records, view, state, kept, keeps):
-        """Blend into ``state``. Returns the first entry that found all pixels stopped.
+    def forward(tile, alive, lists, state, kept, keeps):
+        """Blend the entries of a tile into ``state``. Returns the first entry that found all pixels stopped.
 
         With colour, the alphas that count (0 where a pixel has stopped) go to ``kept`` every ``keeps`` floats, and the
         blocks that were still open replace the entries' reach: the backward loop takes the same way.
         """
+        entries, records, view = lists.entries, lists.records, lists.camera
+        start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
+        left, top = corner_of(tile, lists.grid)
+        x, y = F(left), F(top)
         room, at_kept = entries.shape[1], 0
         for entry in range(start, stop):
             if alive == 0:
@@ -207,10 +216,15 @@ def _find_again(reach, records, base, along, across, view, state, kept):
 
 
 @inner
-def blend_backward(x, y, start, done, stop, entries, records, view, state, kept, keeps, slots):
-    """Front to back: the rest R = C.gC + D gD + A gA loses each Gaussian's share as it passes (no division, no order
-    reversal), and v = alpha dL/dalpha = w s - alpha / (1 - alpha) R with s = c.gC + z gD + gA.
+def blend_backward(tile, done, lists, state, kept, keeps, slots):
+    """Front to back over a tile's entries before ``done``: the rest R = C.gC + D gD + A gA loses each Gaussian's share
+    as it passes (no division, no order reversal), and v = alpha dL/dalpha = w s - alpha / (1 - alpha) R with
+    s = c.gC + z gD + gA.
     """
+    entries, records, view = lists.entries, lists.records, lists.camera
+    start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
+    left, top = corner_of(tile, lists.grid)
+    x, y = F(left), F(top)
     room, zero, at_kept = entries.shape[1], spread(F(0.0)), 0
     for entry in range(start, done):
         _fetch_ahead(entries, entry, done, records)
@@ -259,14 +273,10 @@ def blend_backward(x, y, start, done, stop, entries, records, view, state, kept,
         store(slots, LANES * np.int64(peek(entries, SORTED_SPLAT * room + entry) >> U64(32)), zero)
 
 
-@inline
-def corner_of(tile, grid):
-    return TILE * (tile % grid[TILES_X]), TILE * (tile // grid[TILES_X])
-
-
 @inner
-def write_tile(tile, grid, state, width, color, depth, alpha):
+def write_tile(tile, grid, state, width, pictures):
     """From the blocks to the pictures (no colour where ``width`` is that of scoring)."""
+    color, depth, alpha = pictures
     x, y = corner_of(tile, grid)
     for block in range(grid[TILE_BLOCKS]):
         left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), width * block
@@ -291,8 +301,10 @@ def write_tile(tile, grid, state, width, color, depth, alpha):
 
 
 @inner
-def read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, by_layout):
+def read_tile(tile, grid, state, pictures, by_pictures, by_layout):
     """The state of the backward loop from the pictures and the gradients by them."""
+    color, depth, alpha = pictures
+    by_color, by_depth, by_alpha = by_pictures
     x, y = corner_of(tile, grid)
     open_tile(tile, grid, state, np.int64(COLORED_STATE))
     for block in range(grid[TILE_BLOCKS]):

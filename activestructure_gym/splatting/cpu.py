@@ -148,9 +148,9 @@ def mapping_step(
     world_from_camera: np.ndarray,  # [4, 4]
     target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
     target_depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
+    *,
     weights: LossWeights,
     learning_rates: np.ndarray,  # [14] float32
-    *,
     beta1: float = 0.9,
     beta2: float = 0.999,
     epsilon: float = 1e-15,
@@ -183,8 +183,9 @@ def mapping_step(
     if weights.image * (1.0 - weights.l1_share) == 0.0:
         workspace.prepare(used[0], count, camera, pose, threads=threads, unseen=unseen)
         color, depth = workspace.fused_step(
-            target_rgb, target_depth, of_color, weights.depth, weights.alpha, weights.normalised_depth, rates, *used[1:]
-        )
+            target_rgb, target_depth, rates, *used[1:], of_color=of_color, of_depth=weights.depth,
+            of_alpha=weights.alpha, normalised_depth=weights.normalised_depth,
+        )  # fmt: skip
         ssim = float("nan")
     else:
         workspace.render(used[0], count, camera, pose, threads=threads, unseen=unseen)

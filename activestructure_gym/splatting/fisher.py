@@ -14,6 +14,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import layout
+from activestructure_gym.splatting.arguments import Pictures
 from activestructure_gym.splatting.cpu import _check
 from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import MAX_ALPHA, PooledWorkspace, Workspace, fitted, flat, inverse_of_pose
@@ -126,11 +127,10 @@ def _run(
     workspace.color = workspace._image("color")
     slots = workspace._buffer("information slots", workspace.total * f.SLOT_FLOATS)
     result = workspace._buffer("information", capacity * f.RESULT_FLOATS)
-    view, _, records, tile_start, tile_order, entries = workspace._lists
+    asked = f.Asked(touch, pictures.shape[2], channels, values)
     workspace._run_through(
-        f.inform, workspace.parameters, view, grid, records, workspace.visible, tile_start, tile_order, entries,
-        workspace._scratch, touch, channels, values, workspace.color, workspace.depth, workspace.alpha,
-        pictures.reshape(-1), slots, result,
+        f.inform, workspace.parameters, workspace.lists, workspace._scratch, asked,
+        Pictures(workspace.color, workspace.depth, workspace.alpha), f.Told(pictures.reshape(-1), slots, result),
     )  # fmt: skip
     bits = workspace.visible[: -(-count // LANES)].astype("<u2").view(np.uint8)
     indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])

@@ -16,6 +16,8 @@ Source: [fisherrf], with the chain to mean and scale of [zwicker2002] taken out 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -56,6 +58,23 @@ RESULT_FLOATS = 2 * LANES
 _STATE = 64 * blending.COLORED_STATE
 
 
+class Asked(NamedTuple):
+    """What a view is asked beyond its pictures."""
+
+    touch: np.float32  # transmittance before a Gaussian, above which it counts in a pixel
+    width: int  # D, channels of every Gaussian
+    channels: np.ndarray  # [N * D] float32, to be blended
+    pixel_values: np.ndarray  # [H * W] float32, to be gathered by the Gaussians; or none
+
+
+class Told(NamedTuple):
+    """What a view tells beyond its pictures, and room on the way to it."""
+
+    pictures: np.ndarray  # [H * W * D] float32, the channels
+    slots: np.ndarray  # [entries * SLOT_FLOATS] float32, room for the sums of every entry
+    numbers: np.ndarray  # [capacity * RESULT_FLOATS] float32: `BLOCK ...`, where ``visible`` has a bit
+
+
 @_inline
 def _turn_back(state, tile, grid, pixel_values):
     """From what blending leaves to what the pass begins with: transmittance, colour behind (none), pixel values."""
@@ -90,9 +109,7 @@ def _write_channels(tile, grid, painted, channels, pictures):
 
 
 @_inner
-def _sum_tile(
-    x, y, start, done, stop, entries, records, view, state, kept, touch, gathers, channels, width, painted, slots
-):  # fmt: skip
+def _sum_tile(tile, done, lists, state, kept, asked, painted, slots):
     """Back to front over the entries that ``_forward`` has blended into this tile; one slot of sums per entry.
 
     With ``after`` the transmittance behind a Gaussian and R the colour behind it, the derivative of a colour by
@@ -100,6 +117,11 @@ def _sum_tile(
     Few callers gather pixel values or paint channels: these sums lie in memory, behind ``painted``, since all others
     together just fit into the registers.
     """
+    entries, records, view = lists.entries, lists.records, lists.camera
+    start, stop = lists.tile_start[tile], lists.tile_start[tile + 1]
+    left, top = blending.corner_of(tile, lists.grid)
+    x, y = F(left), F(top)
+    touch, width, channels, gathers = asked.touch, asked.width, asked.channels, len(asked.pixel_values) != 0
     room, zero, end = entries.shape[1], spread(F(0.0)), np.int64(0)
     at_gathered = 64 * LANES * width
     for entry in range(start, done):
@@ -343,8 +365,9 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
 
 
 @_inner
-def _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of, result):
+def _chain_chunk(chunk, parameters, lists, slots, sums_of, result):
     """Gather the slots of 1024 Gaussians and chain them; ``visible`` then tells which have a row in ``result``."""
+    view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     zero = spread(F(0.0))
     for i in range(chunk * layout.CHUNK, min((chunk + 1) * layout.CHUNK, grid[layout.COUNT]), LANES):
         seen = np.int64(peek(visible, i // LANES))
@@ -365,60 +388,32 @@ def _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of
 
 
 @kernel
-def inform(
-    tickets,
-    parameters,
-    view,
-    grid,
-    records,
-    visible,
-    tile_start,
-    tile_order,
-    entries,
-    scratch,
-    touch,
-    channels,
-    pixel_values,
-    color,
-    depth,
-    alpha,
-    pictures,
-    slots,
-    result,
-):
-    """After `prepare`: pictures, sums and blocks, a tile at a time in the nearest caches; then chunk by chunk.
-
-    ``channels [N * D]`` and ``pictures [H * W * D]``; ``pixel_values [H * W]`` or none. ``slots`` has room for 32
-    floats per entry, ``result`` for 32 per column of ``parameters``.
-    """
+def inform(tickets, parameters, lists, scratch, asked, pictures, told):
+    """After `prepare`: pictures, sums and blocks, a tile at a time in the nearest caches; then chunk by chunk."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (layout.SCRATCH // LANES)
     state, kept = scratch[own : own + _STATE], scratch[own + _STATE : own + layout.SCRATCH]
+    grid, tile_order, width, pixel_values, slots = (
+        lists.grid, lists.tile_order, asked.width, asked.pixel_values, told.slots
+    )  # fmt: skip
     digits, tiles = np.empty(layout.DIGITS, np.int64), grid[layout.TILES_X] * grid[layout.TILES_Y]
-    width = len(pictures) // (grid[layout.WIDTH] * grid[layout.HEIGHT])
     painted, no_light = scratch_of(64 * LANES * width + LANES), spread(F(0.0))
     while True:
         ticket = take_ticket(tickets, 2)
         if ticket >= tiles:
             break
         tile = tile_order[ticket]
-        start, stop = tile_start[tile], tile_start[tile + 1]
-        blocks = tile_lists.sort_tile(start, stop, entries, digits)
+        blocks = tile_lists.sort_tile(tile, lists, digits)
         if LANES * blocks > len(kept):
             kept = scratch_of(LANES * (blocks + blocks // 4))
         alive = blending.open_tile(tile, grid, state, np.int64(blending.COLORED_STATE))
-        x, y = blending.corner_of(tile, grid)
-        keeps = np.int64(LANES)
-        done = blending.blend_forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
-        blending.write_tile(tile, grid, state, np.int64(blending.COLORED_STATE), color, depth, alpha)
+        done = blending.blend_forward(tile, alive, lists, state, kept, np.int64(LANES))
+        blending.write_tile(tile, grid, state, np.int64(blending.COLORED_STATE), pictures)
         _turn_back(state, tile, grid, pixel_values)
         for at in range(0, 64 * LANES * width, LANES):
             store(painted, at, no_light)
-        _sum_tile(
-            F(x), F(y), start, done, stop, entries, records, view, state, kept, touch, len(pixel_values) != 0,
-            channels, width, painted, slots,
-        )  # fmt: skip
+        _sum_tile(tile, done, lists, state, kept, asked, painted, slots)
         if width != 0:
-            _write_channels(tile, grid, painted, width, pictures)
+            _write_channels(tile, grid, painted, width, told.pictures)
         take_ticket(tickets, TILES_DONE)
     if not all_done(tickets, TILES_DONE, tiles):
         return
@@ -427,5 +422,5 @@ def inform(
         chunk = take_ticket(tickets, 6)
         if chunk >= grid[layout.CHUNKS]:
             return
-        _chain_chunk(chunk, parameters, view, grid, records, visible, slots, sums_of, result)
+        _chain_chunk(chunk, parameters, lists, slots, sums_of, told.numbers)
         take_ticket(tickets, STEPPED)

@@ -20,6 +20,8 @@ With u and v two blurred squares take the part of x^2 + y^2 and of x y, and no p
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from llvmlite import ir
 from numba import types
@@ -69,6 +71,24 @@ TERM_COLOR, TERM_SSIM, TERMS = 0, LANES, 2 * LANES
 PIECE = 1920
 # of scratch per column of a strip and its 4 columns of edge
 STRIP_FLOATS = (3 * 4 + 3 * 3 + 3) * GROUP_FLOATS + 2 * LANES
+
+
+class Strip(NamedTuple):
+    """The columns of vectors that a thread goes down, and where in its scratch some of what it carries begins."""
+
+    first: int  # column
+    last: int  # the column behind them
+    lines: int  # float of the scratch
+    blurred: int  # float: room for a group of one column, blurred down
+    maps: int  # float
+
+
+class Around(NamedTuple):
+    """Where in the scratch a quantity of a group of rows and of its neighbours begins."""
+
+    above: int
+    here: int
+    below: int
 
 
 def _load_at(context, builder, sig, args, offset):
@@ -195,8 +215,9 @@ def clear(array, first, end):
 
 
 @inner
-def means_of_group(top, first, last, grid, image, target, scratch, lines, means):
-    """Blur along the rows from ``top`` on, from column ``first`` on."""
+def means_of_group(top, strip, grid, image, target, scratch, means):
+    """Blur along the rows from ``top`` on; the results begin at float ``means`` of the scratch."""
+    first, last, lines = strip.first, strip.last, strip.lines
     stride, length, height = grid[STRIDE], 3 * grid[WIDTH], grid[HEIGHT]
     columns = (length + LANES - 1) // LANES
     room = last - first + 4
@@ -223,8 +244,10 @@ def means_of_group(top, first, last, grid, image, target, scratch, lines, means)
 
 
 @inner
-def maps_of_group(top, first, last, grid, scratch, above, here, below, blurred, maps, backs, terms):
-    """SSIM of the rows from ``top`` on: its sum, and its derivatives, blurred along the rows."""
+def maps_of_group(top, strip, grid, scratch, means, backs, terms):
+    """SSIM of the rows from ``top`` on: its sum, and its derivatives, blurred along the rows, from ``backs`` on."""
+    first, last, blurred, maps = strip.first, strip.last, strip.blurred, strip.maps
+    above, here, below = means
     length, zero = 3 * grid[WIDTH], spread(F(0.0))
     line = LANES * (last - first + 2)  # of the maps: the columns of the strip and one at each side
     plane = GROUP_ROWS * line
@@ -265,10 +288,11 @@ def maps_of_group(top, first, last, grid, scratch, above, here, below, blurred, 
 
 
 @inner
-def gradient_of_group(
-    top, first, last, grid, image, target, scratch, above, here, below, blurred, factors, by_color, terms
-):
+def gradient_of_group(top, strip, grid, image, comparison, scratch, backs, by_color):
     """The derivative by the colours of the rows from ``top`` on, and the sum of their differences."""
+    first, last, blurred = strip.first, strip.last, strip.blurred
+    above, here, below = backs
+    target, factors, terms = comparison.color, comparison.factors, comparison.terms
     stride, length = grid[STRIDE], 3 * grid[WIDTH]
     of_sign, of_ssim = factors[OF_COLOR], factors[OF_SSIM]
     for column in range(first, last):
@@ -289,8 +313,10 @@ def gradient_of_group(
 
 
 @inner
-def compare_depth(first, end, depth, alpha, target_depth, factors, by_depth, by_alpha):
+def compare_depth(first, end, pictures, comparison, by_pictures):
     """Sum of the depth errors of pixels from ``first`` to before ``end``; the derivatives by depth and alpha."""
+    depth, alpha, by_depth, by_alpha = pictures.depth, pictures.alpha, by_pictures.depth, by_pictures.alpha
+    target_depth, factors = comparison.depth, comparison.factors
     total, one = spread(F(0.0)), spread(F(1.0))
     normalised = spread(factors[NORMALISED]) > F(0.0)
     for at in range(first, end, LANES):

@@ -27,13 +27,13 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
+from activestructure_gym.splatting.arguments import Lists, Pictures
 from activestructure_gym.splatting.blending import (
     COLORED_STATE,
     SCORING_STATE,
     blend_backward,
     blend_forward,
     blend_forward_without_color,
-    corner_of,
     open_tile,
     read_tile,
     write_tile,
@@ -55,6 +55,8 @@ from activestructure_gym.splatting.image_losses import (
     GROUP_ROWS,
     PIECE,
     TERMS,
+    Around,
+    Strip,
     clear,
     compare_depth,
     gradient_of_group,
@@ -76,151 +78,105 @@ from activestructure_gym.splatting.layout import (
     WIDTH,
 )
 from activestructure_gym.splatting.memory import load, scratch_of, store
-from activestructure_gym.splatting.simd import LANES, F, fma
+from activestructure_gym.splatting.simd import LANES, fma
 from activestructure_gym.splatting.stepping import step_parameters
 from activestructure_gym.splatting.tile_lists import fill_chunk, plan_entries, project_chunk, sort_tile
 from activestructure_gym.splatting.tile_losses import compare_tile
 
 
 @kernel
-def prepare(
-    tickets, parameters, view, grid, records, visible, histogram, chunk_entries, tile_start, tile_order, entries
-):
+def prepare(tickets, parameters, lists, histogram, chunk_entries):
     """Project, count and list. Without room for the entries it ends before listing and goes on when called again with
     more; FILLED counts up to the number of chunks.
+
+    ``histogram [chunks * tiles]`` and ``chunk_entries [chunks]`` are room for the counts.
     """
-    chunks = grid[CHUNKS]
+    chunks = lists.grid[CHUNKS]
     while True:
         chunk = take_ticket(tickets, 0)
         if chunk >= chunks:
             break
-        project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
+        project_chunk(chunk, parameters, lists, histogram, chunk_entries)
         if take_ticket(tickets, PROJECTED) == chunks - 1:  # the last one to finish
-            tickets[ENTRIES] = plan_entries(grid, histogram, chunk_entries, tile_start, tile_order)
+            tickets[ENTRIES] = plan_entries(lists, histogram, chunk_entries)
             take_ticket(tickets, PLANNED)
-    if not all_done(tickets, PLANNED, 1) or tickets[ENTRIES] > entries.shape[1]:
+    if not all_done(tickets, PLANNED, 1) or tickets[ENTRIES] > lists.entries.shape[1]:
         return
     while True:
         chunk = take_ticket(tickets, 1)
         if chunk >= chunks:
             return
-        fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
+        fill_chunk(chunk, lists, histogram, chunk_entries)
         take_ticket(tickets, FILLED)
 
 
 @kernel
-def blend(tickets, view, grid, records, tile_start, tile_order, entries, scratch, kept, kept_at, color, depth, alpha):
-    """Sort, blend and write every tile.
-
-    The alphas that `unblend` needs go to ``kept`` as far as its room goes. ``kept_at [2 * tiles]``: where those of a
-    tile start (-1: not kept) and the first entry that found all of its pixels stopped.
-    """
+def blend(tickets, lists, scratch, kept, pictures):
+    """Sort, blend and write every tile; the alphas that `unblend` needs go to ``kept`` as far as its room goes."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, digits = scratch[own : own + SCRATCH], np.empty(DIGITS, np.int64)
+    grid, tile_order, (alphas, places) = lists.grid, lists.tile_order, kept
     tiles = grid[TILES_X] * grid[TILES_Y]
     while True:
         ticket = take_ticket(tickets, 2)
         if ticket >= tiles:
             return
         tile = tile_order[ticket]
-        start, stop = tile_start[tile], tile_start[tile + 1]
-        blocks = sort_tile(start, stop, entries, digits)
+        blocks = sort_tile(tile, lists, digits)
         place = LANES * take_tickets(tickets, KEPT_TICKET, blocks)
-        keeps = LANES if place + LANES * blocks <= len(kept) else 0
+        keeps = LANES if place + LANES * blocks <= len(alphas) else 0
         if keeps == 0:
             place = 0
-        kept_at[2 * tile] = place if keeps != 0 else -1
+        places[2 * tile] = place if keeps != 0 else -1
         alive = open_tile(tile, grid, state, np.int64(COLORED_STATE))
-        x, y = corner_of(tile, grid)
-        keep = kept[place:] if keeps != 0 else state[SCRATCH - LANES :]
-        kept_at[2 * tile + 1] = blend_forward(
-            F(x), F(y), start, stop, alive, entries, records, view, state, keep, keeps
-        )
-        write_tile(tile, grid, state, np.int64(COLORED_STATE), color, depth, alpha)
+        keep = alphas[place:] if keeps != 0 else state[SCRATCH - LANES :]
+        places[2 * tile + 1] = blend_forward(tile, alive, lists, state, keep, keeps)
+        write_tile(tile, grid, state, np.int64(COLORED_STATE), pictures)
 
 
 @kernel
-def fuse(
-    tickets,
-    view,
-    grid,
-    records,
-    tile_start,
-    tile_order,
-    entries,
-    scratch,
-    factors,
-    target,
-    target_depth,
-    terms,
-    slots,
-    parameters,
-    first_moment,
-    second_moment,
-    rates,
-    visible,
-    gradient,
-    pose_parts,
-    results,
-):
+def fuse(tickets, lists, scratch, comparison, step):
     """Blend, compare with the target and go back, a tile at a time, all of it in the nearest caches; then step."""
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, kept = scratch[own : own + 64 * COLORED_STATE], scratch[own + 64 * COLORED_STATE : own + SCRATCH]
     digits, edge = np.empty(DIGITS, np.int64), np.empty(64, np.float32)
+    grid, tile_order, slots = lists.grid, lists.tile_order, step.slots
     while True:
         ticket = take_ticket(tickets, 2)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
             break
         tile = tile_order[ticket]
-        start, stop = tile_start[tile], tile_start[tile + 1]
-        blocks = sort_tile(start, stop, entries, digits)
+        blocks = sort_tile(tile, lists, digits)
         keeps = LANES if LANES * blocks <= len(kept) else 0
         alive = open_tile(tile, grid, state, np.int64(COLORED_STATE))
-        x, y = corner_of(tile, grid)
-        done = blend_forward(F(x), F(y), start, stop, alive, entries, records, view, state, kept, keeps)
-        compare_tile(tile, grid, state, factors, target, target_depth, terms, edge)
-        blend_backward(F(x), F(y), start, done, stop, entries, records, view, state, kept, keeps, slots)
+        done = blend_forward(tile, alive, lists, state, kept, keeps)
+        compare_tile(tile, grid, state, comparison, edge)
+        blend_backward(tile, done, lists, state, kept, keeps, slots)
         take_ticket(tickets, TILES_DONE)
-    step_parameters(
-        tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
-        pose_parts, terms, results, scratch[own : own + SCRATCH],
-    )  # fmt: skip
+    step_parameters(tickets, lists, step, comparison.terms, scratch[own : own + SCRATCH])
 
 
 @kernel
-def compare(
-    tickets,
-    strip,
-    grid,
-    image,
-    depth,
-    alpha,
-    target,
-    target_depth,
-    scratch,
-    factors,
-    terms,
-    by_color,
-    by_depth,
-    by_alpha,
-):
+def compare(tickets, strip_columns, grid, pictures, comparison, scratch, by_pictures):
     """Losses and gradient images: colour in strips of so many vectors, then depth in pieces.
 
-    ``target [H * W * 3]`` without margins. The ``strip`` does not change the results.
+    The width of the strips does not change the results.
     """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, columns = scratch[own : own + SCRATCH], (3 * grid[WIDTH] + LANES - 1) // LANES
-    means, backs = 4 * GROUP_FLOATS * (strip + 2), 3 * GROUP_FLOATS * strip  # floats of a group
+    image, target, terms, by_color = pictures.color, comparison.color, comparison.terms, by_pictures.color
+    means, backs = 4 * GROUP_FLOATS * (strip_columns + 2), 3 * GROUP_FLOATS * strip_columns  # floats of a group
     at_backs = 3 * means
     at_maps = at_backs + 3 * backs
-    at_lines = at_maps + 3 * GROUP_FLOATS * (strip + 2)
-    at_blurred = at_lines + 2 * LANES * (strip + 4)
+    at_lines = at_maps + 3 * GROUP_FLOATS * (strip_columns + 2)
+    at_blurred = at_lines + 2 * LANES * (strip_columns + 4)
     groups = (grid[HEIGHT] + GROUP_ROWS - 1) // GROUP_ROWS
     while True:
-        first = strip * take_ticket(tickets, 3)
+        first = strip_columns * take_ticket(tickets, 3)
         if first >= columns:
             break
-        last = min(first + strip, columns)
+        last = min(first + strip_columns, columns)
+        strip = Strip(first, last, at_lines, at_blurred, at_maps)
         clear(state, 2 * means, 3 * means)  # what lies above the picture
         clear(state, at_backs + 2 * backs, at_blurred)  # the same, and what lies at its sides
         clear(terms, TERMS * first, TERMS * last)
@@ -228,83 +184,47 @@ def compare(
             # group g lies in place (g + 3) % 3
             newest, middle, oldest = step % 3, (step + 2) % 3, (step + 1) % 3
             if step <= groups:
-                means_of_group(GROUP_ROWS * step, first, last, grid, image, target, state, at_lines, means * newest)
+                means_of_group(GROUP_ROWS * step, strip, grid, image, target, state, means * newest)
             if step > groups:
                 clear(state, at_backs + backs * middle, at_backs + backs * (middle + 1))
             elif step >= 1:
-                maps_of_group(
-                    GROUP_ROWS * (step - 1), first, last, grid, state, means * oldest, means * middle, means * newest,
-                    at_blurred, at_maps, at_backs + backs * middle, terms,
-                )  # fmt: skip
+                of_means = Around(means * oldest, means * middle, means * newest)
+                maps_of_group(GROUP_ROWS * (step - 1), strip, grid, state, of_means, at_backs + backs * middle, terms)
             if step >= 2:
-                gradient_of_group(
-                    GROUP_ROWS * (step - 2), first, last, grid, image, target, state, at_backs + backs * newest,
-                    at_backs + backs * oldest, at_backs + backs * middle, at_blurred, factors, by_color, terms,
-                )  # fmt: skip
+                of_backs = Around(at_backs + backs * newest, at_backs + backs * oldest, at_backs + backs * middle)
+                gradient_of_group(GROUP_ROWS * (step - 2), strip, grid, image, comparison, state, of_backs, by_color)
     pixels = grid[HEIGHT] * grid[WIDTH]
     while True:
         piece = take_ticket(tickets, 4)
         if PIECE * piece >= pixels:
             return
         end = min(PIECE * (piece + 1), pixels)
-        error = compare_depth(PIECE * piece, end, depth, alpha, target_depth, factors, by_depth, by_alpha)
+        error = compare_depth(PIECE * piece, end, pictures, comparison, by_pictures)
         store(terms, TERMS * columns + LANES * piece, error)
 
 
 @kernel
-def unblend(
-    tickets,
-    view,
-    grid,
-    records,
-    tile_start,
-    tile_order,
-    entries,
-    scratch,
-    kept,
-    kept_at,
-    color,
-    depth,
-    alpha,
-    by_color,
-    by_depth,
-    by_alpha,
-    by_layout,
-    slots,
-    parameters,
-    first_moment,
-    second_moment,
-    rates,
-    visible,
-    gradient,
-    pose_parts,
-    results,
-):
+def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, step):
     """The backward pass of what `blend` has left, from the gradients by its pictures; then step.
 
-    ``by_layout [2]``: floats per row of ``by_color`` and before the first pixel of a row.
+    ``by_layout [2]``: floats per row of ``by_pictures.color`` and before the first pixel of a row.
     """
     own = LANES * take_ticket(tickets, THREAD_TICKET) * (SCRATCH // LANES)
     state, spare = scratch[own : own + 64 * COLORED_STATE], scratch[own + 64 * COLORED_STATE : own + SCRATCH]
+    grid, tile_order, (alphas, places), slots = lists.grid, lists.tile_order, kept, step.slots
     while True:
         ticket = take_ticket(tickets, 5)
         if ticket >= grid[TILES_X] * grid[TILES_Y]:
             break
         tile = tile_order[ticket]
-        read_tile(tile, grid, state, color, depth, alpha, by_color, by_depth, by_alpha, by_layout)
-        x, y = corner_of(tile, grid)
-        place, done = kept_at[2 * tile], kept_at[2 * tile + 1]
+        read_tile(tile, grid, state, pictures, by_pictures, by_layout)
+        place, done = places[2 * tile], places[2 * tile + 1]
         keeps, keep = 0, spare
         if place >= 0:
-            keeps, keep = LANES, kept[place:]
-        blend_backward(
-            F(x), F(y), tile_start[tile], done, tile_start[tile + 1], entries, records, view, state, keep, keeps, slots
-        )
+            keeps, keep = LANES, alphas[place:]
+        blend_backward(tile, done, lists, state, keep, keeps, slots)
         take_ticket(tickets, TILES_DONE)
-    step_parameters(
-        tickets, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
-        pose_parts, scratch[:0], results, scratch[own : own + SCRATCH],
-    )  # fmt: skip
+    step_parameters(tickets, lists, step, scratch[:0], scratch[own : own + SCRATCH])
 
 
 @kernel
@@ -325,23 +245,22 @@ def score(tickets, parameters, views, grid, depth, alpha):
         camera = take_ticket(tickets, 0)
         if camera >= views.shape[0]:
             return
-        view = views[camera]
+        lists = Lists(views[camera], grid, records, visible, tile_start, tile_order, entries)
         for chunk in range(chunks):
-            project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries)
-        total = plan_entries(grid, histogram, chunk_entries, tile_start, tile_order)
+            project_chunk(chunk, parameters, lists, histogram, chunk_entries)
+        total = plan_entries(lists, histogram, chunk_entries)
         if total > entries.shape[1]:
             entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
+            lists = Lists(views[camera], grid, records, visible, tile_start, tile_order, entries)
         for chunk in range(chunks):
-            fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
-        own_depth = depth[camera * pixels : (camera + 1) * pixels]
-        own_alpha = alpha[camera * pixels : (camera + 1) * pixels]
+            fill_chunk(chunk, lists, histogram, chunk_entries)
+        first, end = camera * pixels, (camera + 1) * pixels
+        pictures = Pictures(no_color, depth[first:end], alpha[first:end])
         for tile in range(tiles):
-            start, stop = tile_start[tile], tile_start[tile + 1]
-            sort_tile(start, stop, entries, digits)
+            sort_tile(tile, lists, digits)
             alive = open_tile(tile, grid, state, np.int64(SCORING_STATE))
-            x, y = corner_of(tile, grid)
-            blend_forward_without_color(F(x), F(y), start, stop, alive, entries, records, view, state, state, 0)
-            write_tile(tile, grid, state, np.int64(SCORING_STATE), no_color, own_depth, own_alpha)
+            blend_forward_without_color(tile, alive, lists, state, state, 0)
+            write_tile(tile, grid, state, np.int64(SCORING_STATE), pictures)
 
 
 @kernel

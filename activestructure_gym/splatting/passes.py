@@ -29,15 +29,14 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
     camera = workspace.camera
     picture = np.empty((camera.height, camera.width), np.float32)
     workspace.tickets[:] = 0
-    workspace._run(
-        _median, workspace.view, workspace.grid, workspace.records, workspace.tile_start, workspace.tile_order,
-        workspace.entries, picture.reshape(-1),
-    )  # fmt: skip
+    workspace._run(_median, workspace.lists, picture.reshape(-1))
     return picture
 
 
 @kernel
-def _median(tickets, view, grid, records, tile_start, tile_order, entries, picture):
+def _median(tickets, lists, picture):
+    view, grid, records, entries = lists.camera, lists.grid, lists.records, lists.entries
+    tile_start, tile_order = lists.tile_start, lists.tile_order
     width = 2 * LANES  # floats of state per block: transmittance, median depth
     state = scratch_of(64 * width)
     half, zero = np.float32(0.5), spread(np.float32(0.0))

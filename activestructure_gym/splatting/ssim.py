@@ -26,4 +26,4 @@ def ssim_and_gradient(
     workspace = pooled.workspace
     workspace.show(image, PinholeCamera.from_size(width, height), threads=threads)
     _, _, ssim = workspace.losses(target, np.zeros((height, width), np.float32), 0.0, 1.0, 0.0)
-    return ssim, -workspace.pixels_of(workspace.by_color)
+    return ssim, -workspace.pixels_of(workspace.by_pictures.color)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from activestructure_gym.splatting.counters import STEPPED, TILES_DONE, all_done, take_ticket
@@ -81,13 +83,21 @@ def _add_outer(pose, seen, a0, a1, a2, b0, b1, b2):
     store(pose, LANES * 8, fma(a2, b2, load(pose, LANES * 8)))
 
 
+class _Shared(NamedTuple):
+    """What the three axes of 16 Gaussians have in common; SIMD values."""
+
+    covariance: Any  # (s00, s01, s11): derivatives by the projected covariance, the first and last times 1/2
+    lens: Any  # (j00, j02, j11, j12): the Jacobian of the projection
+    seen: Any  # which of the 16 count
+
+
 @inline
-def _axis_gradient(axis, scale, row, covariance, lens, view, seen, gradient, pose):
+def _axis_gradient(axis, scale, row, shared, view, gradient, pose):
     """One axis of the Gaussian: writes the derivative by its log-scale, adds to the pose's, returns the derivatives by
     the axis' direction (3) and by J00, J02, J11, J12.
     """
-    s00, s01, s11 = covariance
-    j00, j02, j11, j12 = lens
+    s00, s01, s11 = shared.covariance
+    j00, j02, j11, j12 = shared.lens
     k0, k1, k2 = axis[0] * scale, axis[1] * scale, axis[2] * scale
     t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))  # turned into the camera
     t1 = dot3(k0, k1, k2, spread(view[4]), spread(view[5]), spread(view[6]))
@@ -95,7 +105,7 @@ def _axis_gradient(axis, scale, row, covariance, lens, view, seen, gradient, pos
     b0, b1 = fma(j02, t2, j00 * t0), fma(j12, t2, j11 * t1)
     by_b0, by_b1 = fma(s01, b1, s00 * b0) * F(2.0), fma(s11, b1, s01 * b0) * F(2.0)
     by_t0, by_t1, by_t2 = j00 * by_b0, j11 * by_b1, fma(j12, by_b1, j02 * by_b0)
-    _add_outer(pose, seen, by_t0, by_t1, by_t2, k0, k1, k2)
+    _add_outer(pose, shared.seen, by_t0, by_t1, by_t2, k0, k1, k2)
     d0 = fma(by_t2, view[8], fma(by_t1, view[4], by_t0 * view[0]))
     d1 = fma(by_t2, view[9], fma(by_t1, view[5], by_t0 * view[1]))
     d2 = fma(by_t2, view[10], fma(by_t1, view[6], by_t0 * view[2]))
@@ -129,16 +139,10 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     s0 = scale_of(parameters, capacity, i, np.int64(0))
     s1 = scale_of(parameters, capacity, i, np.int64(1))
     s2 = scale_of(parameters, capacity, i, np.int64(2))
-    covariance, lens = (s00, s01, s11), (j00, j02, j11, j12)
-    h0, h3, h6, x00, x02, x11, x12 = _axis_gradient(
-        (r[0], r[3], r[6]), s0, np.int64(7), covariance, lens, view, seen, gradient, pose
-    )
-    h1, h4, h7, y00, y02, y11, y12 = _axis_gradient(
-        (r[1], r[4], r[7]), s1, np.int64(8), covariance, lens, view, seen, gradient, pose
-    )
-    h2, h5, h8, z00, z02, z11, z12 = _axis_gradient(
-        (r[2], r[5], r[8]), s2, np.int64(9), covariance, lens, view, seen, gradient, pose
-    )
+    shared = _Shared((s00, s01, s11), (j00, j02, j11, j12), seen)
+    h0, h3, h6, x00, x02, x11, x12 = _axis_gradient((r[0], r[3], r[6]), s0, np.int64(7), shared, view, gradient, pose)
+    h1, h4, h7, y00, y02, y11, y12 = _axis_gradient((r[1], r[4], r[7]), s1, np.int64(8), shared, view, gradient, pose)
+    h2, h5, h8, z00, z02, z11, z12 = _axis_gradient((r[2], r[5], r[8]), s2, np.int64(9), shared, view, gradient, pose)
     by_j00, by_j02, by_j11, by_j12 = x00 + y00 + z00, x02 + y02 + z02, x11 + y11 + z11, x12 + y12 + z12
     h = (h0, h1, h2, h3, h4, h5, h6, h7, h8)
     g0 = fma(q1, h[7] - h[5], fma(q2, h[2] - h[6], q3 * (h[3] - h[1])))
@@ -179,25 +183,14 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
 
 
 @inner
-def _step_chunk(
-    chunk,
-    parameters,
-    first_moment,
-    second_moment,
-    rates,
-    view,
-    grid,
-    records,
-    visible,
-    slots,
-    gradient,
-    pose_parts,
-    scratch,
-):
+def _step_chunk(chunk, lists, step, scratch):
     """Gather the slots of 1024 Gaussians and step them (Adam), write their dense gradient, or only the pose's.
 
     ``scratch [42 * 16]``: gathered sums, gradient, pose.
     """
+    view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
+    parameters, first_moment, second_moment = step.parameters, step.first_moment, step.second_moment
+    rates, slots, gradient, pose_parts = step.rates, step.slots, step.gradient, step.pose_parts
     capacity, zero = grid[CAPACITY], spread(F(0.0))
     sums_of, own, pose = scratch[: 16 * LANES], scratch[16 * LANES : 30 * LANES], scratch[30 * LANES :]
     for k in range(12):
@@ -244,8 +237,8 @@ def _step_chunk(
             s = s + sel(mask, (g * g - s) * (F(1.0) - beta2), F(0.0))
             store(first_moment, at, m)
             store(second_moment, at, s)
-            step = m / (sqrt(s) + epsilon) * rates[row]
-            store(parameters, at, load(parameters, at) - sel(mask, step, F(0.0)))
+            move = m / (sqrt(s) + epsilon) * rates[row]
+            store(parameters, at, load(parameters, at) - sel(mask, move, F(0.0)))
     store(
         pose_parts, LANES * chunk,
         sums((
@@ -279,33 +272,15 @@ def _sum_up(grid, pose_parts, terms, results):
 
 
 @inner
-def step_parameters(
-    tickets,
-    parameters,
-    first_moment,
-    second_moment,
-    rates,
-    view,
-    grid,
-    records,
-    visible,
-    slots,
-    gradient,
-    pose_parts,
-    terms,
-    results,
-    scratch,
-):
+def step_parameters(tickets, lists, step, terms, scratch):
     """When the slots of all tiles are there: `_step_chunk` for every chunk. The last to finish sums up the parts."""
+    grid = lists.grid
     if not all_done(tickets, TILES_DONE, grid[TILES_X] * grid[TILES_Y]):
         return
     while True:
         chunk = take_ticket(tickets, 6)
         if chunk >= grid[CHUNKS]:
             return
-        _step_chunk(
-            chunk, parameters, first_moment, second_moment, rates, view, grid, records, visible, slots, gradient,
-            pose_parts, scratch,
-        )  # fmt: skip
+        _step_chunk(chunk, lists, step, scratch)
         if take_ticket(tickets, STEPPED) == grid[CHUNKS] - 1:
-            _sum_up(grid, pose_parts, terms, results)
+            _sum_up(grid, step.pose_parts, terms, step.results)

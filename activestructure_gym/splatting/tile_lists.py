@@ -101,11 +101,12 @@ def _one_tile(x0, y0, x1, y1):
 
 
 @inner
-def project_chunk(chunk, parameters, view, grid, records, visible, histogram, chunk_entries):
+def project_chunk(chunk, parameters, lists, histogram, chunk_entries):
     """Project 1024 Gaussians and count their entries per tile.
 
     A chunk whose first entry of ``visible`` is negative is known to be out of view and is not looked at.
     """
+    view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     tiles_x = grid[TILES_X]
     tiles = tiles_x * grid[TILES_Y]
     for tile in range(tiles):
@@ -152,11 +153,12 @@ def _order_tiles(tiles, tile_start, tile_order):
 
 
 @inner
-def plan_entries(grid, histogram, chunk_entries, tile_start, tile_order):
+def plan_entries(lists, histogram, chunk_entries):
     """Turn the counts into first places: of each chunk's entries in each tile, and of each chunk's slots.
 
     ``tile_order`` lists the tiles with most entries first: handed out so, all threads finish at nearly the same time.
     """
+    grid, tile_start = lists.grid, lists.tile_start
     tiles, chunks = grid[TILES_X] * grid[TILES_Y], grid[CHUNKS]
     for tile in range(tiles + 1):
         tile_start[tile] = 0
@@ -185,13 +187,14 @@ def plan_entries(grid, histogram, chunk_entries, tile_start, tile_order):
         entries = chunk_entries[chunk]
         chunk_entries[chunk] = slots
         slots += entries
-    _order_tiles(tiles, tile_start, tile_order)
+    _order_tiles(tiles, tile_start, lists.tile_order)
     return total
 
 
 @inner
-def fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries):
+def fill_chunk(chunk, lists, histogram, chunk_entries):
     """Write the entries of a chunk; the slots of one Gaussian lie side by side."""
+    grid, records, visible, entries = lists.grid, lists.records, lists.visible, lists.entries
     tiles_x = grid[TILES_X]
     tiles, room = tiles_x * grid[TILES_Y], entries.shape[1]
     slot = chunk_entries[chunk]
@@ -220,11 +223,12 @@ def fill_chunk(chunk, grid, records, visible, histogram, chunk_entries, entries)
 
 
 @inner
-def sort_tile(start, stop, entries, digits):
+def sort_tile(tile, lists, digits):
     """Order the entries of a tile by depth, ties by index: radix on the float's bits (positive floats sort as such).
 
     Returns how many blocks they reach together.
     """
+    start, stop, entries = lists.tile_start[tile], lists.tile_start[tile + 1], lists.entries
     room = entries.shape[1]
     source, target = KEY * room, KEY_2 * room
     count = stop - start

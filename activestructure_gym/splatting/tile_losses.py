@@ -29,11 +29,12 @@ def absolute_difference(value, target, weight):
 
 
 @inner
-def compare_tile(tile, grid, state, factors, target, target_depth, terms, edge):
+def compare_tile(tile, grid, state, comparison, edge):
     """Turn the state the forward loop leaves into the one the backward loop starts from, by the pixelwise losses.
 
-    ``target [H * W * 3]`` and ``target_depth [H * W]`` without margins. ``edge [64]``: room for a block.
+    ``comparison`` is an `arguments.Comparison`. ``edge [64]``: room for a block.
     """
+    target, target_depth, factors, terms = comparison
     x, y = corner_of(tile, grid)
     width, one = grid[WIDTH], spread(F(1.0))
     color_sum, depth_sum, compared = spread(F(0.0)), spread(F(0.0)), spread(F(0.0))

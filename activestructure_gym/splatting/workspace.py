@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import counters, image_losses, kernels, layout, stepping, tile_losses
+from activestructure_gym.splatting.arguments import Comparison, Kept, Lists, Pictures, Step
 from activestructure_gym.splatting.simd import LANES
 
 MAX_ALPHA = 0.999
@@ -136,14 +137,15 @@ class Workspace:
         if unseen is not None:
             self.visible[np.flatnonzero(unseen) * (layout.CHUNK // LANES)] = -1
         self.tickets[:] = 0
-        found = (self.records, self.visible, histogram, chunk_entries, self.tile_start, self.tile_order)
         while self.tickets[counters.FILLED] < chunks:
             self.total = int(self.tickets[counters.ENTRIES])
             if self.total > self.entries.shape[1]:
                 self.entries = np.empty((layout.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
-            self._run(kernels.prepare, parameters, self.view, grid, *found, self.entries)
+            self.lists = Lists(
+                self.view, grid, self.records, self.visible, self.tile_start, self.tile_order, self.entries
+            )
+            self._run(kernels.prepare, parameters, self.lists, histogram, chunk_entries)
         self.total = int(self.tickets[counters.ENTRIES])
-        self._lists = (self.view, grid, self.records, self.tile_start, self.tile_order, self.entries)
         self._scratch = self._buffer("scratch", self.threads * layout.SCRATCH)
 
     def render(
@@ -172,12 +174,13 @@ class Workspace:
         """The tiles of `render`, into ``color``, ``depth`` and ``alpha``; also again, with other colours."""
         tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
         most = min(_MOST_KEPT, _BLOCKS_PER_ENTRY * LANES * self.total)
-        self.kept_at = self._buffer("kept at", 2 * tiles, np.int64)
-        self.kept = self._buffer("kept", most)[:most] if keep else _NO_FLOATS
+        places = self._buffer("kept at", 2 * tiles, np.int64)
+        self.kept = Kept(self._buffer("kept", most)[:most] if keep else _NO_FLOATS, places)
         self.tickets[:] = 0
-        self._run(
-            kernels.blend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha
-        )
+        self._run(kernels.blend, self.lists, self._scratch, self.kept, self._rendered())
+
+    def _rendered(self) -> Pictures:
+        return Pictures(self.color, self.depth, self.alpha)
 
     def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Copies of colour ``[H, W, 3]``, accumulated depth ``[H, W]`` and alpha ``[H, W]``."""
@@ -232,15 +235,14 @@ class Workspace:
         columns, pieces = -(-3 * width // LANES), -(-height * width // image_losses.PIECE)
         terms = self._buffer("terms", columns * image_losses.TERMS + pieces * LANES)
         factors = self._factors(of_color, of_ssim, of_depth, of_alpha, normalised_depth, measured)
-        self.by_color = self._image("by color")
+        by_depth, by_alpha = self._buffer("by depth", height * width), self._buffer("by alpha", height * width)
+        self.by_pictures = Pictures(self._image("by color"), by_depth, by_alpha)
         self._by_layout = self.grid[[layout.STRIDE, layout.MARGIN]]
-        self.by_depth = self._buffer("by depth", height * width)
-        self.by_alpha = self._buffer("by alpha", height * width)
         scratch = self._buffer("scratch", self.threads * layout.SCRATCH)
+        comparison = Comparison(flat(target_rgb), target_depth, factors, terms)
         self._run(
-            kernels.compare, self._strip(columns), self.grid, self.color, self.depth, self.alpha, flat(target_rgb),
-            target_depth, scratch, factors, terms, self.by_color, self.by_depth, self.by_alpha,
-        )  # fmt: skip
+            kernels.compare, self._strip(columns), self.grid, self._rendered(), comparison, scratch, self.by_pictures
+        )
         end = columns * image_losses.TERMS
         of_columns, of_pieces = terms[:end], terms[end:][: pieces * LANES]
         color, ssim = of_columns.reshape(columns, 2, LANES).sum(axis=(0, 2), dtype=np.float64) / (3 * height * width)
@@ -267,13 +269,14 @@ class Workspace:
         self,
         target_rgb: np.ndarray,  # [H, W, 3] float32
         target_depth: np.ndarray,  # [H, W] float32
+        rates: np.ndarray,  # [20] float32, as for `backward`
+        first_moment: np.ndarray,  # [14, capacity] float32
+        second_moment: np.ndarray,  # [14, capacity] float32
+        *,
         of_color: float,
         of_depth: float,
         of_alpha: float,
         normalised_depth: bool,
-        rates: np.ndarray,  # [20] float32, as for `backward`
-        first_moment: np.ndarray,  # [14, capacity] float32
-        second_moment: np.ndarray,  # [14, capacity] float32
     ) -> tuple[float, float]:
         """After `prepare`: blends, compares as `losses` without SSIM and goes back, without pictures."""
         target_depth, pixels = flat(target_depth), self.camera.height * self.camera.width
@@ -314,19 +317,16 @@ class Workspace:
         second_moment: np.ndarray,
     ) -> list[float]:
         tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
-        slots = self._buffer("slots", self.total * LANES)
         terms = self._buffer("terms", tiles * tile_losses.TILE_TERMS)
-        images = (factors, flat(target_rgb), target_depth, terms)
-        to_map = self._to_map(rates, first_moment, second_moment, self.parameters)
-        self._run_through(kernels.fuse, *self._lists, self._scratch, *images, slots, *to_map)
+        comparison = Comparison(flat(target_rgb), target_depth, factors, terms)
+        step = self._step(rates, first_moment, second_moment, self.parameters)
+        self._run_through(kernels.fuse, self.lists, self._scratch, comparison, step)
         return self._results[stepping.OF_POSE :].tolist()
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
         """Derivatives of any loss by the three images, ``[H, W, 3]``, ``[H, W]``, ``[H, W]``."""
-        self.by_color = flat(by_color)
+        self.by_pictures = Pictures(flat(by_color), flat(by_depth), flat(by_alpha))
         self._by_layout = np.array([3 * self.camera.width, 0])
-        self.by_depth = flat(by_depth)
-        self.by_alpha = flat(by_alpha)
 
     def backward(
         self,
@@ -336,23 +336,22 @@ class Workspace:
         gradient: np.ndarray,  # [14, capacity] float32, zeros
     ) -> np.ndarray:  # [3, 4] derivative by camera_from_world
         """From the gradient images to an Adam step in place, to ``gradient``, or to the pose alone."""
-        slots = self._buffer("slots", self.total * LANES)
         self.tickets[:] = 0
         self._run_through(
-            kernels.unblend, *self._lists, self._scratch, self.kept, self.kept_at, self.color, self.depth, self.alpha,
-            self.by_color, self.by_depth, self.by_alpha, self._by_layout, slots,
-            *self._to_map(rates, first_moment, second_moment, gradient),
+            kernels.unblend, self.lists, self._scratch, self.kept, self._rendered(), self.by_pictures, self._by_layout,
+            self._step(rates, first_moment, second_moment, gradient),
         )  # fmt: skip
         return self._by_pose()
 
-    def _to_map(
+    def _step(
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
+    ) -> Step:
         """What the second part of a backward kernel takes."""
         if len(rates) < layout.RATES:  # what is left out is 0
             rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
+        slots = self._buffer("slots", self.total * LANES)
         pose_parts = self._buffer("pose parts", int(self.grid[layout.CHUNKS]) * LANES)
-        return self.parameters, first_moment, second_moment, rates, self.visible, gradient, pose_parts, self._results
+        return Step(self.parameters, first_moment, second_moment, rates, slots, gradient, pose_parts, self._results)
 
     def _by_pose(self) -> np.ndarray:  # [3, 4]
         """The derivative by camera_from_world that a backward kernel has left."""

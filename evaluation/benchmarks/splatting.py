@@ -252,7 +252,7 @@ def _tasks(name: str, work: Workload) -> dict[str, Callable[[int], object]]:
     def step(weights: LossWeights, threads: int) -> None:
         mapping_step(
             parameters, first, second, work.count, work.camera, work.poses[0], work.target_rgb, work.target_depth,
-            weights, _RATES, threads=threads,
+            weights=weights, learning_rates=_RATES, threads=threads,
         )  # fmt: skip
 
     pooled, gradient = PooledWorkspace(), np.zeros_like(work.parameters)

@@ -104,7 +104,7 @@ def test_steps_that_skip_what_is_out_of_view_change_the_same_bits(largest):
         for gaussians, unseen in ((whole, None), (parts, boxes.unseen(CAMERA, pose))):
             cpu.mapping_step(
                 gaussians.parameters, gaussians.first_moment, gaussians.second_moment, gaussians.count, CAMERA, pose,
-                target, depth, cpu.LossWeights(), rates, unseen=unseen,
+                target, depth, weights=cpu.LossWeights(), learning_rates=rates, unseen=unseen,
             )  # fmt: skip
         skipped.append(unseen.mean())
     assert whole.parameters[:, : whole.count].tobytes() == parts.parameters[:, : parts.count].tobytes()

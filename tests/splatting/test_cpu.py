@@ -108,8 +108,9 @@ def test_mapping_step_is_autograd_plus_visible_only_adam(kind, l1_share, normali
 
     after = before.copy()
     losses = mapping_step(
-        after, first, second, count, splats.camera, splats.world_from_camera, target, target_depth, weights, RATES
-    )
+        after, first, second, count, splats.camera, splats.world_from_camera, target, target_depth, weights=weights,
+        learning_rates=RATES,
+    )  # fmt: skip
     assert losses.color == pytest.approx(l1.item(), rel=1e-5)
     assert np.isnan(losses.ssim) if l1_share == 1.0 else losses.ssim == pytest.approx(ssim.item(), rel=1e-4)
     assert losses.depth == pytest.approx(depth_error.item(), rel=1e-4)
@@ -138,8 +139,9 @@ def test_the_fused_path_is_the_one_through_pictures(kind, splats_of, monkeypatch
         state = [before.copy(), np.zeros_like(before), np.zeros_like(before)]
         weights = LossWeights(l1_share=l1_share, depth=0.3, alpha=0.2)
         losses = mapping_step(
-            *state, count, splats.camera, splats.world_from_camera, target, target_depth, weights, RATES
-        )
+            *state, count, splats.camera, splats.world_from_camera, target, target_depth, weights=weights,
+            learning_rates=RATES,
+        )  # fmt: skip
         results.append((losses.color, losses.depth, *state))
     fused, pictures, none_kept, some_kept = results
     for fewer in (none_kept, some_kept):
@@ -162,7 +164,7 @@ def test_isotropic_step_is_adam_of_one_shared_log_scale(splats_of):
     first, second = np.zeros_like(after), np.zeros_like(after)
     arguments = (200, splats.camera, splats.world_from_camera, target, target_depth)
     weights = LossWeights(image=1.0, l1_share=1.0, depth=0.0)
-    mapping_step(after, first, second, *arguments, weights, RATES, isotropic=True)
+    mapping_step(after, first, second, *arguments, weights=weights, learning_rates=RATES, isotropic=True)
     for row in (7, 8, 9):
         difference = np.linalg.norm(first[row] - 0.1 * gradient[:, 0].numpy())
         assert difference <= 1e-4 * np.linalg.norm(0.1 * gradient)
@@ -172,7 +174,7 @@ def test_isotropic_step_is_adam_of_one_shared_log_scale(splats_of):
     uneven = RATES.copy()
     uneven[8] = 0.1
     with pytest.raises(ValueError, match="one learning rate"):
-        mapping_step(after, first, second, *arguments, weights, uneven, isotropic=True)
+        mapping_step(after, first, second, *arguments, weights=weights, learning_rates=uneven, isotropic=True)
 
 
 @pytest.mark.parametrize("mean", [False, True])
@@ -245,8 +247,8 @@ def test_same_bits_for_any_number_of_threads(shape, splats_of):
         state = [splats.parameters(), np.zeros((14, 200), np.float32), np.zeros((14, 200), np.float32)]
         losses = [
             mapping_step(
-                *state, 200, splats.camera, splats.world_from_camera, target, target_depth, LossWeights(), RATES,
-                threads=threads,
+                *state, 200, splats.camera, splats.world_from_camera, target, target_depth,
+                weights=LossWeights(), learning_rates=RATES, threads=threads,
             )
             for _ in range(3)
         ]  # fmt: skip
@@ -276,8 +278,8 @@ def test_fitting_lowers_the_loss(splats_of):
             splats.world_from_camera,
             picture.color,
             depth,
-            LossWeights(),
-            RATES,
+            weights=LossWeights(),
+            learning_rates=RATES,
         )  # fmt: skip
         for _ in range(60)
     ]
@@ -301,7 +303,7 @@ def test_broken_gaussians_are_skipped_and_harm_nobody(splats_of):
         first, second = np.zeros_like(parameters), np.zeros_like(parameters)
         losses = mapping_step(
             parameters, first, second, parameters.shape[1], splats.camera, splats.world_from_camera, target,
-            target_depth, LossWeights(), RATES,
+            target_depth, weights=LossWeights(), learning_rates=RATES,
         )  # fmt: skip
         results.append((losses, parameters[:, -200:], first[:, -200:]))
     assert results[0][0] == results[1][0]

@@ -33,22 +33,20 @@ def test_preparing_ends_without_a_thread_that_lost_its_core_and_goes_on_with_it(
     entries, starts = workspace.entries[: layout.SORTED_REACH, : workspace.total].copy(), workspace.tile_start.copy()
     grid, tickets = make_grid(work.count, work.parameters.shape[1], work.camera), np.zeros(counters.TICKETS, np.int64)
     chunks = grid[layout.CHUNKS]
-    arguments = (
-        work.parameters, workspace.view, grid, workspace.records, workspace.visible, workspace._buffers["histogram"],
-        workspace._buffers["chunk entries"], workspace.tile_start, workspace.tile_order,
-    )  # fmt: skip
+    lists, counts = workspace.lists, (workspace._buffers["histogram"], workspace._buffers["chunk entries"])
     workspace.entries[:] = 0
     if lost == "while projecting":
         tickets[0] = 1  # the first chunk is in the hands of somebody who does not go on
-        kernels.prepare(tickets, *arguments, workspace.entries)
+        kernels.prepare(tickets, work.parameters, lists, *counts)
         assert tickets[counters.GIVEN_UP] == 1
         assert tickets[counters.PROJECTED] == chunks - 1 and tickets[counters.FILLED] == 0
         tickets[0] = tickets[counters.GIVEN_UP] = 0
         tickets[counters.PROJECTED] = 0
     else:
-        kernels.prepare(tickets, *arguments, np.empty((layout.ENTRY_ROWS, 0), np.uint64))  # no room
+        no_room = lists._replace(entries=np.empty((layout.ENTRY_ROWS, 0), np.uint64))
+        kernels.prepare(tickets, work.parameters, no_room, *counts)
         assert tickets[counters.ENTRIES] == workspace.total and tickets[counters.FILLED] == 0
-    kernels.prepare(tickets, *arguments, workspace.entries)
+    kernels.prepare(tickets, work.parameters, lists, *counts)
     assert tickets[counters.FILLED] == chunks
     np.testing.assert_array_equal(workspace.tile_start, starts)
     keys = workspace.entries[layout.KEY, : workspace.total]

@@ -28,7 +28,7 @@ def test_same_bits_for_any_number_of_threads_on_a_whole_workload():
         losses = [
             mapping_step(
                 parameters, first, second, work.count, work.camera, pose, work.target_rgb, work.target_depth,
-                LossWeights(), rates, threads=threads,
+                weights=LossWeights(), learning_rates=rates, threads=threads,
             )
             for pose in work.poses
         ]  # fmt: skip
@@ -85,13 +85,13 @@ def test_one_compiled_version_of_every_kernel():
     moments, target = np.zeros((2, *work.parameters.shape), np.float32), work.target_rgb.copy()
     target.flags.writeable = False
     mapping_step(
-        work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth, LossWeights(),
-        np.zeros(14, np.float32),
+        work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth,
+        weights=LossWeights(), learning_rates=np.zeros(14, np.float32),
     )  # fmt: skip
     pixelwise = LossWeights(l1_share=1.0)
     mapping_step(
-        work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth, pixelwise,
-        np.zeros(14, np.float32),
+        work.parameters, *moments, work.count, work.camera, work.poses[0], target, work.target_depth, weights=pixelwise,
+        learning_rates=np.zeros(14, np.float32),
     )  # fmt: skip
     render_depth_alpha(work.parameters, work.count, work.camera, work.poses[:1])
     frozen = work.parameters[:, :100].copy()

@@ -1,0 +1,56 @@
+"""What the kernels of the rasteriser are given together: arrays that belong to one thing, by name."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Lists(NamedTuple):
+    """What one camera sees of the map: records of the Gaussians, and of every tile those that reach it."""
+
+    camera: np.ndarray  # [VIEW_SIZE] float32: `layout.POSE ...` (numba takes an attribute ``view`` for a cast)
+    grid: np.ndarray  # [GRID_SIZE] int64, sizes: `layout.COUNT ...`
+    records: np.ndarray  # [chunks * CHUNK * RECORD] float32: `layout.U ...`
+    visible: np.ndarray  # [chunks * CHUNK / 16] int32, a bit per Gaussian
+    tile_start: np.ndarray  # [tiles + 1] int64, first entry of each tile
+    tile_order: np.ndarray  # [tiles + PLACES] int64, the tiles as they are taken, and room for ordering them
+    entries: np.ndarray  # [ENTRY_ROWS, room] uint64: `layout.KEY ...`
+
+
+class Kept(NamedTuple):
+    """What blending a picture leaves for the way back."""
+
+    alphas: np.ndarray  # [room] float32, 16 per entry and block; none where nothing goes back
+    places: np.ndarray  # [2 * tiles] int64: where those of a tile start (-1: not kept), and the first entry not blended
+
+
+class Pictures(NamedTuple):
+    """Colour, accumulated depth and alpha of one camera, or the derivatives of a loss by them."""
+
+    color: np.ndarray  # [H * STRIDE] float32 with margins; derivatives come with a layout of their own
+    depth: np.ndarray  # [H * W] float32
+    alpha: np.ndarray  # [H * W] float32
+
+
+class Comparison(NamedTuple):
+    """What pictures are compared with, and how."""
+
+    color: np.ndarray  # [H * W * 3] float32, measured
+    depth: np.ndarray  # [H * W] float32 metres, measured; 0 = no return
+    factors: np.ndarray  # [FACTORS] float32: `tile_losses.OF_COLOR ...`
+    terms: np.ndarray  # float32 out, the parts of the sums: `tile_losses.TILE_TERMS`, `image_losses.TERMS`
+
+
+class Step(NamedTuple):
+    """What the second part of a backward kernel reads and changes; ``rates[MODE]`` says which of it."""
+
+    parameters: np.ndarray  # [14, capacity] float32
+    first_moment: np.ndarray  # [14, capacity] float32
+    second_moment: np.ndarray  # [14, capacity] float32
+    rates: np.ndarray  # [RATES] float32: 14 learning rates, then `layout.BETA1 ...`
+    slots: np.ndarray  # [entries * 16] float32, the sums of every entry: `layout.V_ ...`
+    gradient: np.ndarray  # [14, capacity] float32
+    pose_parts: np.ndarray  # [chunks * 16] float32
+    results: np.ndarray  # [RESULTS] float64 out: `stepping.OF_POSE`

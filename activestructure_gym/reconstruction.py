@@ -1,6 +1,6 @@
 """The conductor: one episode of active reconstruction, from the first frame to the last. No Gymnasium in here.
 
-Scene -> sensor -> map, volume, planes -> candidate views -> gains; then a view is chosen from outside, and the agent
+Scene -> sensor -> map, volume, planes -> candidate views -> features; then a view is chosen from outside, and the agent
 walks there (`Reconstruction.visit`). Every frame costs 1 of the budget; every fifth frame and the last of a path is a
 keyframe, which is rendered, integrated and mapped.
 """
@@ -243,7 +243,7 @@ class Reconstruction:
         ).world_from_camera
 
     def _refresh(self) -> None:
-        """Offer the candidates of the next decision and evaluate their gains."""
+        """Offer the candidates of the next decision and evaluate their features."""
         config = self.config
         with self._timed("planning"):
             self.distances: DistanceMap = path_lengths(

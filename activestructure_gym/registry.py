@@ -1,4 +1,4 @@
-"""Names for things that plug in: policies, gains, scenes.
+"""Names for things that plug in: policies, features, scenes.
 
 A name is found in four places, in this order: what was registered in this process, ``"family:rest"`` where a family
 makes entries from what its names say (``learned:CHECKPOINT``), ``"package.module:attribute"`` (works in every worker

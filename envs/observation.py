@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
 FARTHEST_M = 1000.0  # bound of every position and length in the observation
-LARGEST_GAIN = 1e6  # bound of every gain
+LARGEST_GAIN = 1e6  # bound of every feature
 LARGEST_BYTES = (
     1 << 27
 )  # of one observation; its space, which holds both bounds of every number, takes three times that
@@ -81,11 +81,11 @@ def gain_names(source: Any) -> tuple[str, ...]:
         return table.names
     if isinstance(table, spaces.Space):
         raise InputError(
-            "this observation space does not say which gains stand in the columns of candidate_gains, as one that a "
+            "this observation space does not say which features stand in the columns of candidate_gains, as one that a "
             "wrapper made anew; give the names instead, as in info['gains']"
         )
     raise InputError(
-        f"which gains stand in which column is told by an env, by its observation space or by a list of their names "
+        f"which features stand in which column is told by an env, by its observation space or by a list of their names "
         f"as in info['gains'], got {shown(source)}"
     )
 
@@ -117,7 +117,7 @@ class Key:
 
 
 def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str, Key]:
-    """All entries for one configuration. K candidates, G gains, P planes, F plane features."""
+    """All entries for one configuration. K candidates, G columns of features, P planes, F plane features."""
     from activestructure_gym.planes import PLANE_FEATURE_HIGH, PLANE_FEATURE_LOW, PLANE_FEATURES
 
     height, width = config.sensor.height, config.sensor.width

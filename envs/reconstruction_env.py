@@ -53,7 +53,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     ## Observation Space
     One flat `Dict` of arrays, listed in `activestructure_gym.envs.observation`: the last
-    keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their gains and mask, the Plane Scene Graph
+    keyframe (`rgb`, `depth`, `pose`), `budget`, the candidates with their features and mask, the Plane Scene Graph
     (`plane_features`, `plane_mask`, `plane_edges`, `plane_tree`) and which candidate would see which plane. Graph
     arrays are zero where no plane exists yet. Nothing in it comes from ground truth. The space says by name what stands
     in the columns: `observation_space["candidate_gains"].names`; `policy.bind(env)` reads them there.
@@ -77,7 +77,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `scene` | str, Scene, or a sequence of them | per task | what to explore; of a sequence one is drawn per episode |
     | `preset` | str | `"default"` | `fast`, `default` or `paper` |
     | `frame_budget` | int | from the preset | frames per episode |
-    | `gains` | tuple of str | `("pixel",)` | gains to evaluate for every candidate |
+    | `gains` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |
     | `reward` | mapping | none | overrides of `RewardConfig` |
     | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done; None = never |

@@ -44,7 +44,7 @@ class Policy(ABC):
         names, needed = gain_names(source), gains_of(self)
         if missing := [name for name in needed if not _offered(name, names)]:
             raise InputError(
-                f"{type(self).__name__} needs the gains {listed(missing)}, and the env offers {listed(names)}: make "
+                f"{type(self).__name__} needs the features {listed(missing)}, and the env offers {listed(names)}: make "
                 "the env with them in gains=..., or both at once with env, policy = make_env_and_policy(...)"
             )
         self._columns = names

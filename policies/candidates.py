@@ -95,7 +95,7 @@ class Candidates:
         known, table, who = self._columns, self._observation["candidate_gains"], self._reader
         if known is None:
             raise InputError(
-                f"{who} does not know which column of the observation is the gain '{asked}': call policy.bind(env) "
+                f"{who} does not know which column of the observation is the feature '{asked}': call policy.bind(env) "
                 "before act(), or make both with env, policy = make_env_and_policy(...)"
             )
         if table.shape[1:] != (len(known),):

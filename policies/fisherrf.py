@@ -10,7 +10,7 @@ from activestructure_gym.policies.greedy import Greedy
 class FisherRF(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum H_c / (H_train + lambda); no travel term, like its selector.
 
-    The gain `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
+    The feature `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
     """
 
     decides_by = "information of a view over that of all keyframes, and unseen space"

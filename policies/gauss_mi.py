@@ -10,7 +10,7 @@ from activestructure_gym.policies.greedy import Greedy
 class GaussMI(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum w_i c_dir (-log r_dir); no travel term.
 
-    The gain `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
+    The feature `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
     """
 
     decides_by = "how unreliable Gaussians are from a view's side, and unseen space"

@@ -22,7 +22,7 @@ def make_env_and_policy(
     gains: Sequence[str] = (),
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
-    """``gymnasium.make`` with the gains that the policy asks for, and the policy bound to that env.
+    """``gymnasium.make`` with the features that the policy asks for, and the policy bound to that env.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def make_env_and_policy(
     env_id
         The environment; that of a room takes any scene.
     gains
-        More gains to put into the observation, behind those of the policy.
+        More features to put into the observation, behind those of the policy.
     **options
         Everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
 

@@ -1,7 +1,7 @@
 """POp-GS as policies, one for each criterion of optimal design ([popgs]); no travel term.
 
-The formulas stand with the gains of the same names: with H the information of the keyframes and h its diagonal, those
-of a candidate B and d, and everything in units of the median of H,
+The formulas stand with the features of the same names: with H the information of the keyframes and h its diagonal,
+those of a candidate B and d, and everything in units of the median of H,
 
 - ``popgs_logdet``: log(1 + d / (h + lambda)) (D);
 - ``popgs_cov_trace``: 1 / (h + lambda) - 1 / (h + lambda + d) (textbook A, called T in the paper);

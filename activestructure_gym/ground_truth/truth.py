@@ -17,10 +17,10 @@ from activestructure_gym.scenes.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """A scene with where an agent could be in it and what of it can be seen; both are computed when first asked for.
+    """A scene with its free space, start poses and observable surface, computed when they are first asked for.
 
-    Start poses, the reward, metrics and the labels of training take a `GroundTruth`. Gains, observations and policies
-    never do; the sensor takes the `Scene` alone.
+    Start poses, the reward, metrics and the labels of training take a `GroundTruth`. Features, observations and
+    policies never do; the sensor takes the `Scene` alone.
 
     Raises `InputError` from its properties where the scene has no free space.
     """

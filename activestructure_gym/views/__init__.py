@@ -1,6 +1,6 @@
 """Where to look next: the pool of candidate views, what each would see, and what each is worth.
 
-The pool is the same for every policy; a gain turns the current map into one number per candidate. Nothing in this
+The pool is the same for every policy; a feature turns the current map into one number per candidate. Nothing in this
 room may look at ground truth.
 """
 

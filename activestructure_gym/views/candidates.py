@@ -43,7 +43,7 @@ class ViewConfig:
     max_revisits: int = 4  # stored keyframe poses offered on top, worst rendered first (own choice)
     visited_distance_m: float = 0.3  # a candidate this near to a visited pose ...
     visited_angle_deg: float = 10.0  # ... and turned this little from it counts as visited (GauSS-MI's rule)
-    scoring_scale: float = 0.5  # gains render at this share of the size; half keeps the order (groundwork.md)
+    scoring_scale: float = 0.5  # features render at this share of the size; half keeps the order (groundwork.md)
     coverage_alpha: float = 0.5  # a pixel is covered where the map's alpha exceeds this (M_c of Sec. 3.4)
 
     def __post_init__(self) -> None:

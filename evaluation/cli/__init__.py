@@ -28,7 +28,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg compare    run policies on scenes under one budget; ends with a table, curves and pictures
   asg policies   list the policies known by name, or describe one
   asg scenes     list the scenes known by name, or check one
-  asg features   list the gains of a candidate view that a policy can ask for
+  asg features   list the features of a candidate view that a policy can ask for
   asg config     print the configuration of an episode, and what a preset or --set changes
   asg doctor     say what works here, what does not, and which package is missing
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation

@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.cli.output import make_console, plain_table,
 
 @dataclass(frozen=True)
 class Policies:
-    """List the policies known by name: what each decides by, whose it is, which gains it needs; or describe one."""
+    """List the policies known by name: what each decides by, whose it is, which features it needs; or describe one."""
 
     name: Annotated[str | None, tyro.conf.Positional, option("[NAME]", "")] = None
     """One of them, with its options and its description."""
@@ -32,7 +32,7 @@ class Policies:
             rows = [_policy_facts(name) for name in POLICIES]
             if self.json:
                 return print_json(rows)
-            table = plain_table("Policies", "name", "decides by", "source", "gains it needs")
+            table = plain_table("Policies", "name", "decides by", "source", "features it needs")
             for row in rows:
                 gains = ", ".join(row["gains"])
                 table.add_row(*map(escape, (row["name"], row["decides_by"], row["source"], gains)))
@@ -44,7 +44,7 @@ class Policies:
         console = make_console()
         console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
         console.print(escape(facts["about"]), soft_wrap=True)
-        console.print(f"\nGains it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
+        console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
         if not facts["options"]:
             console.print("It takes no options.")
             return 0

@@ -48,7 +48,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
             config = NetworkConfig(gains=names)
         else:
             raise InputError(
-                "this observation space does not say which gains stand in the columns of candidate_gains: name them "
+                "this observation space does not say which features stand in the columns of candidate_gains: name them "
                 'with policy_kwargs={"network": NetworkConfig(gains=...).as_dict()}'
             )
         if len(config.gains) != gains or names not in (None, config.gains):

@@ -50,7 +50,7 @@ def test_features_and_single_columns(observation: dict[str, np.ndarray]) -> None
 
 def test_what_is_not_there_is_said_in_one_sentence(observation: dict[str, np.ndarray]) -> None:
     for read in (lambda seen: seen["hole_area"], lambda seen: seen.feature("hole_area")):
-        with pytest.raises(InputError, match=r"^this policy does not know which column .* is the gain 'hole_area'"):
+        with pytest.raises(InputError, match=r"^this policy does not know which column .* is the feature 'hole_area'"):
             read(Candidates(observation))
         with pytest.raises(InputError, match=r"^Mine reads the gain 'hole_area', and the env offers gs_planner_loss, "):
             read(Candidates(observation, NAMES, "Mine"))
@@ -62,10 +62,10 @@ def test_what_is_not_there_is_said_in_one_sentence(observation: dict[str, np.nda
 
 def test_a_policy_is_bound_by_features_and_says_which_are_missing() -> None:
     policy = Naruto()
-    with pytest.raises(InputError, match="^Naruto needs the gains naruto_look, and the env offers naruto, naruto_"):
+    with pytest.raises(InputError, match="^Naruto needs the features naruto_look, and the env offers naruto, naruto_"):
         policy.bind(("naruto", "naruto_look_0_x"))
     policy.bind(column_names(("pixel", *reversed(policy.required_gains))))
-    with pytest.raises(InputError, match="^HoleArea needs the gains hole_area, and the env offers none"):
+    with pytest.raises(InputError, match="^HoleArea needs the features hole_area, and the env offers none"):
         HoleArea().bind(())
 
 

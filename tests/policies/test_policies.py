@@ -132,14 +132,14 @@ def test_gains_are_found_by_name_whatever_their_order_and_whoever_tells_it(
     [
         (
             ("hole_area",),
-            "PixelOnly needs the gains pixel, and the env offers hole_area: make the env with",
+            "PixelOnly needs the features pixel, and the env offers hole_area: make the env with",
         ),
-        ((), "PixelOnly needs the gains pixel, and the env offers none"),
-        ("pixel", "which gains stand in which column is told by an env, by its observation space or by a list"),
-        (None, "which gains stand in which column is told by an env"),
-        (("pixel", 3), "which gains stand in which column is told by an env"),
-        (Dull(said=False), "this observation space does not say which gains stand in the columns"),
-        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which gains stand in which column is told by an env"),
+        ((), "PixelOnly needs the features pixel, and the env offers none"),
+        ("pixel", "which features stand in which column is told by an env, by its observation space or by a list"),
+        (None, "which features stand in which column is told by an env"),
+        (("pixel", 3), "which features stand in which column is told by an env"),
+        (Dull(said=False), "this observation space does not say which features stand in the columns"),
+        (gym.spaces.Dict({"rgb": gym.spaces.Discrete(2)}), "which features stand in which column is told by an env"),
     ],
 )
 def test_what_a_policy_cannot_be_bound_to(source: Any, message: str) -> None:

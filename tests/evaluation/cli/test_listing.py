@@ -30,7 +30,7 @@ def test_every_policy_of_ours_says_what_it_decides_by_and_whose_it_is(capsys):
 @pytest.mark.parametrize("name", list(POLICIES))
 def test_a_policy_is_described(name, capsys):
     out = said(capsys, "policies", name)
-    assert out.startswith(name) and "Gains it needs:" in out
+    assert out.startswith(name) and "Features it needs:" in out
     assert "shared/research" not in out and "docs/" not in out and "peers_" not in out
 
 

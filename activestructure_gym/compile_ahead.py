@@ -1,4 +1,4 @@
-"""Compiling the kernels that a first use will ask for later, in a second process while the first one is at the start.
+"""Compile, in a second process, the kernels that an episode needs later, while the first process starts up.
 
 `compiling.helper` starts it with the first kernel that has to be compiled, as ``python -P -m
 activestructure_gym.compile_ahead PARENT PART...``. It is silent, ends when all is compiled or its parent has ended, and
@@ -26,7 +26,7 @@ _GLANCE = 0.5  # seconds between looks at the parent
 
 
 def compile_map() -> None:
-    """Everything of the rasteriser and the mapper, on two frames of a flat wall."""
+    """Call the kernels of the rasteriser and the mapper, on two frames of a flat wall."""
     from activestructure_gym.mapping.parts import block_boxes
 
     mapper = map_a_wall()
@@ -59,7 +59,7 @@ def _camera() -> Any:
 
 
 def compile_sensing() -> None:
-    """Everything of the sensor, the volume and the planes."""
+    """Call the kernels of the sensor, the volume and the planes."""
     from activestructure_gym.ground_truth import free_space_of
     from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
     from activestructure_gym.scenes import load_scene
@@ -76,7 +76,7 @@ def compile_sensing() -> None:
 
 
 def compile_motion() -> None:
-    """Everything of the motion, in a volume whose free space is made by hand."""
+    """Call the kernels of motion, in a volume whose free space is made by hand."""
     from activestructure_gym.motion import first_blocked, path_lengths
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
@@ -89,7 +89,7 @@ def compile_motion() -> None:
 
 
 def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
-    """A path for which the straight line is not enough: in the empty box room none ever is needed."""
+    """Call the kernels of RRT: plan a path around a corner, which the empty box room never needs."""
     from activestructure_gym.motion import plan_path
 
     corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]

@@ -1,4 +1,4 @@
-"""The conductor: one episode of active reconstruction, from the first frame to the last. No Gymnasium in here.
+"""`Reconstruction`: one episode of active reconstruction, from the first frame to the last, without Gymnasium.
 
 Scene -> sensor -> map, volume, planes -> candidate views -> features; then a view is chosen from outside, and the agent
 walks there (`Reconstruction.visit`). Every frame costs 1 of the budget; every fifth frame and the last of a path is a

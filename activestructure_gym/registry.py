@@ -1,4 +1,4 @@
-"""Names for things that plug in: policies, features, scenes.
+"""Registries of policies, features and scenes by name.
 
 A name is found in four places, in this order: what was registered in this process, ``"family:rest"`` where a family
 makes entries from what its names say (``learned:CHECKPOINT``), ``"package.module:attribute"`` (works in every worker

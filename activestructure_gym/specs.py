@@ -1,4 +1,4 @@
-"""Things named with options in one text: ``apartment?seed=3&rooms=4``, ``naruto?travel=shared``.
+"""Parse names with options: ``apartment?seed=3&rooms=4``, ``naruto?travel=shared``.
 
 What an option may be is read from the function or class that takes it: its parameters and their annotations.
 """

@@ -296,7 +296,7 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
 
 
 def _fields(what: str, value: Any) -> Mapping[str, Any]:
-    """A mapping by names, or nothing."""
+    """A mapping with names as keys, {} for None; raises `InputError` for anything else."""
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):

@@ -81,7 +81,7 @@ def _mark_seen(
     tolerance_m: float,
     tolerance_share: float,
 ) -> None:
-    """Every keyframe of every step asks this of all samples: in numpy it took as long as the volume's integration."""
+    """Mark the samples that a keyframe sees; compiled, since every keyframe tests all samples."""
     height, width = depth.shape
     m, (fx, fy, cx, cy) = camera_from_world, lens
     for n in range(len(points)):

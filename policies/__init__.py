@@ -1,4 +1,4 @@
-"""Who chooses the next view. A policy is a pure function of the observation and its own state."""
+"""Policies: each chooses the next view, as a pure function of the observation and its own state."""
 
 from activestructure_gym.policies.active_gs import ActiveGS
 from activestructure_gym.policies.activegamer import ActiveGAMER

@@ -1,4 +1,4 @@
-"""What every policy is: it names the features it needs, is seeded at the start of an episode, and picks a row."""
+"""The interface of policies: required features, a seed at the start of an episode, and the choice of a row."""
 
 from __future__ import annotations
 

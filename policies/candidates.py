@@ -1,4 +1,4 @@
-"""The candidate views of one observation, by name: what policies read instead of columns of arrays."""
+"""`Candidates`: the candidate views of one observation with their features by name."""
 
 from __future__ import annotations
 
@@ -112,5 +112,5 @@ class Candidates:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names in a sentence."""
+    """Names joined for a sentence."""
     return ", ".join(names) or "none"

@@ -1,4 +1,4 @@
-"""The common shape of every planner that scores views one by one: a gain, and a travel term that can be exchanged."""
+"""Base classes of planners that score views one by one: a gain and an exchangeable travel term."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Unknown surface instead of uncovered pixels: how far one comes without any plane."""
+"""The unknown surface behind a view's holes as the only score: rung E's first term, without any plane."""
 
 from __future__ import annotations
 

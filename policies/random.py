@@ -1,4 +1,4 @@
-"""The reference at the bottom: any reachable view."""
+"""Uniform random choice, the lower reference of comparisons."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def blocks(page: str) -> list[str]:
 def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The files of docs/guide/own_policy.md, own_feature.md and own_scene.md, importable."""
     pages = [f"docs/guide/{name}.md" for name in ("own_policy", "own_feature", "own_scene")]
-    for page, block in [(page, block) for page in pages for block in blocks(page)]:
+    for page, block in [(name, block) for name in pages for block in blocks(name)]:
         name = re.match(r"# (\w+\.py)\n", block)
         assert name, f"a block of {page} does not begin with its file name:\n{block}"
         (tmp_path / name[1]).write_text(block)

@@ -1,4 +1,4 @@
-"""Kernels: compiled once per installation, by one process at a time, and never from a text that has changed since.
+"""Kernels: compiled once per installation, by one process at a time, and again when their source has changed.
 
 numba compiles a function when it is first called. `kernel` keeps the machine code: beside the source, or in the user's
 cache directory where the package cannot be written, or where ``NUMBA_CACHE_DIR`` says. What numba itself would do for a

@@ -51,13 +51,13 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def name_of(kernel: Any) -> str:
-    """By which processes speak of a kernel."""
+    """Name of a kernel, the same in all processes."""
     return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
 
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Without looking for garbage: a compiler makes millions of objects and few cycles. A twentieth of its time."""
+    """While the block runs no garbage is collected, which saves a twentieth of the time of compiling."""
     collecting = gc.isenabled()
     gc.disable()
     try:

@@ -73,12 +73,12 @@ class KernelFiles:
         write(self._path(sig, data.codegen), stamp, dumps((sig, self._form.reduce(data))))
 
     def _stamp(self, signature: Any) -> bytes | None:
-        """None where machine code is of no use to other processes, or may not be."""
+        """The stamp for a signature; None where the machine code must not be shared with other processes."""
         one_process_only = " at 0x" in str(signature)  # a function as an argument: numba names its type by its address
         return stamp_of(self._function) if self._enabled and not one_process_only else None
 
     def _path(self, signature: Any, codegen: Any) -> Path:
-        """One for each signature, processor and set of versions, and for each of what a factory makes."""
+        """The file of a signature: one per signature, processor, versions, and function that a factory makes."""
         fits = (str(signature), _fields(signature), codegen.magic_tuple(), _VERSIONS, identity_of(self._function))
         name = hashlib.sha256(repr(fits).encode()).hexdigest()[:12]
         return Path(self.cache_path) / f"{self._form.filename_base}.{name}{SUFFIX}"
@@ -98,7 +98,7 @@ class KernelFiles:
 
 
 def read(path: Path, stamp: bytes) -> bytes | None:
-    """What was written with this stamp; None if that is not there, whole, and readable."""
+    """The content of a file with this stamp; None if the file is missing, damaged, or has another stamp."""
     head, content = _split(path)
     return content if head == _head(stamp, content) else None
 
@@ -110,7 +110,7 @@ def write(path: Path, stamp: bytes, content: bytes) -> None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a file holds what was written, for whatever sources."""
+    """Whether the checksum of a file is right, whatever its stamp."""
     head, content = _split(path)
     return head == _head(head[len(_HEAD) : len(_HEAD) + _STAMP], content)
 
@@ -149,7 +149,7 @@ def cache_place() -> Path | None:
 
 
 def warn_of_no_cache(reason: str) -> None:
-    """Tell once, and name the remedy."""
+    """Warn once per process that compiled kernels cannot be kept, with the remedy."""
     if not not_kept and multiprocessing.parent_process() is None:
         warnings.warn(
             f"compiled kernels cannot be kept ({reason}), so every process compiles them again; "

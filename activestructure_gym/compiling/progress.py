@@ -75,7 +75,7 @@ class Log:
         self._open = False  # the end has not been told yet
 
     def hear(self, compiled: int, seconds: float) -> None:
-        """So many kernels have been compiled or are in work, which took so long."""
+        """Note how many kernels have been compiled and in how many seconds; a line is written where one is due."""
         with self._lock:
             self._compiled, self._seconds, self._last = compiled, seconds, time.monotonic()
             if self._open:
@@ -87,7 +87,7 @@ class Log:
         threading.Thread(target=self._go_on, daemon=True, name="progress of compiling").start()
 
     def conclude(self) -> None:
-        """Say how much it was, unless that has been said."""
+        """Write the last line of the log, unless nothing was compiled since the last one."""
         with self._lock:
             if self._open:
                 self._open, self._said = False, self._compiled
@@ -106,7 +106,7 @@ class Log:
 
 
 class Progress(event.Listener):
-    """Follows what is compiled. numba's event comes with every compilation and with nothing that is loaded."""
+    """Reports what numba compiles, by its compile events; loading a kernel from disk causes none."""
 
     def __init__(self) -> None:
         self.listener: Callable[[str], None] | None = None
@@ -121,7 +121,7 @@ class Progress(event.Listener):
 
     @contextmanager
     def around(self, name: str) -> Iterator[None]:
-        """While one kernel is compiled or loaded; may be nested."""
+        """Context: one kernel is being compiled or loaded; may be nested."""
         outer, self._current = self._current, name
         if outer is None:
             self._began = time.monotonic()
@@ -151,16 +151,16 @@ class Progress(event.Listener):
         self._tell()
 
     def on_end(self, ended: event.Event) -> None:
-        """Of no use: what follows at once is told by the next beginning, or by the end of ``around``."""
+        """Does nothing: the next start event, or the end of ``around``, reports the progress."""
 
     def waiting(self) -> None:
-        """Another process has the kernel in work: it may only be loading it, of which there is nothing to say."""
+        """Report the kernel that another process holds, if that process compiles it and does not only load it."""
         assert self._current is not None
         if LOCKS.is_held(_mark(self._current)):
             self._tell()
 
     def _tell(self) -> None:
-        """The kernel in work is compiled, here or by the process this one waits for."""
+        """Report that the current kernel is being compiled, here or by the process this one waits for."""
         assert self._current is not None
         self._told.add(self._current)
         stream = _standard_error()
@@ -201,7 +201,7 @@ class Progress(event.Listener):
 
 
 def _mark(name: str) -> str:
-    """The lock that says that a kernel is compiled, and not loaded."""
+    """Name of the lock that a process holds while it compiles a kernel, but not while it loads one."""
     return f"compiling {name}"
 
 

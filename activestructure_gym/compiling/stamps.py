@@ -32,7 +32,7 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
 
 
 def stamp_of(function: FunctionType) -> bytes | None:  # 32 bytes
-    """Changes with everything the machine code of ``function`` depends on.
+    """A digest of everything that the machine code of ``function`` depends on.
 
     None if one of the files has changed since this process loaded it: then what is compiled here is not what the files
     say, and must not be kept.
@@ -50,7 +50,7 @@ def stamp_of(function: FunctionType) -> bytes | None:  # 32 bytes
 
 
 def identity_of(function: FunctionType) -> str:
-    """Tells functions that one ``def`` made from different values apart."""
+    """A text that differs for functions that one ``def`` made from different closure values."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or ())
     return "; ".join(f"{name}={_plain_text(cell.cell_contents)}" for name, cell in cells)
 
@@ -192,7 +192,7 @@ def _code_text(code: CodeType) -> str:
 
 @lru_cache(None)
 def _digest_of_file(file: str) -> bytes | None:
-    """Of the text; None if it has changed since this process began."""
+    """Digest of a file's text; None if the file has changed since this process began."""
     with open(file, "rb") as source:
         about = os.fstat(source.fileno())
         if _BEGAN < max(about.st_mtime, about.st_ctime) <= time.time():

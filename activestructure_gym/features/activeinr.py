@@ -1,4 +1,4 @@
-"""Which view stands for which uncertain cluster, as ANM (ActiveINR) wants it."""
+"""ANM (ActiveINR)'s feature: which uncertain cluster each view stands for, and that cluster's target."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def assigned(context: FeatureContext, uncertainty: Callable[[FeatureContext], Su
 
 
 def preferred(*wishes: np.ndarray) -> np.ndarray:  # [C] bool each -> [C] bool
-    """What fulfils the wishes one after the other; a wish that nothing of what is left fulfils is dropped."""
+    """Which entries satisfy the conditions in turn; a condition that no remaining entry satisfies is skipped."""
     keep = np.ones(len(wishes[0]), dtype=bool)
     for wish in wishes:
         if (keep & wish).any():

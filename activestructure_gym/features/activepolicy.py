@@ -1,4 +1,4 @@
-"""In how many pixels two readings of the map's depth disagree: the geometric gain of ActivePolicy."""
+"""ActivePolicy's geometric gain: the share of pixels in which two readings of the map's depth disagree."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def median_depths(context: FeatureContext) -> np.ndarray:  # [K, h, w] metres, 0
 
 
 def disagreement(mean: np.ndarray, other: np.ndarray, alpha: np.ndarray) -> np.ndarray:  # [K, h, w] each -> U in 0..1
-    """U of every pixel; means nothing where one of the depths is 0."""
+    """U of every pixel; not defined where one of the depths is 0."""
     first, second = np.maximum(mean, 1e-3), np.maximum(other, 1e-3)
     confidence = alpha / (1.0 + LOG_WEIGHT * np.abs(np.log(first / second)))
     readings = np.stack([first, second, first**confidence * second ** (1.0 - confidence)])

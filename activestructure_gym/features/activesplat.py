@@ -29,7 +29,7 @@ VIEW_LEAST = 25.0  # square degrees: a smaller gap is no reason to look
     low=(0.0, 0.0, -1.0, 0.0),
 )
 def activesplat(context: FeatureContext) -> np.ndarray:  # [K, 4]
-    """Of the view's Voronoi node I, V and its subregion, and of the view itself the gaps it would show.
+    """I, V and the subregion of the view's Voronoi node, and the gaps that the view itself would show.
 
     I: sum over clusters of (hull volume) x (sum of 1 - opacity); V: sum of their hull volumes; both 0 without a node.
     Numbers of subregions are of this step only, -1 without a node. The last column is `gaps_in_sight`.

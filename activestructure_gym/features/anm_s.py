@@ -1,4 +1,4 @@
-"""What ANM-S looks for at a Voronoi node: uncertain clusters, and the corners whose chains were cut off."""
+"""ANM-S's features: uncertain clusters at a Voronoi node, and the ends of the chains that were cut off from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of any number that a Gaussian has, from every candidate."""
+"""Images of any per-Gaussian number, rendered from every candidate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a feature may look at."""
+"""`FeatureContext`: the parts of the reconstruction that a feature may read."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def grid_rays(
     world_from_camera: np.ndarray,  # [K, 4, 4]
     stride: int,  # pixels between rays
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """What every kernel takes that walks pixels' rays through the grid.
+    """Arguments that all kernels share which walk the rays of pixels through the voxel grid.
 
     The corner of voxel (0, 0, 0) [3], the size of a voxel, the poses [K, 4, 4], and the rays [h, w, 3] in the camera's
     frame with depth 1.

@@ -1,4 +1,4 @@
-"""FisherRF: how much a view tells, compared with what is known ([fisherrf])."""
+"""FisherRF's feature: the Fisher information of a view relative to that of the keyframes ([fisherrf])."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a place lies within what was last seen on the way."""
+"""Whether a view's place lies within what the newest keyframe on the way has seen."""
 
 from __future__ import annotations
 

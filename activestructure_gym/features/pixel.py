@@ -1,4 +1,4 @@
-"""The pixel gain of the paper, and of ActiveGAMER."""
+"""IG_px of the paper: the share of uncovered pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""POp-GS: what a view does to the uncertainty of the map, by the criteria of optimal design ([popgs]).
+"""POp-GS's features: how a view reduces the map's uncertainty, by criteria of optimal experimental design ([popgs]).
 
 With the diagonals h of H_train + lambda and d of H_c, over means and log-scales; the paper's own names differ from the
 textbook's, so these are named by formula. Source: [popgs], by its text.

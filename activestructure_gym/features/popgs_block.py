@@ -1,4 +1,4 @@
-"""POp-GS with one block per Gaussian: correlations between its mean and its log-scales count, too."""
+"""POp-GS with one 6 x 6 block per Gaussian, so that correlations between mean and log-scales count."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def block_numbers(
     inverse_units: np.ndarray,  # [21] factor on ``blocks``
     least: float,  # lambda
 ) -> np.ndarray:  # [S, 2]: log of the determinant, trace of the inverse
-    """Of ``prior + blocks + least``, through L D L^T of many matrices side by side.
+    """log det and trace of the inverse of ``prior + blocks + least``, by L D L^T of many matrices at once.
 
     No pivot of a positive semi-definite matrix plus lambda is below lambda; what rounding makes of it is put back.
     """

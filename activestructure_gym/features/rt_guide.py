@@ -1,4 +1,4 @@
-"""Where the map still moves: RT-GuIDE's uncertainty without a rendering, of a view and of the region it stands in."""
+"""RT-GuIDE's features: how much Gaussians move under optimisation, per view and per region, without rendering."""
 
 from __future__ import annotations
 

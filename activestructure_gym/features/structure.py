@@ -1,4 +1,4 @@
-"""The structural information a view would add, for whoever wants one number per view (Eq. 13 without phases)."""
+"""The sum of the deficits of the planes in sight, as one number per view (Eq. 13 without phases)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Features in words: their columns, units and ranges, for lists and for docs/guide/observation.md."""
+"""Texts about features: columns, units and ranges, for lists and for docs/guide/observation.md."""
 
 from __future__ import annotations
 

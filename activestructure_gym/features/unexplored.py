@@ -1,4 +1,4 @@
-"""How much unknown space a view looks into: what frontier planners count."""
+"""ActiveGS's share of unexplored voxels in sight of a view, the measure of frontier planners."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From how new a side a view would show what is mapped (COVER)."""
+"""COVER's feature: how far a view's directions to the map lie from those it was seen from before."""
 
 from __future__ import annotations
 

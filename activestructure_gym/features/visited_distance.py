@@ -1,4 +1,4 @@
-"""How far a place lies from where the agent has been."""
+"""Distance of a view's place in the plane to the nearest keyframe."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def floor_graph(context: FeatureContext) -> VoronoiGraph:
 
 
 def places(context: FeatureContext) -> np.ndarray:  # [K, 3] metres
-    """Where each view counts as standing: at its node, or where it is if it has none; at its own height."""
+    """Position of every view's node, or of the view itself where it has none; at the view's height."""
     positions = context.world_from_camera[:, :3, 3].copy()
     node = context.once(voronoi_node).astype(np.int64)
     positions[node >= 0, :2] = context.once(floor_graph).nodes[node[node >= 0]]

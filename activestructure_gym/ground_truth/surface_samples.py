@@ -42,7 +42,7 @@ def samples_per_area(spacing: float) -> float:  # metres -> samples per m^2
 
 
 def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Of all triangles, in the square of the vertices' unit."""
+    """Area of all triangles together, in the square of the vertices' unit."""
     total = 0.0
     for start in range(0, len(faces), _FACES_AT_ONCE):
         corners = vertices[faces[start : start + _FACES_AT_ONCE]].astype(np.float64)

@@ -1,4 +1,4 @@
-"""The Gaussian map: what the world looks like so far, as a growing array of coloured ellipsoids."""
+"""The Gaussian map: a growing array of coloured ellipsoids and their Adam moments."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GaussianMap:
 
     The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
     are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
-    ``ids`` [capacity] int64 names every Gaussian for as long as it lives: columns change hands, names do not.
+    ``ids`` [capacity] int64 identifies every Gaussian for as long as it lives: its column may change, its id does not.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class GaussianMap:
         self.first_moment = _empty_rows(_rounded_up(capacity))
         self.second_moment = _empty_rows(_rounded_up(capacity))
         self.ids = np.zeros(_rounded_up(capacity), dtype=np.int64)
-        self.named = 0  # how many Gaussians there have ever been: the next name
+        self.next_id = 0  # how many Gaussians there have ever been
         self.count = 0
 
     def __len__(self) -> int:
@@ -99,8 +99,8 @@ class GaussianMap:
         self.parameters[:, start:stop] = block
         self.first_moment[:, start:stop] = 0.0
         self.second_moment[:, start:stop] = 0.0
-        self.ids[start:stop] = np.arange(self.named, self.named + stop - start)
-        self.named += stop - start
+        self.ids[start:stop] = np.arange(self.next_id, self.next_id + stop - start)
+        self.next_id += stop - start
         self.count = stop
 
     def keep(self, mask: np.ndarray) -> int:

@@ -23,8 +23,8 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.named_rows import NamedRows
 from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.rows_by_id import RowsById
 from activestructure_gym.splatting.fisher import view_information
 
 COLUMNS = 24  # of `ViewInformation.numbers`: the block's 21, opacity logit, squared weights (colour), weights
@@ -36,7 +36,7 @@ BUDGET_MB = 256.0
 class _Share:
     """The blocks that one keyframe has added to the sum."""
 
-    ids: np.ndarray  # [S] int64 names of Gaussians
+    ids: np.ndarray  # [S] int64 of Gaussians
     numbers: np.ndarray  # [S, 24] float32
 
     @property
@@ -61,14 +61,14 @@ class KeyframeInformation:
         if budget_mb <= 0:
             raise ValueError(f"budget_mb must be above 0, got {budget_mb}")
         self._map, self._camera, self._budget = gaussians, camera, budget_mb * 1e6
-        self._sum = NamedRows(gaussians, COLUMNS)  # float64, since shares are taken out again
+        self._sum = RowsById(gaussians, COLUMNS)  # float64, since shares are taken out again
         self._shares: dict[int, _Share] = {}  # by keyframe, the stalest first
         self._bytes = 0
         self._known = 0  # keyframes that are in the sum, settled ones too
 
     @property
     def megabytes(self) -> float:
-        """Of all stored shares; at most the budget."""
+        """Megabytes of all stored shares; at most the budget."""
         return self._bytes / 1e6
 
     @property

@@ -1,4 +1,4 @@
-"""The frames a map is made from, and which of them an optimisation step looks at."""
+"""The keyframes of a map, and which of them an optimisation step renders."""
 
 from __future__ import annotations
 

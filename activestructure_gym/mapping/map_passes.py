@@ -21,7 +21,7 @@ def fit_to_stay(
     most_log_scale: float,
     changed: np.ndarray,  # [chunks] bool
 ) -> np.ndarray:  # [count] bool
-    """Opaque enough, small enough along every axis, and finite in all rows. What has not changed stays."""
+    """Which Gaussians are opaque enough, small enough along every axis and finite; those not ``changed`` pass."""
     keep = np.empty(count, np.bool_)
     total = np.empty(CHUNK, np.float32)
     for first in range(0, count, CHUNK):
@@ -60,7 +60,7 @@ def larger_in_view(
     limit_wide: float,  # pixels, middle sigma
     spacing: float,  # distance of neighbouring seeds in sigmas
 ) -> tuple[np.ndarray, np.ndarray]:  # [count] bool, [H, W] bool
-    """On the measured surface in view, within one sigma, and appearing larger than the limit for their size.
+    """Which Gaussians on the measured surface in view, within one sigma, appear larger than their limit.
 
     Also the pixels that those were the seeds of: a square of the seeds' spacing around each, on the same surface.
     """

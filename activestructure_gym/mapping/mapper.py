@@ -251,7 +251,7 @@ class Mapper:
         )
 
     def _remove_coarse(self, frame: Frame) -> tuple[int, np.ndarray | None]:  # number, [H, W] bool
-        """Make way for finer Gaussians; returns how many went, and the pixels to seed in their place."""
+        """Remove Gaussians that are too coarse in this frame; returns how many, and the pixels to seed instead."""
         config = self.config
         whole_frame = frame.depth.size / config.seed_stride**2
         if config.coarse_ratio is None or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
@@ -303,7 +303,7 @@ class Mapper:
         return [k for k in poor if k != index]
 
     def _slack(self, iterations: int) -> dict[str, float]:
-        """Upper bounds of how far a Gaussian moves, and grows, in so many steps of the optimiser."""
+        """Upper bounds of a Gaussian's movement and growth in so many steps of the optimiser."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
         farthest = step * iterations * config.learning_rates(self.scene_radius)

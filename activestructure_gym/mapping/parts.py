@@ -1,4 +1,4 @@
-"""The part of a large map that a camera can see: rendering it costs what is in view and not what was ever mapped.
+"""The part of a large map that a camera can see, so that rendering costs what is in view and not the whole map.
 
 Gaussians stand in the map in the order in which they were seeded, so a thousand neighbours in the arrays mostly lie
 near each other. Each such block has a box; blocks whose box cannot reach the image are left out, and the others are
@@ -44,7 +44,7 @@ class MapParts:
         return boxes
 
     def extended(self, added: int) -> MapParts:
-        """Itself, after ``added`` Gaussians were inserted behind the others."""
+        """These boxes after ``added`` Gaussians were inserted behind the others."""
         if self._boxes is not None and added:
             first = (self._map.count - added) // BLOCK
             self._boxes = np.concatenate([self._boxes[:first], self._made(first)])

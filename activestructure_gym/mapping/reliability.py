@@ -1,4 +1,4 @@
-"""How far every Gaussian can be relied on when seen from each side: GauSS-MI's state, kept per keyframe.
+"""Reliability of every Gaussian from each side: GauSS-MI's log-odds, updated by one vote per keyframe.
 
 GauSS-MI gives a Gaussian one log-odds of being right for each of the four horizontal directions
 it may be looked at in. A keyframe speaks for the direction it looked in: where the map shows what was seen, the
@@ -22,8 +22,8 @@ import numpy as np
 
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.mapping.named_rows import NamedRows
 from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.rows_by_id import RowsById
 from activestructure_gym.splatting import cpu
 from activestructure_gym.splatting.fisher import view_information
 
@@ -41,7 +41,7 @@ class DirectionalReliability:
 
     def __init__(self, gaussians: GaussianMap) -> None:
         self._map = gaussians
-        self._log_odds = NamedRows(gaussians, 4)
+        self._log_odds = RowsById(gaussians, 4)
         self._known = 0  # keyframes that have voted
 
     def update(self, keyframes: Sequence[Frame]) -> np.ndarray:  # [N, 4] float64, a view until the next call

@@ -1,4 +1,4 @@
-"""From where the keyframes have seen each Gaussian; worked out from their depth images whenever somebody asks.
+"""From which directions the keyframes have seen each Gaussian, computed from their depth images on request.
 
 Nothing is stored: the same map and keyframes give the same numbers, however Gaussians came, moved and went. The cost
 grows with keyframes times Gaussians in view: a few milliseconds for a hundred keyframes and 30,000 Gaussians.

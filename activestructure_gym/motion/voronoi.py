@@ -1,4 +1,4 @@
-"""The Voronoi graph of a floor plan: the places that are as far from everything as possible, and how they connect.
+"""The Voronoi graph of a floor plan: places at the largest distance from all walls, and their connections.
 
 ActiveSplat and ANM-S choose among these nodes ([activesplat, code], [anm_s, code]).
 """
@@ -206,7 +206,7 @@ def _merged(graph: nx.Graph, junctions: set[int], ways: list[tuple[int, int, flo
 
 
 def _lonely(free: np.ndarray, origin: np.ndarray, cell: float, radius: float) -> VoronoiGraph:
-    """The cell with the largest clearance alone, if that is enough."""
+    """The graph of the one cell with the largest clearance; empty if that is at most ``radius``."""
     distance = cv2.distanceTransform(np.pad(free, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     best = np.unravel_index(int(np.argmax(distance)), distance.shape)
     clearance = float(distance[best] - 0.5) * cell

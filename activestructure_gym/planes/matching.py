@@ -1,4 +1,4 @@
-"""Which node does a new segment belong to, and which two nodes are one surface (Sec. 3.2, dual mode)."""
+"""Data association: the node a new segment belongs to, and nodes that are one surface (Sec. 3.2, dual mode)."""
 
 from __future__ import annotations
 

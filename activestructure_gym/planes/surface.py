@@ -215,7 +215,7 @@ class GridStack:
 
 
 def stack_grids(surfaces: Sequence[SurfaceGrid]) -> GridStack:
-    """The places of one grid or more."""
+    """The `GridStack` of one surface or more."""
     shapes = np.array([surface.seen.shape for surface in surfaces], dtype=np.int64)
     return GridStack(
         frames=np.array([surface.frame for surface in surfaces]),

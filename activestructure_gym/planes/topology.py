@@ -1,4 +1,4 @@
-"""The graph over the planes: weights, edges, spanning forest, betweenness, who is structural (Sec. 3.2)."""
+"""The graph over the planes: weights, edges, spanning forest, betweenness, structural planes (Sec. 3.2)."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
 
 
 def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], str | None, dict[str, str]]:
-    """What makes the scene: its name in messages, its factory, the path if it reads files, the options in the text."""
+    """The parts of ``spec``: name for messages, factory, the path if it reads files, and the options in the text."""
     if not isinstance(spec, str | os.PathLike):
         raise InputError(f"a scene is a name, a path or a Scene, got {shown(spec)}")
     if not isinstance(spec, str):

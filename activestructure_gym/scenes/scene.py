@@ -52,7 +52,7 @@ class PartLabels:
 
 @dataclass(frozen=True)
 class Scene:
-    """A mesh an agent can be put into. Immutable; derived data are computed once and cached by content."""
+    """An immutable mesh that an agent can be put into; derived data are computed once and cached by content."""
 
     name: str  # what people call it
     mesh: SceneMesh  # metres, z up

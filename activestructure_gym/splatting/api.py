@@ -155,7 +155,7 @@ def camera_twist_gradient(
 
 
 def _check(request: _Request) -> None:
-    """One sentence for whatever does not fit."""
+    """Raise `InputError` where the parts of a request do not fit together."""
     count = len(request.means) if isinstance(request.means, torch.Tensor) and request.means.dim() else 0
     shapes = {
         "means": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "opacity_logits": (count,),

@@ -24,7 +24,7 @@ _TO_GRADIENT[layout.MODE], _TO_POSE[layout.MODE] = layout.TO_GRADIENT, layout.PO
 
 @dataclass(frozen=True)
 class CpuOptions:
-    """What is not a tensor."""
+    """Options of a rendering that are not tensors."""
 
     camera: PinholeCamera
     max_alpha: float

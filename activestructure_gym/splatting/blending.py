@@ -99,7 +99,7 @@ def _fetch_ahead(entries, entry, stop, records):
 
 @inline
 def stopped(transmittance):
-    """Minus its size: how a pixel that has stopped remembers what was left."""
+    """The mark of a stopped pixel: minus its transmittance, from which the transmittance can be read again."""
     return float_bits(int_bits(transmittance) | np.int32(-0x80000000))
 
 

@@ -1,4 +1,4 @@
-"""How threads share the work of a kernel: atomic counters hand out its units, and threads wait for each other in it."""
+"""Atomic counters that hand out a kernel's work to its threads, and waits between its parts."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)

@@ -1,4 +1,4 @@
-"""What stands where in the rasteriser's arrays, how large its units are, and the numbers of the model (gsplat's)."""
+"""Layout of the rasteriser's arrays, sizes of its units, and the constants of the model (gsplat's)."""
 
 from __future__ import annotations
 

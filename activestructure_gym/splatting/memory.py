@@ -1,4 +1,4 @@
-"""Between arrays and SIMD values: loading and storing, single elements and bits, transposing, sums over the lanes."""
+"""Loads and stores between arrays and SIMD values, single elements and bits, transposing, sums over the lanes."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)

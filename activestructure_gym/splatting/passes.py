@@ -136,7 +136,7 @@ def unblend_channels(
 
 
 def _colors(workspace: Workspace, count: int) -> np.ndarray:  # [N, 3], a view
-    """The colour fields of the records."""
+    """View of the colour fields of the records."""
     assert (layout.GREEN, layout.BLUE) == (layout.RED + 1, layout.RED + 2)
     return workspace.records[: count * layout.RECORD].reshape(count, layout.RECORD)[:, layout.RED : layout.RED + 3]
 

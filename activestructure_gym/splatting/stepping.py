@@ -1,4 +1,4 @@
-"""From the sums of every entry back to the parameters: through the projection, to dense gradients or a step of Adam."""
+"""Gradients of the parameters from the sums of every entry, dense or as a step of Adam."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)

@@ -1,4 +1,4 @@
-"""Which tiles a Gaussian reaches: counting the entries of every tile, giving them places, filling and sorting them."""
+"""Tile lists: count the entries of every tile, reserve their places, fill and sort them."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)

@@ -346,7 +346,7 @@ class Workspace:
     def _step(
         self, rates: np.ndarray, first_moment: np.ndarray, second_moment: np.ndarray, gradient: np.ndarray
     ) -> Step:
-        """What the second part of a backward kernel takes."""
+        """Arguments of the part of a backward kernel that steps the map."""
         if len(rates) < layout.RATES:  # what is left out is 0
             rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
         slots = self._buffer("slots", self.total * LANES)
@@ -358,7 +358,7 @@ class Workspace:
         return self._results[: stepping.OF_POSE].reshape(3, 4).astype(np.float32)
 
     def _run_through(self, kernel, *arguments) -> None:
-        """A kernel whose last part steps the map, again while some thread has left it early."""
+        """Run a kernel that steps the map, again as long as a thread has left it early."""
         while self.tickets[counters.STEPPED] < self.grid[layout.CHUNKS]:
             self._run(kernel, *arguments)
 

@@ -1,4 +1,4 @@
-"""What is missing all around a place: panoramas of the map, the clusters of their open pixels, and how much each hides.
+"""Missing parts around a place: panoramas of the map, clusters of their open pixels, and the volume of each.
 
 ActiveSplat's measure of a Voronoi node ([activesplat, code]), at half its resolution: its thresholds in
 pixels are for one pixel per degree, ours are what they mean in degrees.

@@ -78,7 +78,7 @@ def cosines_in_sight(
 
 
 class _Targets(NamedTuple):
-    """What is looked at."""
+    """Sample points of the planes and what decides whether they are in sight."""
 
     points: np.ndarray  # [P, S, 3] metres, world
     normals: np.ndarray  # [P, 3]

@@ -51,7 +51,7 @@ class VoxelFields(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A depth image, prepared."""
+    """A depth image prepared for `carve`."""
 
     number: int
     fresh: bool  # seen from another pose than the image before
@@ -63,7 +63,7 @@ class Look(NamedTuple):
 
 
 class Frustum(NamedTuple):
-    """From `frustum_planes`, and the box [lower, upper) of voxels that it can touch."""
+    """The inequalities of `frustum_planes`, and the box [lower, upper) of voxels that the frustum can touch."""
 
     planes: np.ndarray
     reach: np.ndarray
@@ -74,7 +74,7 @@ class Frustum(NamedTuple):
 
 
 class Caution(NamedTuple):
-    """See `VolumeConfig`."""
+    """Margins and thresholds of `carve`, as in `VolumeConfig`."""
 
     margin: float  # metres
     margin_growth: float  # metres per square metre of range

@@ -1,4 +1,4 @@
-"""What is known of the space around the agent: unknown, free, occupied; its distance field; a TSDF for evaluation."""
+"""The voxel grid: unknown, free and occupied space, its distance field, and a TSDF for evaluation."""
 
 from __future__ import annotations
 
@@ -302,7 +302,7 @@ class VoxelVolume:
 
     @property
     def occupied(self) -> np.ndarray:  # [X, Y, Z] bool
-        """What ends a line of sight, as `distance_field.sight_line` takes it."""
+        """Occupied voxels, in the form that `distance_field.sight_line` takes."""
         return self.state == OCCUPIED
 
     def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3]

@@ -67,7 +67,7 @@ class Job:
 
     @property
     def title(self) -> str:
-        """What people read."""
+        """Scene, policy and seed in short names, for people."""
         return f"{scene_label(self.scene)} · {policy_label(self.policy)} · seed {self.seed}"
 
     def as_dict(self) -> dict[str, Any]:

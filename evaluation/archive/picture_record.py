@@ -59,7 +59,7 @@ def plan_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
 
 
 def plan_scale(extent: np.ndarray) -> float:  # pixels per metre
-    """How large a plan of this extent [2] metres is drawn."""
+    """Pixels per metre for a plan of this extent [2] metres."""
     return min(_PIXELS_PER_METRE, _LONGEST_SIDE / float(np.max(extent)))
 
 

@@ -126,7 +126,7 @@ STEP: Check = table(
 
 
 def _places(*shape: int | str, least: int = 0) -> Array:
-    """Positions in the world, metres."""
+    """The `Array` of positions in the world, metres."""
     return Array("f", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
 
 
@@ -171,7 +171,7 @@ _GRAPH = {
 
 
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
-    """Poses are rigid, keyframes are among them, and the camera is one."""
+    """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
     sizes = check_arrays(arrays, _TRAJECTORY)
     if sizes["T"] > _MOST_POSES:
         raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
@@ -190,14 +190,14 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
-    """Views of one size, and the parts of a plan."""
+    """Raise `Mismatch` unless all views have one size and the plan's arrays agree."""
     sizes = check_arrays(arrays, _PICTURES)
     if sizes["views"] > _MOST_PICTURES:
         raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
 
 
 def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
-    """Everything that refers to planes does so within them, and their patches are as large as their bits."""
+    """Raise `Mismatch` unless indices of planes exist, normals are unit vectors, and patches fit their bits."""
     sizes = check_arrays(arrays, _GRAPH)
     planes = sizes["planes"]
     if planes > _MOST_PLANES or sizes["edges"] + sizes["holes"] > _MOST_MARKS:
@@ -214,7 +214,7 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def check_steps(steps: list[Any]) -> None:
-    """Decisions in their order."""
+    """Raise `Mismatch` unless every decision's entries are valid and frames never fall."""
     if len(steps) > _MOST_POSES:
         raise Mismatch(f"it holds {len(steps)} decisions, at most {_MOST_POSES} are read")
     for number_, step in enumerate(steps, start=1):

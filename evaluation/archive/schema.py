@@ -32,7 +32,7 @@ class Mismatch(ValueError):
 
 
 def number(low: float = -LARGEST, high: float = LARGEST, *, whole: bool = False) -> Check:
-    """A finite number in ``low`` .. ``high``."""
+    """A check for a finite number in ``low`` .. ``high``."""
     kind = "a whole number" if whole else "a number"
 
     def check(value: Any, place: str) -> None:
@@ -69,12 +69,12 @@ def flag(value: Any, place: str) -> None:
 
 
 def maybe(check: Check) -> Check:
-    """The same, or null."""
+    """A check that passes null, and what ``check`` passes."""
     return lambda value, place: None if value is None else check(value, place)
 
 
 def each(check: Check, *, least: int = 0, length: int | None = None) -> Check:
-    """A list whose entries pass."""
+    """A check for a list whose entries all pass ``check``."""
 
     def check_all(value: Any, place: str) -> None:
         if not isinstance(value, list):
@@ -93,7 +93,7 @@ def table(
     optional: Mapping[str, Check] | None = None,
     others: Check = anything,
 ) -> Check:
-    """Names with values: ``required`` must be there, ``optional`` may, and every other one passes ``others``."""
+    """A check for a table of names: ``required`` must be there, ``optional`` may, others pass ``others``."""
     needed = dict(required or {})
     known = needed | dict(optional or {})
 
@@ -121,7 +121,7 @@ def read_checked_json(path: Path, check: Check = anything, *, most: int = LARGES
 
 
 def checked_json(content: bytes, check: Check = anything) -> Any:
-    """The same from bytes."""
+    """The content of JSON given as bytes; `Mismatch` where it cannot be read or does not pass ``check``."""
     try:
         value = json.loads(content.decode("utf-8"), parse_constant=_no_constant)
         check_depth(value)

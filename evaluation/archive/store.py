@@ -77,7 +77,7 @@ class Run:
 
     @cached_property
     def policy(self) -> str:
-        """What people call the policy: a checkpoint without the folders it lies in."""
+        """Short name of the policy; a checkpoint's is without its folders."""
         return policy_label(self.job.policy)
 
     @cached_property
@@ -196,7 +196,7 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
 
 
 def open_run(directory: Path, scene: str | None = None) -> Run:
-    """The same for a directory whose data are whole and which may not count as finished yet."""
+    """As `read_run`, for a directory whose files are whole but that is not marked as finished."""
     mark, sums = _mark(directory)
     found = {}
     for name, check in (("config", run_files.CONFIG), ("metrics", run_files.METRICS), ("timing", run_files.TIMING)):
@@ -330,7 +330,7 @@ def _read(directory: Path, name: str, sums: Mapping[str, str], read: Callable[[P
 
 
 def _damaged(path: Path, reason: Exception | str) -> InputError:
-    """What is said of a damaged file of a run."""
+    """The `InputError` about a damaged file of a run, with the remedy."""
     comparison = path.parent.parent.parent
     remedy = "make the run again"
     if path.parent.parent.name == JOBS and (comparison / COMPARISON).is_file():
@@ -420,7 +420,7 @@ def _same_result(one: Path, other: Path) -> bool:
 
 
 def _flush(directory: Path) -> None:
-    """Have all files of ``directory`` written to the disk: what has a name survives a power cut too."""
+    """Write all files of ``directory`` through to the disk, so that a power cut cannot empty a file that has a name."""
     if os.name != "posix":
         return
     for path in (*directory.rglob("*"), directory):

@@ -24,7 +24,7 @@ STAGES = ("sensor", "volume", "mapping", "planes", "planning", "gains")
 
 @dataclass(frozen=True)
 class Round:
-    """What one process did while it was timed. Resets are not in it."""
+    """Time, frames and stages of the steps of one process in one timed round; resets are counted apart."""
 
     wall: np.ndarray  # [steps] seconds
     processor: np.ndarray  # [steps] seconds
@@ -187,7 +187,7 @@ class Episodes:
         )  # fmt: skip
 
     def during(self, seconds: float) -> Round:
-        """Episodes for so long."""
+        """Play episodes for ``seconds``."""
         until, parts = time.perf_counter() + seconds, list[Round]()
         while not parts or time.perf_counter() < until:
             parts.append(self.episode(until))

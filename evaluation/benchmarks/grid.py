@@ -108,7 +108,7 @@ def _supervised(jobs: Sequence[Job], directory: Path) -> None:
 
 
 def _processor_seconds() -> tuple[float, float]:
-    """Of this process, and of those it started that have ended."""
+    """Processor seconds of this process and of its children that have ended."""
     import resource  # not on Windows, which has no xargs either
 
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))

@@ -43,7 +43,7 @@ class Recipe:
         return f"{self.mapper} at {self.iterations}" + (f", stride {self.stride}" if self.stride != 2 else "")
 
     def make(self, rng: np.random.Generator) -> Mapper:
-        """The mapper, with nothing seen yet."""
+        """An empty mapper of this recipe."""
         config = replace(MAPPERS[self.mapper], iterations=self.iterations, seed_stride=self.stride)
         return Mapper(config, rng)
 
@@ -62,7 +62,7 @@ RECIPES = (
 
 @dataclass(frozen=True)
 class MappingCourse:
-    """What is mapped and what is asked: the same for every recipe."""
+    """Keyframes to map and held-out views to render, the same for every recipe."""
 
     keyframes: list[Frame]
     truth: list[Frame]  # held-out views
@@ -70,7 +70,7 @@ class MappingCourse:
 
 @dataclass(frozen=True)
 class MappedViews:
-    """One recipe on one course: what its map shows, and what it took."""
+    """The held-out views as one recipe's map renders them, and what mapping cost."""
 
     scene: str
     recipe: Recipe

@@ -93,7 +93,7 @@ def true_planes(
     config: PlaneDetectionConfig | None = None,
     matching: MatchingConfig | None = None,
 ) -> TruePlanes:
-    """See the module's text."""
+    """The true planes of one view, joined from the mesh's faces as the module's docstring says."""
     config, matching = config or PlaneDetectionConfig(), matching or MatchingConfig()
     shape = (camera.height, camera.width)
     eye = pose[:3, 3]

@@ -82,7 +82,7 @@ def _explored(scene: str, preset: str, gaussians: int, frames: int, notify: Call
 
 
 def _ask(env: Any) -> None:
-    """What planners measure of the keyframes so far and keep, as at every decision of an episode that needs it."""
+    """Update what planners keep of the keyframes: movement, reliability, information."""
     mapper = env.reconstruction.mapper
     mapper.movement()
     mapper.reliability()

@@ -48,7 +48,7 @@ _BOXES = np.array([
 
 @dataclass(frozen=True)
 class Workload:
-    """A map and what is asked of it."""
+    """A Gaussian map, the cameras it is rendered from, and the target images."""
 
     parameters: np.ndarray  # [14, capacity] float32
     count: int
@@ -185,7 +185,7 @@ _BASELINES = {
 
 
 def _flops(task: str) -> int:
-    """Per needed pair; 0 where nobody has counted."""
+    """Floating-point operations of a task per needed (pixel, Gaussian) pair; 0 where they were not counted."""
     if task.endswith(", torch") or task == _INFORMATION:
         return 0
     return _FLOPS_FORWARD if task in ("forward", "score 64 views") else _FLOPS_FORWARD + _FLOPS_BACKWARD

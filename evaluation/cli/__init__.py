@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _exit_code(arguments: Sequence[str]) -> int:
-    """What a command comes to, whatever it raises."""
+    """Run a command; its exit code, with every expected error printed as one line on standard error."""
     try:
         _find_in_working_directory()
         with _doubts_as_lines():
@@ -91,14 +91,14 @@ def _exit_code(arguments: Sequence[str]) -> int:
 
 
 def _one_line(text: str) -> str:
-    """Names may hold anything: newlines, what moves a terminal's cursor, half a file."""
+    """``text`` in one line of printable characters, shortened in the middle."""
     text = " ".join(text.split())
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 200]} ... {text[-150:]}"
 
 
 def _find_in_working_directory() -> None:
-    """Let ``my_policy:MyPolicy`` be found there, but nothing in the place of an installed package."""
+    """Let modules of the working directory be imported, behind all installed packages."""
     try:
         here = os.getcwd()
     except FileNotFoundError:  # deleted meanwhile
@@ -109,7 +109,7 @@ def _find_in_working_directory() -> None:
 
 @contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
-    """End as Ctrl-C does, which cleans up and says how to go on; gives a list that the signal is put into."""
+    """While the block runs SIGTERM raises KeyboardInterrupt; yields a list that then holds the signal's number."""
     came: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> NoReturn:
@@ -128,7 +128,7 @@ def _sigterm_as_ctrl_c() -> Iterator[list[int]]:
 
 @contextmanager
 def _doubts_as_lines() -> Iterator[None]:
-    """What is doubtful about the user's files, each once and as one line; Python would show where it was said."""
+    """While the block runs, print every `InputWarning` once and as one line, without its place in the code."""
     told: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

@@ -26,10 +26,10 @@ COMMANDS = {
 
 
 class Command(Protocol):
-    """What a subcommand is: a dataclass of its options, and what to do with them."""
+    """A subcommand: a dataclass of its options with a method that runs it."""
 
     def run(self) -> int:
-        """The exit code."""
+        """Run the command; returns the exit code."""
 
 
 def find_command(name: str) -> type[Command]:

@@ -35,7 +35,7 @@ class Completion:
 
 @dataclass(frozen=True)
 class _Entry:
-    """An option, or what may stand in the place of one."""
+    """An option or a positional argument, and the words it takes."""
 
     name: str  # "" for what stands alone
     words: Sequence[str] | None  # that it takes; () takes none, None is a file

@@ -1,4 +1,4 @@
-"""``asg config``: what an episode is set to."""
+"""``asg config``: print the configuration of an episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kinds of options that several commands have, with what help calls their values."""
+"""Types of options that several commands share, with the names that help gives their values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import tyro
 
 
 def option(metavar: str, default: str | None = None) -> Any:
-    """What help calls a value, and what it says of the default where the value itself says nothing."""
+    """Settings of an option: the name help gives its value, and a text for the default."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=default)
 
 

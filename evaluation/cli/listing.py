@@ -1,4 +1,4 @@
-"""How what there is by name is listed: as a table for readers, as JSON for programs."""
+"""Print what is registered by name: as a table for readers, as JSON for programs."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from activestructure_gym.evaluation.cli.output import make_console, print_whole
 
 
 def first_line(thing: Any) -> str:
-    """Of the docstring of a class or function."""
+    """First line of the docstring of a class or function."""
     return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
 def print_listed(table: Table, hint: str) -> None:
-    """The table, and below it what can be done with it."""
+    """Print a table, and below it a hint."""
     console = make_console()
     print_whole(console, table)
     console.print(hint)
 
 
 def print_json(content: Any) -> int:
-    """For programs; returns the exit code."""
+    """Print ``content`` as JSON; returns exit code 0."""
     print(json.dumps(content, indent=1, default=str, ensure_ascii=False))
     return 0

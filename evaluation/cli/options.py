@@ -1,4 +1,4 @@
-"""From the words of a command line to values; every mistake is one `InputError`."""
+"""Parse the values of command-line options; every mistake is one `InputError`."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
 
 def make_console() -> Console:
-    """Of standard output: as wide as the terminal or as ``COLUMNS`` says; in a log nothing is wrapped."""
+    """A console on standard output: as wide as the terminal or as ``COLUMNS`` says; a log is not wrapped."""
     endless = not sys.stdout.isatty() and not os.environ.get("COLUMNS")
     return Console(highlight=False, width=_WIDEST if endless else None)
 
@@ -46,7 +46,7 @@ def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
 
 
 def print_whole(console: Console, table: Table) -> None:
-    """Print the table in its full width, whatever the terminal's: a terminal can be widened, a cut number is lost."""
+    """Print the table in its full width, whatever the terminal's, so that no number is cut."""
     needed = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
     if needed > console.width:
         # rich never exceeds a console's width, so the table gets a console of its own.
@@ -55,7 +55,7 @@ def print_whole(console: Console, table: Table) -> None:
 
 
 def plain_table(title: str, *columns: str) -> Table:
-    """A table without a frame, in the look of all of ours."""
+    """A table without a frame, with these columns."""
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for column in columns:
         table.add_column(column, no_wrap=True)

@@ -1,4 +1,4 @@
-"""From the words behind ``asg COMMAND`` to its options; what cannot be read is one sentence, and no box."""
+"""Parse the words behind ``asg COMMAND`` with tyro; what cannot be parsed is an `InputError` of one sentence."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
 
 
 def sentence(box: str, part: str = "") -> str:
-    """What tyro says in a box of many lines, in one; ``part`` is the subcommand of a command that has some."""
+    """tyro's boxed error message as one sentence; ``part`` is the subcommand of a command that has some."""
     lines = re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()[1:]  # without the colours and the title
     blocks: list[list[str]] = [[]]
     for row in (line.strip("│ \t") for line in lines):
@@ -73,7 +73,7 @@ _ELSEWHERE = re.compile(r"in asg ([a-z-]+) --help")
 
 
 def _hints(blocks: Sequence[Sequence[str]], given: Sequence[str], part: str) -> Iterator[str]:
-    """What options could have been meant, and which of those given belong to another subcommand."""
+    """Sentences on options that could have been meant, and on given ones that belong to another subcommand."""
     meant = []
     for rows in blocks:
         if len(rows) > 1 and _SUGGESTS.match(rows[0]):
@@ -89,7 +89,7 @@ def _hints(blocks: Sequence[Sequence[str]], given: Sequence[str], part: str) -> 
 
 
 def _places(rows: Sequence[str], option: str) -> list[str]:
-    """The subcommands that the option belongs to, out of rows about it and then about others."""
+    """Names of the subcommands that have ``option``, from the rows of tyro's message that are about it."""
     about = takewhile(lambda row: not row.startswith("--") or row.split()[0].rstrip(",") == option, rows)
     return [found[1] for row in about if (found := _ELSEWHERE.fullmatch(row))]
 
@@ -104,7 +104,7 @@ def _encodable(word: str) -> bool:
 
 @contextmanager
 def _columns(number: int) -> Iterator[None]:
-    """As wide as this is the terminal, as far as tyro can tell."""
+    """While the block runs, let tyro format for a terminal of this many columns."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(number)
     try:
@@ -127,7 +127,7 @@ def _columns_of_help() -> int:
 
 
 def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) -> Callable[[PrimitiveTypeInfo], Any]:
-    """How a value of one kind is read, and where an option may be left away, a value of this kind or None."""
+    """tyro's rule to parse one type: values of ``kind`` that are ``good``, or None where the option is optional."""
 
     def read(texts: list[str]) -> Any:
         try:

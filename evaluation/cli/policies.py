@@ -1,4 +1,4 @@
-"""``asg policies``: who can explore, and how each decides."""
+"""``asg policies``: list the policies, or describe one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``asg report``: from finished runs to the page and the tables."""
+"""``asg report``: write the report page and tables of finished runs."""
 
 from __future__ import annotations
 

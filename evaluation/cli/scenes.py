@@ -1,4 +1,4 @@
-"""``asg scenes``: which scenes there are, and whether one is what its user thinks it is."""
+"""``asg scenes``: list the registered scenes, or check one."""
 
 from __future__ import annotations
 

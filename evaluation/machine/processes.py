@@ -1,4 +1,4 @@
-"""Which processes live, on which machine."""
+"""Which processes of this machine are alive, and how much processor time they took."""
 
 from __future__ import annotations
 

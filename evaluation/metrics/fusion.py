@@ -83,7 +83,7 @@ def fused_surface(
 
 
 def triangle_areas(triangles: np.ndarray) -> np.ndarray:  # [T] m^2
-    """Of each of the triangles [T, 3, 3]."""
+    """Area of each of the triangles [T, 3, 3]."""
     areas = np.empty(len(triangles))
     _areas(np.ascontiguousarray(triangles, np.float64), areas)
     return areas

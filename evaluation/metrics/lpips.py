@@ -149,7 +149,7 @@ def load(paths: list[Path]) -> Lpips:
 
 @contextmanager
 def measuring(notes: dict[str, str]) -> Iterator[Distance | None]:
-    """The distance, or None and the reason under ``notes["lpips"]``.
+    """Context: the LPIPS distance of two images, or None with the reason under ``notes["lpips"]``.
 
     Inside, torch uses one thread per call: the views are measured side by side, and a sum that is split over threads
     need not come out the same on another machine.

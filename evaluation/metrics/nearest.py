@@ -89,7 +89,7 @@ def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
 
 
 def _spread(value: np.ndarray) -> np.ndarray:
-    """The 16 bits of every number, three apart."""
+    """The lowest 16 bits of every number, moved to every third bit, for a Morton code."""
     for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
         value = (value | (value << np.uint64(shift))) & np.uint64(mask)
     return value
@@ -110,7 +110,7 @@ def _build(points: np.ndarray, first_leaf: int, boxes: np.ndarray) -> None:
 
 @kernel
 def _box_distance(boxes: np.ndarray, node: int, x: float, y: float, z: float, spare: float) -> float:
-    """Squared distance to a box, at least ``spare`` nearer than measured."""
+    """Squared distance from (x, y, z) to a box, after ``spare`` metres are taken off the distance."""
     dx = max(max(boxes[node, 0] - x, x - boxes[node, 3]), 0.0)
     dy = max(max(boxes[node, 1] - y, y - boxes[node, 4]), 0.0)
     dz = max(max(boxes[node, 2] - z, z - boxes[node, 5]), 0.0)

@@ -25,7 +25,7 @@ class CameraPath:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
-        """From the arrays of ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
+        """The path in the arrays of ``trajectory.npz``, which `run_files.check_trajectory` has checked."""
         poses = arrays["world_from_camera"]
         width, height = (int(side) for side in arrays["image_size"])
         return cls(
@@ -44,7 +44,7 @@ class EvaluationProtocol(Protocol):
 
     @property
     def version(self) -> int:
-        """Moves whenever the same map would get another number."""
+        """Raised whenever the same map would get another number."""
 
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant, for the result file."""

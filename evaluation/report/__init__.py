@@ -1,4 +1,4 @@
-"""What a reader sees: one page, tables, convergence curves, pictures; all rebuilt from run directories.
+"""The report: one page, tables, convergence curves, pictures; all made from run directories.
 
 `results.Results` is what a report is about, `summary.write_results` writes all of it, `page.html_page` is the page.
 """

@@ -1,4 +1,4 @@
-"""Putting images and text on a page, pixel by pixel, without resampling what is to be judged."""
+"""Compose images and text on a page; what is to be judged is placed pixel by pixel and not resampled."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write(
     fill: tuple[int, int, int] = INK,
     anchor: str = "la",
 ) -> None:
-    """One line of text; ``anchor`` is Pillow's."""
+    """Draw one line of text; ``anchor`` is Pillow's."""
     ImageDraw.Draw(image).text(position, text, font=font(size, bold=bold), fill=fill, anchor=anchor)
 
 
@@ -65,7 +65,7 @@ def corner_label(image: Image.Image, text: str, *, size: int = 13, at_top: bool 
 
 
 def framed(page: Image.Image, tile: Image.Image, place: tuple[int, int]) -> None:
-    """Put a tile on a page with a hair line around it, so that a white edge can be told from the page."""
+    """Paste a tile on a page with a thin frame around it, so that its edge shows on a white page."""
     x, y = place
     page.paste(tile, place)
     ImageDraw.Draw(page).rectangle([x - 1, y - 1, x + tile.width, y + tile.height], outline=HAIR)
@@ -134,7 +134,7 @@ def stored_panels(path: Path) -> list[Image.Image] | None:
 
 
 def stored_picture(path: Path) -> Image.Image | None:
-    """A PNG file of the size of ours; None for everything else, which is drawn again."""
+    """The picture in a PNG file; None if the file is missing, damaged or larger than any of ours."""
     if not path.is_file():
         return None
     try:

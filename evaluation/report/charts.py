@@ -34,13 +34,13 @@ _MARKS = (
 
 
 class _Shape(NamedTuple):
-    """A path of a chart: its class, its way and whatever else it has."""
+    """An SVG element of a chart, by its attributes."""
 
     attributes: dict[str, str | None]
 
 
 class _Words(NamedTuple):
-    """A text of a chart."""
+    """A text element of a chart."""
 
     text: str
     x: float
@@ -54,7 +54,7 @@ _Part = _Shape | _Words
 
 
 class _Group(NamedTuple):
-    """What belongs to one policy."""
+    """The elements of one policy."""
 
     attributes: dict[str, str]
     parts: Sequence[_Part]
@@ -289,7 +289,7 @@ def _size(chart: Markup) -> tuple[float, float]:
 
 
 def chart_style() -> str:
-    """What a chart looks like outside of the page: its own paper, ink and colours."""
+    """CSS of a chart that stands outside of the page: background, ink and colours."""
     colours = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS))
     by_night = "".join(f".p{i}{{--c:{colour}}}" for i, colour in enumerate(COLOURS_BY_NIGHT))
     return (

@@ -1,4 +1,4 @@
-"""What is compared: the numbers of a run, how they are headed, and which way is better."""
+"""Metrics as columns of tables: header, unit, digits, and which direction is better."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WORLD = ("volume", "planes")
 
 @dataclass(frozen=True)
 class Column:
-    """One number of a run."""
+    """One metric of a run."""
 
     key: str  # in metrics.json, "PROTOCOL/KEY" of a further protocol's numbers, or one of the seconds below
     header: str
@@ -26,7 +26,7 @@ class Column:
 
     @property
     def arrow(self) -> str:
-        """Towards the better."""
+        """Arrow towards better values; empty for a cost."""
         return {"lowest": "↓", "highest": "↑", None: ""}[self.best]
 
     @property
@@ -36,12 +36,12 @@ class Column:
 
     @property
     def tie(self) -> float:
-        """Half a unit of the last digit that is printed: what differs by no more is printed alike."""
+        """Half a unit of the last printed digit: values that differ by no more are ties."""
         return 0.5 * 10.0**-self.digits
 
     @property
     def sign(self) -> int:
-        """What makes larger better."""
+        """-1 where smaller is better, else 1."""
         return -1 if self.best == "lowest" else 1
 
 
@@ -107,14 +107,14 @@ def value_of(run: Run, key: str) -> float | None:
 
 @dataclass(frozen=True)
 class Aspect:
-    """One way the quality of the same maps was measured."""
+    """Metrics of the same maps under one protocol, or of its TSDF surface."""
 
     name: str  # of its tables' files; empty for the run's own protocol
     title: str
     columns: tuple[Column, ...]  # those that at least one run has a number for
 
     def of(self, table: str) -> str:
-        """The name of one of its tables."""
+        """File name of this aspect's ``table``."""
         return f"{table}-{self.name}" if self.name else table
 
 

@@ -1,4 +1,4 @@
-"""Convergence: completion ratio and PSNR over the frames, the metres and the seconds that were paid for them."""
+"""Convergence curves: completion ratio and PSNR over frames, metres and seconds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TAIL = 0.5  # share of a chart's width that may show settled curves only
 
 @dataclass(frozen=True)
 class Measure:
-    """What is drawn upwards."""
+    """A quantity on the vertical axis."""
 
     key: str  # in the points of metrics.json's curve
     header: str
@@ -32,7 +32,7 @@ class Measure:
 
 @dataclass(frozen=True)
 class Cost:
-    """What is drawn to the right."""
+    """A cost on the horizontal axis."""
 
     key: str
     label: str
@@ -111,7 +111,7 @@ def chart_rows(results: Results, scene: str | None = None, statistic: Statistic 
 
 
 def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, statistic: Statistic) -> list[Line]:
-    """The curves up to where something still happens: one slow run among many must not make a chart of its tail.
+    """The curves of `convergence`, cut soon after the last of them has settled; frames are shown whole.
 
     Frames are the budget and always shown whole.
     """
@@ -126,7 +126,7 @@ def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, 
 
 
 def _settled(line: Line, within: float) -> float:
-    """From where on the curve and its band stay that near to where they end."""
+    """The cost from which on the curve and its band stay within ``within`` of their last values."""
     moving = [np.flatnonzero(np.abs(y - y[-1]) > within) for y in (line.y, line.low, line.high) if y is not None]
     last = max((int(places[-1]) for places in moving if len(places)), default=-1)
     return float(line.x[min(last + 1, len(line.x) - 1)])

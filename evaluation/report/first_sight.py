@@ -1,4 +1,4 @@
-"""What a reader sees first: one view and one path per policy, side by side, of one scene and one seed."""
+"""The pictures that open the page: one view and one path per policy, of one scene and one seed."""
 
 from __future__ import annotations
 

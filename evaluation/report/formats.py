@@ -23,7 +23,7 @@ _LATEX = {
 
 
 def markdown(table: Table) -> str:
-    """With the first three marked as **1.0** ¹, 1.1 ², 1.2 ³."""
+    """The table in Markdown, with the first three marked as **1.0** ¹, 1.1 ², 1.2 ³."""
     headings = [heading.text for heading in table.headings]
     if table.groups:
         spans = [text for text, span in table.groups for _ in range(span)]
@@ -39,7 +39,7 @@ def markdown(table: Table) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """Numbers in full precision, ranks left out."""
+    """The table as CSV: numbers in full precision, ranks left out."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     spans = [text for text, span in table.groups for _ in range(span)] or [""] * len(table.headings)
@@ -52,7 +52,7 @@ def to_csv(table: Table) -> str:
 
 
 def latex(table: Table) -> str:
-    """A ``table`` with a plain ``tabular``: no package needed. 1st bold, 2nd underlined, 3rd italic."""
+    """The table in LaTeX, a plain ``tabular`` that needs no package: 1st bold, 2nd underlined, 3rd italic."""
     columns = "".join("r" if heading.numeric else "l" for heading in table.headings)
     lines = [r"\begin{table}", r"\centering", rf"\caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}"]
     lines += [rf"\label{{tab:{table.name}}}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]

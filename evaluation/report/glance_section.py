@@ -53,7 +53,7 @@ def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
 
 
 def _cards_say(results: Results) -> str:
-    """What stands in the cards, and, said here once, why there may be no interval."""
+    """Sentences on what the cards show, and why an interval may be missing."""
     several = len(results.scenes) > 1
     text = "First of each metric" + (", by the mean over the scenes" if several else "")
     if len(results.policies) > 1:

@@ -54,7 +54,7 @@ def counted(number: int, one: str, many: str | None = None) -> str:
 
 
 class _Shown(NamedTuple):
-    """A cell of a table as the template has it."""
+    """One cell of a table, as the fields that the template reads."""
 
     tag: str
     attributes: dict[str, Any]
@@ -101,7 +101,7 @@ def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[s
 
 
 def _parted(text: str) -> tuple[str, str]:
-    """A number, and the interval or the deviation behind it."""
+    """A cell's text as (number, interval or deviation behind it); the second is empty where there is none."""
     for mark in (" [", " ± "):
         number, found, rest = text.partition(mark)
         if found:

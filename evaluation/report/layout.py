@@ -1,4 +1,4 @@
-"""A table before it is written down: headings, cells, ranks. `formats` and `html` give it a form."""
+"""Tables as data: headings, cells, ranks. `formats` and `html` write them out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MISSING = "–"  # no run: as in the paper, "failure to complete"
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry."""
+    """One cell of a table: its text, the value behind it, and its mark."""
 
     text: str
     value: float | None = None  # what it is sorted by; None: by its text, or it has none
@@ -25,7 +25,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Heading:
-    """What stands above a column."""
+    """Heading of one column."""
 
     text: str
     numeric: bool = True
@@ -33,7 +33,7 @@ class Heading:
 
     @classmethod
     def of(cls, column: Column) -> Heading:
-        """A metric's heading."""
+        """The heading of a metric's column."""
         return cls(column.title)
 
 
@@ -51,7 +51,7 @@ class Table:
 
     @property
     def sortable(self) -> bool:
-        """Blocks would be torn apart."""
+        """Whether readers may sort the rows: not where blocks or grouped columns would be torn apart."""
         return not self.blocks and not self.groups and len(self.rows) > 1
 
     def shown(self, row: int, column: int) -> str:
@@ -63,12 +63,12 @@ class Table:
 
 
 def number(value: float | None, digits: int, missing: str = NONE) -> Cell:
-    """A plain number."""
+    """A cell with a plain number."""
     return Cell(missing) if value is None else Cell(f"{value:,.{digits}f}", value)
 
 
 def with_interval(estimate: Estimate | None, digits: int, *, signed: bool = False) -> Cell:
-    """``3.21 [3.02, 3.40]``; without an interval the number alone."""
+    """A cell such as ``3.21 [3.02, 3.40]``; without an interval the number alone."""
     if estimate is None:
         return Cell(MISSING)
     text = decimal(estimate.value, digits, signed=signed)
@@ -84,7 +84,7 @@ def decimal(value: float, digits: int, *, signed: bool = False) -> str:
 
 
 def ranked(cells: Sequence[Cell], column: Column) -> list[Cell]:
-    """The first three marked; what is equal as printed shares a rank, and alone nobody is first."""
+    """The cells with ranks 1 to 3; cells equal as printed share a rank, and a single value has none."""
     values = {i: round(cell.value, column.digits) for i, cell in enumerate(cells) if cell.value is not None}
     if column.best is None or len(values) < 2:
         return list(cells)

@@ -1,4 +1,4 @@
-"""The words that stand below the numbers: what was measured, and how the statistics are defined."""
+"""Texts of the page about the method: what was measured, and how the statistics are defined."""
 
 from __future__ import annotations
 

@@ -25,11 +25,11 @@ class Projection:
     size: tuple[int, int]  # width, height in pixels
 
     def pixels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 2]
-        """Where points of the world stand in the picture."""
+        """Image position of world points, in pixels."""
         return points @ self.rows.T + self.shift
 
     def nearness(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] metres, larger = nearer to the eye
-        """Order along the line of sight."""
+        """Depth of world points along the line of sight."""
         return points @ self.towards
 
 
@@ -121,7 +121,7 @@ def nearest_planes(
 
 
 def silhouette(arrays: GraphArrays, plane: int, view: Projection) -> tuple[Window, np.ndarray] | None:
-    """The first two of `cover`."""
+    """Window and pixels of a plane's seen cells: the first two results of `cover`."""
     found = _covered(arrays, plane, view)
     return None if found is None else found[:2]
 

@@ -1,4 +1,4 @@
-"""Texts without the places of files: a page that is sent to others names files, not the folders of who made it."""
+"""Remove the folders of absolute paths from texts, since reports are sent to others."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def _ground(plan: Mapping[str, np.ndarray], view: Projection) -> Image.Image:
 
 @dataclass(frozen=True)
 class _Shape:
-    """What is drawn of one plane, whatever its colour."""
+    """Outline or strokes of one plane, without its colour."""
 
     plane: int
     area: tuple[tuple[int, int], Image.Image] | None = None  # upper left pixel, opacity
@@ -90,7 +90,7 @@ class _Shape:
 
 
 def _shapes(arrays: GraphArrays, view: Projection) -> list[_Shape]:
-    """In the order they are drawn."""
+    """The shapes of all planes, in drawing order."""
     rise, height = arrays["normals"][:, 2], arrays["centroids"][:, 2]
     up = [int(k) for k in np.argsort(height, kind="stable") if rise[k] >= _LEVEL]
     lowest = height[up[0]] if up else 0.0

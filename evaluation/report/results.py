@@ -1,4 +1,4 @@
-"""What a report is about: finished runs from one or more places, what is missing among them, and a baseline."""
+"""The data of a report: finished runs from one or more directories, missing ones, and a baseline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BASELINES = ("activestructure-a", "pixel_only", "random")
 
 @dataclass(frozen=True)
 class Source:
-    """Where runs came from."""
+    """A directory that runs were read from."""
 
     directory: Path
     command: str = ""  # empty for a single run's directory
@@ -60,22 +60,22 @@ class Results:
 
     @cached_property
     def policies(self) -> list[str]:
-        """In the order of the runs."""
+        """Policies, in the order of the runs."""
         return list(dict.fromkeys(run.policy for run in self.runs))
 
     @cached_property
     def scenes(self) -> list[str]:
-        """In the order of the runs."""
+        """Scenes, in the order of the runs."""
         return list(dict.fromkeys(run.scene for run in self.runs))
 
     @cached_property
     def seeds(self) -> list[int]:
-        """Ascending."""
+        """Seeds, ascending."""
         return sorted({run.job.seed for run in self.runs})
 
     @cached_property
     def missing(self) -> dict[str, str]:
-        """Jobs that were asked for and have no result, and why."""
+        """Jobs that were asked for and have no result, each with the reason."""
         return {name: why for source in self.sources for name, why in source.missing.items()}
 
     def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:

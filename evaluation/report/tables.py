@@ -25,7 +25,7 @@ AVERAGE = "average"  # the name of the last block: the mean over the scenes
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean over the seeds, and how far they lie apart."""
+    """Mean and spread over the seeds."""
 
     mean: float | None  # None: not defined in any run
     deviation: float | None  # sample standard deviation; None with fewer than two runs
@@ -98,7 +98,7 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
 
 
 def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[Column] = COLUMNS) -> Table:
-    """The same for documents, with the first three of every block marked; of one scene without its name."""
+    """The table for documents: the first three of every block marked; a single scene is not named."""
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]
     marked: list[list[layout.Cell]] = []
     for start, end in zip([0, *blocks], [*blocks, len(rows)]):

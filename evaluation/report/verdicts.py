@@ -1,4 +1,4 @@
-"""Who is better, by how much, and whether that could be chance: tables of the statistics."""
+"""Tables of the statistics: leaders, paired differences, probability of improvement, areas, costs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FEW = 6  # pairs; of fewer not even all agreeing passes a two-sided sign test a
 
 @dataclass(frozen=True)
 class Lead:
-    """Who leads in one metric, and by how much over the next."""
+    """The leading policy in one metric, and its difference to the next."""
 
     column: Column
     policy: str
@@ -80,7 +80,7 @@ def differences(results: Results, column: Column) -> dict[str, PairedDifference]
 
 
 def can_tell(results: Results) -> bool:
-    """Whether chance can be judged at all: a policy shares two seeds or more with the baseline wherever both ran."""
+    """Whether intervals exist: a policy shares two seeds or more with the baseline wherever both ran."""
     finished = {policy: {(run.scene, run.job.seed) for run in results.of(policy)} for policy in results.policies}
     theirs = finished.pop(results.baseline or "", set())
     pairs = [Counter(scene for scene, _ in own & theirs) for own in finished.values()]

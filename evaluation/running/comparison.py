@@ -98,7 +98,7 @@ class Comparison:
         ]
 
     def _check_policies(self) -> list[str]:
-        """One name for each."""
+        """Canonical names of the policies, each once; raises `InputError` where a policy or a change cannot be used."""
         from activestructure_gym.config import configure
         from activestructure_gym.policies import canonical_policy, make_policy
 
@@ -134,7 +134,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Result:
-    """What came out of a comparison."""
+    """Finished, failed, skipped and missing jobs of a comparison."""
 
     runs: list[Run]  # every finished job of the grid, those of earlier sittings included
     failed: list[Outcome]  # with the error of each

@@ -133,7 +133,7 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
 
 
 def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
-    """Without doubts about a scene that was chosen long ago."""
+    """``load(spec)`` without its `InputWarning`s: they were given when the scene was chosen."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         return load(spec, **options)
@@ -200,7 +200,7 @@ class _Episode:
         self._next_checkpoint = 0
 
     def run(self) -> None:
-        """From the first frame to the end of the budget."""
+        """Play the episode from the first frame to the end of the budget."""
         env, policy = self.env, self.policy
         self._began = time.perf_counter()
         observation, info = env.reset(seed=self.job.seed)

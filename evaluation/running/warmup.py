@@ -148,13 +148,13 @@ def _rooms() -> list[Path]:
 
 
 def _sources() -> list[tuple[str, int, int]]:
-    """What numba looks at of every source file: when it was changed, and its size."""
+    """Modification time and size of every source file."""
     files = {file for room in _rooms() for file in room.rglob("*.py")}
     return sorted((str(file), (about := file.stat()).st_mtime_ns, about.st_size) for file in files)
 
 
 def _compiler() -> list[str]:
-    """What makes machine code, and for which processor."""
+    """Versions of the compiler, and the processor it compiles for."""
     from llvmlite import binding
 
     versions = [sys.version, *(metadata.version(name) for name in ("numba", "llvmlite", "numpy"))]
@@ -226,7 +226,7 @@ def _listen(process: subprocess.Popen[str], tally: Callable[[str], None]) -> Non
 
 
 def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
-    """A few frames in the box room with small images, for the policy that asks for the most gains."""
+    """A few frames in the box room with small images, for the policy that asks for the most features."""
     from activestructure_gym.policies import make_policy
 
     return Job(
@@ -241,14 +241,14 @@ def smallest_job(policies: Sequence[str], overrides: Mapping[str, Any]) -> Job:
 
 
 def all_gains(policies: Sequence[str]) -> list[str]:
-    """What any of the policies asks for."""
+    """The features that any of the policies asks for."""
     from activestructure_gym.policies import make_policy
 
     return sorted({gain for name in policies for gain in make_policy(name).required_gains})
 
 
 def main(part: str) -> None:
-    """One half of the compiling; the half without the map ends with the job and the gains on standard input.
+    """Compile the kernels of the map, or all others and then what the job and features on standard input need.
 
     Standard output says which kernel is compiled, one per line.
     """
@@ -276,7 +276,7 @@ def main(part: str) -> None:
 
 
 def _evaluate(gains: Sequence[str], job: Job) -> None:
-    """All gains of two decisions under the job's configuration."""
+    """Evaluate all features at two decisions under the job's configuration."""
     from activestructure_gym.envs import ReconstructionEnv
 
     env = ReconstructionEnv(scene=job.scene, preset=job.preset, gains=gains, config=dict(job.overrides))

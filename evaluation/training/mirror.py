@@ -1,4 +1,4 @@
-"""The world in a mirror: twice as many states to learn from, since no view is worth more for lying to the left."""
+"""Data augmentation by mirroring: an observation and its mirror image have the same values of views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The truth about the next step: how much unseen surface every candidate would show.
+"""The one-step oracle: how much unseen surface every candidate would show, from ground truth.
 
 For labels to learn from, and for a reference beyond which no one-step planner can go. It looks at the scene, so it is
 no policy: nothing here is registered, and nothing of it reaches an observation.

@@ -229,7 +229,7 @@ class TrainingRun:
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """An optimiser's moments and counters under flat names."""
+    """An optimiser's moments and counters under flat names, for a safetensors file."""
     state = optimizer.state_dict()["state"]
     return {f"optimizer.{n}.{key}": value for n, entries in state.items() for key, value in entries.items()}
 

@@ -147,14 +147,14 @@ def table(directory: Path, policies: Sequence[str], played: Sequence[Cell], base
 
 
 def headings(rows: Sequence[Row], baselines: Sequence[str] = ()) -> list[str]:
-    """Of the table's columns."""
+    """Headings of the table's columns."""
     short = short_policies([row.policy for row in rows])
     names = [short.get(baseline, baseline) for baseline in baselines]
     return ["episodes on", "policy", "n", "starts", "AUC (%)", "normalised", *(f"minus {name}" for name in names)]
 
 
 def entries(rows: Sequence[Row]) -> list[list[str]]:
-    """The table's lines."""
+    """The rows of the table as texts."""
     short = short_policies([row.policy for row in rows])
     lines = []
     for row in rows:
@@ -173,7 +173,7 @@ def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
 
 
 def words(estimate: Estimate | None) -> str:
-    """A value with its interval."""
+    """An estimate with its interval, as text."""
     if estimate is None:
         return ""
     if not estimate.has_interval:

@@ -28,7 +28,7 @@ _PLAYED = {name: schema.each(schema.number(0, 1)) for name in ("random", "oracle
 
 
 def network_choice(network: CandidateNetwork) -> Choose:
-    """The candidate with the highest score, for envs that offer the network's gains in its order."""
+    """A policy function: the candidate with the highest score, for envs with the network's features in its order."""
 
     def choose(env: ReconstructionEnv, observation: dict[str, np.ndarray]) -> int:
         with torch.no_grad():

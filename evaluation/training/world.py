@@ -1,4 +1,4 @@
-"""The env that is learnt in: another layout, start pose and sensor noise, all from the seed."""
+"""The training environment: layout, start pose and sensor noise are drawn from the seed of an episode."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STARTS = 16  # without a candidate, then another layout
 
 
 def world_config(world: WorldConfig, gains: Sequence[str] | None = None) -> ReconstructionConfig:
-    """The configuration of its episodes without noise, with these gains or the world's own."""
+    """The configuration of its episodes without noise, with these features or the world's own."""
     changes: dict[str, Any] = {"gains": tuple(world.gains if gains is None else gains)}
     drawn = [name for name, _ in world.overrides if name in _DRAWN]
     if world.noise and drawn:

@@ -1,4 +1,4 @@
-"""What decides the shape of the network; kept beside the weights. No torch in here."""
+"""Configuration of the network, kept beside the weights. No torch in here."""
 
 from __future__ import annotations
 

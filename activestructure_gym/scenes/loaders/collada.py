@@ -67,7 +67,7 @@ def _fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
 
 
 def _attribute(element: Element, name: str, default: int = 0) -> int:
-    """A whole number from 0 on."""
+    """The value of an attribute that must be a whole number from 0 on."""
     text = element.get(name, str(default)).strip()
     if not text.isdecimal() or len(text) > 9:
         raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')

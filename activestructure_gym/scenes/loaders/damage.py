@@ -18,7 +18,7 @@ _NO_NUMBER = ("invalid literal for int", "could not convert string", "unmatched 
 
 
 def in_words(error: Exception) -> str:
-    """What a reader stumbled over, in the words of files and not of Python."""
+    """The cause of a reader's exception, in words about the file."""
     if isinstance(error, UnreadableMesh):
         reason = str(error)
     elif isinstance(error, json.JSONDecodeError):

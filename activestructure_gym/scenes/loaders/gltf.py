@@ -132,7 +132,7 @@ def _harmless(name: str) -> bool:
 
 
 def _refuse(path: Path, extensions: list[str]) -> None:
-    """Say what stands in the way, if anything does."""
+    """Raise `InputError` with reasons and remedies if any of these extensions cannot be read."""
     if not extensions:
         return
     unknown = ("it needs the glTF extension {0}", "export it without {0}")
@@ -376,7 +376,7 @@ class _Document:
 
 
 def _size(value: Any, name: str) -> int:
-    """A number of bytes or rows."""
+    """A value of the header that must be a whole number from 0 on: bytes or rows."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 0:
         raise UnreadableMesh(f"a {name} in it is {str(value)[:40]} and no whole number from 0 on")
     return operator.index(value)

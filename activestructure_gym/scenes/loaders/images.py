@@ -1,4 +1,4 @@
-"""Pictures out of files that anyone may have made: known formats only, and their size is checked before decoding."""
+"""Decode images from untrusted files: known formats only, with their size checked before decoding."""
 
 from __future__ import annotations
 

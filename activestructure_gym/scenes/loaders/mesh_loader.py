@@ -113,7 +113,7 @@ def check_mesh_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_printable(name: str) -> None:
-    """Names stand in tables, pictures and file names, and a line end or half a character in them fails there."""
+    """Raise `InputError` for a name with line ends or characters that cannot be printed."""
     if any(unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") for character in name):
         raise InputError(f"the name {shown(name)} has characters that cannot be printed; rename the file or the scene")
 
@@ -250,7 +250,7 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
 
 
 def _painted(mesh: SceneMesh) -> tuple[SceneMesh, int]:
-    """The mesh with plain colours where those of the file are no numbers, and at how many vertices."""
+    """The mesh with plain grey at vertices whose colour or uv is not finite, and how many those are."""
     from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY
 
     broken = ~(np.isfinite(mesh.colors).all(axis=1) & np.isfinite(mesh.uv).all(axis=1))
@@ -261,7 +261,7 @@ def _painted(mesh: SceneMesh) -> tuple[SceneMesh, int]:
 
 
 def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:
-    """Scans are left with vertices that no triangle uses, and one of them far away would stretch the bounds."""
+    """The mesh without vertices that no triangle uses: one of them far away would stretch the bounds."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.faces] = True
     if used.all():
@@ -294,7 +294,7 @@ def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
 
 
 def _check_overlap(path: Path, mesh: SceneMesh) -> None:
-    """A ray visits every box that it meets, so triangles that all lie in one place take hours to look at."""
+    """Raise `InputError` where too many triangles lie over each other: a ray would test all of their boxes."""
     total = 0.0
     for start in range(0, len(mesh.faces), _FACES_AT_ONCE):
         corners = mesh.vertices[mesh.faces[start : start + _FACES_AT_ONCE]].astype(np.float64)

@@ -35,7 +35,7 @@ def plain_obj(text: str) -> str:
 
 
 def _make_absolute(lines: list[str]) -> None:
-    """Relative indices count back from the entries that stand above their line."""
+    """Rewrite relative indices, which count back from the entries above their line, as absolute ones."""
     above = [0, 0, 0]
     for number, line in enumerate(lines):
         kind = line.partition(" ")[0]

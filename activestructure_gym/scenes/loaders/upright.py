@@ -1,4 +1,4 @@
-"""Which way is up, asked of the geometry: files often say nothing, and some say it wrongly.
+"""Infer which way is up from the geometry: files often say nothing, and some say it wrongly.
 
 An indoor scene has a floor and a ceiling: two level surfaces as far apart as rooms are high, with more area than the
 walls along any other axis, along what is mostly the shortest side. Furniture stands on the floor, so what lies between

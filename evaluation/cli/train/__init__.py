@@ -1,4 +1,4 @@
-"""``asg train``: a method, or the score of what was learnt; each with options of its own."""
+"""``asg train``: train a policy by one of several methods, or score policies."""
 
 from __future__ import annotations
 

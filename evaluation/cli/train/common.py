@@ -1,4 +1,4 @@
-"""What all of ``asg train`` have in common: episodes of some kind, played by some processes, into a directory."""
+"""Options that all parts of ``asg train`` share, about the episodes that are played."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 
 @dataclass(frozen=True)
 class Episodes:
-    """Which episodes are played, and how."""
+    """Options about the episodes: directory, processes, preset, budget, layouts."""
 
     out: PathName = None
     """Directory for the results; runs/score-<date>-<time> if not given."""

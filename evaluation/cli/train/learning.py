@@ -1,4 +1,4 @@
-"""A training run from beginning to end, or from where it was stopped."""
+"""Run a training from its beginning, or from where it was stopped."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check(config: TrainingConfig) -> None:
-    """What would fail later: names of features, fields of the configuration."""
+    """Raise `InputError` for names of features or fields of the configuration that do not exist."""
     from activestructure_gym.evaluation.training.config import ORACLE
     from activestructure_gym.evaluation.training.world import world_config
 
@@ -28,7 +28,7 @@ def check(config: TrainingConfig) -> None:
 
 
 def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers: int, begun: bool) -> int:
-    """Begin or go on; 0 when there is a checkpoint to use, 1 if there is none, 130 if stopped."""
+    """Begin or resume a training run; returns 0 when there is a checkpoint to use, 1 without one, 130 if stopped."""
     from activestructure_gym.evaluation.archive.directory_lock import hold
 
     console = make_console()

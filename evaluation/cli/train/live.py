@@ -1,4 +1,4 @@
-"""How far a training is, in a terminal or in a log."""
+"""Progress of a training run, in a terminal or in a log."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Live:
             self._console.print(escape(title) + (f", {done} of {total} done before" if done else ""), highlight=False)
 
     def say(self, stage: str) -> None:
-        """What happens just now."""
+        """Show the current stage."""
         if self._task is not None:
             self._progress.update(self._task, stage=escape(stage))
 
@@ -64,7 +64,7 @@ class Live:
             self._console.print(f"[dim]{done}/{total}", highlight=False)
 
     def unit(self, done: int, row: Mapping[str, float]) -> None:
-        """An epoch or an iteration is done."""
+        """Move the bar on by an epoch or an iteration, and show the numbers of ``row``."""
         numbers = [f"{name.rpartition('/')[2]} {row[name]:.3g}" for name in _SHOWN if name in row]
         if self._steps and done > self._last[0]:
             seconds = time.monotonic() - self._last[1]

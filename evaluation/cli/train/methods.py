@@ -20,7 +20,7 @@ _MANNER = ("out", "resume", "workers", "data", "trust_code")
 
 @dataclass(frozen=True)
 class Learning(Episodes):
-    """What every method takes."""
+    """Options of every method."""
 
     method: ClassVar[Method]
 
@@ -72,14 +72,14 @@ class Learning(Episodes):
         return learn(config, directory, data=getattr(self, "data", None), workers=workers, begun=begun)
 
     def _is_bare(self) -> bool:
-        """Whether nothing is said of what is learnt."""
+        """Whether every option that decides what is learnt has its default."""
         manner = {field.name for field in dataclasses.fields(self)} & set(_MANNER)
         return self == type(self)(**{name: getattr(self, name) for name in manner})
 
 
 @dataclass(frozen=True)
 class _FromExpert(Learning):
-    """What both methods take that watch an expert."""
+    """Options of the methods that learn from an expert."""
 
     teacher: Annotated[str, option("NAME")] = "oracle"
     """oracle (the true new surface of every candidate), or the gain a greedy expert goes by (hole_area)."""
@@ -125,7 +125,7 @@ class Ppo(Learning):
 
 
 def training_config(options: Learning) -> TrainingConfig:
-    """What the options ask for; what a method has no option for is as usual."""
+    """The training configuration that the options ask for; defaults where a method has no option."""
     from activestructure_gym.envs.observation import feature_columns
     from activestructure_gym.policies.learned import learned_from
 

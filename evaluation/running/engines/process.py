@@ -77,7 +77,7 @@ class WorkerProcess:
         threading.Thread(target=self._listen, args=(messages,), daemon=True).start()
 
     def seconds_left(self) -> float | None:
-        """Until this has to be asked again; None for never. Stops the process where its time is over."""
+        """Seconds until the next time limit, None without one; a process past its limit is terminated, then killed."""
         if self._deadline is None:
             return None
         left = self._deadline - time.monotonic()
@@ -93,11 +93,11 @@ class WorkerProcess:
         return GRACE_SECONDS
 
     def ask_to_stop(self) -> None:
-        """Let it end in order."""
+        """Send SIGTERM."""
         self._process.terminate()
 
     def stop(self) -> None:
-        """Wait until it has ended, and make it end if it does not; removes what it left half-written."""
+        """Wait for the process, kill it after `GRACE_SECONDS`, and remove its half-written files."""
         try:
             self._process.wait(GRACE_SECONDS)
         except subprocess.TimeoutExpired:
@@ -107,7 +107,7 @@ class WorkerProcess:
         remove_parts(self.directory / JOBS, self.job.name)
 
     def finish(self) -> Ended:
-        """What came out; call it when the last line has been heard."""
+        """Outcome of the attempt; call it when the process has closed its output."""
         self._log.close()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:

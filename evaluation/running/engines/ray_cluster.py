@@ -230,7 +230,7 @@ def _choose_token() -> None:
 
 
 def _here(ray: Any) -> Any:
-    """On this machine if possible: what other machines lose is not lost here."""
+    """Scheduling strategy: on this machine if possible, so that the loss of another one costs nothing."""
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
     return NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)

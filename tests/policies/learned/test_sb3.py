@@ -144,7 +144,7 @@ def test_a_network_for_other_gains_is_refused_even_if_there_are_as_many(gains: t
 def test_columns_without_names_are_no_gains() -> None:
     env = RandomCandidates()
     env.observation_space["candidate_gains"] = gym.spaces.Box(-1e4, 1e7, (16, 2), np.float32)
-    with pytest.raises(InputError, match="does not say which features stand in the columns of candidate_gains: name them"):
+    with pytest.raises(InputError, match="does not say which features stand in the columns of candidate_gains"):
         PPO(CandidatePolicy, env)
     described = PPO(CandidatePolicy, env, policy_kwargs={"network": NetworkConfig(gains=GAINS).as_dict()})
     assert described.policy.network.config.gains == GAINS

@@ -1,4 +1,4 @@
-"""Numbers that belong to Gaussians, kept beside the map while its columns change hands."""
+"""Numbers that belong to Gaussians, kept beside the map and in the order of its columns."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 
 
-class NamedRows:
+class RowsById:
     """One row of numbers per Gaussian, 0 for new ones; `follow` brings the rows into the order of the map's columns.
 
-    The names of the Gaussians (`GaussianMap.ids`) tell which row is whose, so the map knows nothing of its followers,
+    The ids of the Gaussians (`GaussianMap.ids`) tell which row is whose, so the map knows nothing of its followers,
     and the cost of following is that of what has changed since the last time.
     """
 
     def __init__(self, gaussians: GaussianMap, columns: int) -> None:
         self._map = gaussians
         self._values = np.zeros((0, columns))  # [capacity, columns]
-        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], names of the rows
-        self._rows = np.zeros(0, dtype=np.int32)  # by name, the row of a Gaussian, -1 for none
+        self._ids = np.zeros(0, dtype=np.int64)  # [capacity], whose the rows are
+        self._rows = np.zeros(0, dtype=np.int32)  # by id, the row of a Gaussian, -1 for none
         self._count = 0
 
     @property
@@ -39,19 +39,19 @@ class NamedRows:
             ids = np.full(gaussians.capacity, -1, dtype=np.int64)
             values[:before], ids[:before] = self._values[:before], self._ids[:before]
             self._values, self._ids = values, ids
-        if len(self._rows) < gaussians.named:
-            rows_of = np.full(gaussians.named + gaussians.named // 2, -1, dtype=np.int32)
+        if len(self._rows) < gaussians.next_id:
+            rows_of = np.full(gaussians.next_id + gaussians.next_id // 2, -1, dtype=np.int32)
             rows_of[: len(self._rows)] = self._rows
             self._rows = rows_of
-        names = gaussians.ids[:count]
+        ids = gaussians.ids[:count]
         shared = min(before, count)
-        moved = np.flatnonzero(names[:shared] != self._ids[:shared])
+        moved = np.flatnonzero(ids[:shared] != self._ids[:shared])
         changed = np.concatenate([moved, np.arange(shared, count)])
-        sources = self._rows[names[changed]]
+        sources = self._rows[ids[changed]]
         found = np.where(sources[:, None] >= 0, self._values[sources], 0.0)
         gone = np.concatenate([self._ids[moved], self._ids[shared:before]])
         self._rows[gone] = -1
-        self._rows[names[changed]] = changed
-        self._values[changed], self._ids[changed] = found, names[changed]
+        self._rows[ids[changed]] = changed
+        self._values[changed], self._ids[changed] = found, ids[changed]
         self._count = count
         return self.values

@@ -27,7 +27,7 @@ MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept
 
 @dataclass(frozen=True)
 class ReconstructionConfig:
-    """Everything that decides an episode besides the scene, the seed and the policy."""
+    """Configuration of an episode: everything that decides it besides scene, seed and policy."""
 
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """Something the user gave cannot be used.
+    """User input cannot be used: an option, a file, a name, a keyword.
 
     The message is one clear sentence: what was expected, what came, what to do. The command line prints it
     without a traceback and exits with 2.
@@ -15,7 +15,7 @@ class InputError(ValueError):
 
 
 class InputWarning(UserWarning):
-    """Something the user gave is used all the same, with a doubt about it or a choice made for it.
+    """User input is used although something about it is doubtful, or after a choice was made for it.
 
     Given through `warnings`, so that it is read wherever the input is used; the command line prints it as one line.
     """

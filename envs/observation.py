@@ -68,7 +68,7 @@ class Table(spaces.Box):
 
 
 def gain_names(source: Any) -> tuple[str, ...]:
-    """What stands in the columns of ``observation["candidate_gains"]``, in order, as ``source`` tells.
+    """Names of the columns of ``observation["candidate_gains"]``, in order, as ``source`` tells.
 
     ``source``: an env, wrapped or not; a vector env of Gymnasium or stable-baselines3; an observation space; or the
     names themselves, such as ``info["gains"]``. Raises `InputError` if it does not say.

@@ -218,13 +218,13 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     @property
     def coverage(self) -> SurfaceCoverage:
-        """What the reward counts. Ground truth: for scores and labels, never for a policy."""
+        """The observed surface as the reward counts it. Ground truth: for scores and labels, never for a policy."""
         if self._frame is None:
             raise gym.error.ResetNeeded("nothing is counted before reset()")
         return self._coverage
 
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
-        """What the camera sees, what the map renders there, and the plan with the path so far."""
+        """One image: the camera's view, the map from the same pose, and the plan with the path so far."""
         if self.render_mode is None:
             gym.logger.warn('render() shows nothing without a render mode: make the env with render_mode="rgb_array"')
             return None

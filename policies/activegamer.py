@@ -114,7 +114,7 @@ class ActiveGAMER(Planner):
         return share * factor
 
     def _pool(self, candidates: Candidates) -> tuple[list[tuple[int, ...]], np.ndarray]:
-        """What names each row in this stage, and which rows [K] are in its pool.
+        """Keys that identify each row in this stage, and which rows [K] are in its pool.
 
         Coarse: of the offered views that stand for the same view of the coarse lattice, the nearest to it.
         """

@@ -58,7 +58,7 @@ class Policy(ABC):
         """The row to go to; must be one where ``observation["action_mask"]`` is 1."""
 
     def trace(self) -> dict[str, Any]:
-        """What decided the last choice, for the run's log; JSON-able."""
+        """Numbers behind the last choice, for the run's log; JSON-able."""
         return {}
 
     def candidates(self, observation: Observation) -> Candidates:
@@ -215,7 +215,7 @@ def only_new(observation: Observation) -> Observation:
 
 
 def nearest_new(observation: Observation) -> int:
-    """What a planner without anything to decide by takes: the valid view with the fewest frames, revisits last.
+    """The fallback of planners without anything to decide by: the valid view with the fewest frames, revisits last.
 
     A revisit of the present pose costs a single frame, so among the others it would always be the nearest.
     """

@@ -47,12 +47,12 @@ class Candidates:
 
     @property
     def xyz(self) -> np.ndarray:  # [K, 3]
-        """Where the camera would stand, in metres of the world."""
+        """Camera positions, metres in the world."""
         return self._table[:, _XYZ]
 
     @property
     def look(self) -> np.ndarray:  # [K, 3]
-        """Where it would look: unit vectors in the world; 0 in rows without a candidate."""
+        """Viewing directions: unit vectors in the world; 0 in rows without a candidate."""
         return self._table[:, _LOOK]
 
     @property

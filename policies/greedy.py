@@ -44,7 +44,7 @@ class Planner(Policy):
         return travel_discount(observation) if self.travel == "shared" else self.native_travel(observation)
 
     def scores(self, gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K] >= 0 -> [K]
-        """What decides between the views. Where no valid one has anything to gain, the travel term alone does."""
+        """Scores of the views: gain and travel term, or the travel term alone where no valid view has a gain."""
         gain = np.maximum(gain, self.least)
         if not gain[observation["action_mask"].astype(bool)].any():
             gain = np.ones_like(gain)
@@ -53,7 +53,7 @@ class Planner(Policy):
         return self.native(gain, observation)
 
     def trace(self) -> dict[str, Any]:
-        """What a planner noted about the chosen view."""
+        """Numbers that a planner noted about the chosen view."""
         return self._trace
 
 

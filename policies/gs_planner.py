@@ -20,7 +20,7 @@ SPACING_M = 1.5  # metres between them: of HGS-Planner's samples, so that they d
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> np.ndarray:  # [n, 6], [m, 6] position and look -> [n, m] in 0..1
-    """What two views have in common, from how far they are apart and turned from each other alone."""
+    """Overlap of two views, from the distance and the angle between them alone."""
     apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
     angle = np.arccos(np.clip(first[:, 3:] @ second[:, 3:].T, -1.0, 1.0))
     return np.maximum(1.0 - apart / OVERLAP_M, 0.0) * np.maximum(1.0 - angle / OVERLAP_RAD, 0.0)

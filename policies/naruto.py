@@ -101,6 +101,6 @@ def looked_at(candidates: Candidates, targets: np.ndarray) -> np.ndarray:  # [T,
 
 
 def forward(quaternion: np.ndarray) -> np.ndarray:  # [4] wxyz -> [3]
-    """Where a camera of this orientation looks: its z axis."""
+    """Viewing direction of a camera of this orientation: its z axis."""
     w, x, y, z = quaternion.astype(np.float64)
     return np.array([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])

@@ -33,7 +33,7 @@ not_kept: list[str] = []  # why the kernels of this process are not kept, where 
 
 
 class KernelFiles:
-    """What numba asks for the machine code of one kernel; raises RuntimeError where none can be kept.
+    """numba's cache interface for the machine code of one kernel; raises RuntimeError where none can be kept.
 
     The stamp is not computed before the first question: a function may call what is defined after it.
     """

@@ -59,7 +59,7 @@ def _dismiss(process: subprocess.Popen[bytes], parent: int) -> None:
 
 @contextmanager
 def only_helper() -> Iterator[bool]:
-    """While the block runs, nobody else helps; gives False if somebody does already."""
+    """Hold the helpers' lock while the block runs; yields False if another process holds it."""
     free = LOCKS.take(_LOCK) and LOCKS.usable
     try:
         yield free

@@ -155,7 +155,7 @@ def _options(compiled: Any) -> str:
 
 
 def _plain_text(value: Any) -> str:
-    """The same text for the same value in every process; of what has no plain value, its name."""
+    """A text of ``value`` that is the same in every process; for a value without a plain form, its name."""
     if isinstance(value, (type, FunctionType)):
         return f"{value.__module__}.{value.__qualname__}"
     if isinstance(value, _PLAIN) and not isinstance(value, Enum):

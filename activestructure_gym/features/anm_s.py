@@ -43,7 +43,7 @@ def anm_s_proxy(context: FeatureContext) -> np.ndarray:  # [K, 3]
 
 
 def looks(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surface]) -> np.ndarray:  # [K, 3]
-    """What there is to look at from the candidate's node; 0, 0, -1 for a candidate without a node.
+    """Clusters at the candidate's node, looks they take, and the cosine to the nearest; 0, 0, -1 without a node.
 
     Clusters that the node is the nearest one to, as seen from above ([anm_s]); how many looks it takes to see
     these and the ends of the chains that hung from it; and the cosine between where the candidate looks and the nearest
@@ -73,7 +73,7 @@ def anchored(found: Clusters, nodes: np.ndarray) -> np.ndarray:  # [C] int64 nod
 
 
 def count_looks(ways: np.ndarray) -> int:  # [L, 3] unit
-    """How many looks see all these directions, each time in the first direction that is left."""
+    """Number of looks that see all these directions, each towards the first direction not seen yet."""
     count = 0
     while len(ways):
         ways, count = ways[ways @ ways[0] < ONE_LOOK], count + 1

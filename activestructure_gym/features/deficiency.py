@@ -1,4 +1,4 @@
-"""How much of a view would show what planes are known to lack (IG_def of Eq. 13)."""
+"""IG_def of Eq. 13: area of known deficiencies of planes that a view would mend."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 
 def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
-    """From how far away a frame replaces Gaussians of these sizes by finer ones (`MapperConfig.coarse_ratio`)."""
+    """Largest distance at which a frame replaces Gaussians of these sizes (`MapperConfig.coarse_ratio`)."""
     config, sensor = context.mapper.config, context.mapper.keyframes[-1].camera
     if config.coarse_ratio is None:
         return np.where(np.isinf(sizes), np.inf, 0.0)

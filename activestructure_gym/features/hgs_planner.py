@@ -53,7 +53,7 @@ def _transmitted_unknown(
     alpha: np.ndarray,  # [K, h, w] how opaque it is there
     reach: float,  # metres of depth
 ) -> np.ndarray:  # [K]
-    """In steps of half a voxel along each ray."""
+    """Length of ray in unobserved voxels times transmittance, by steps of half a voxel along each ray."""
     count, height, width = depth.shape
     size = unobserved.shape
     shares = np.zeros(count)

@@ -50,7 +50,7 @@ def solid_angles(camera: PinholeCamera) -> np.ndarray:  # [H, W] steradian, read
 
 
 def largest_area(camera: PinholeCamera) -> float:  # m^2
-    """What a view shows whose every pixel ends at the reach."""
+    """The area of a view in which every pixel ends at the reach."""
     return float(solid_angles(camera).sum()) * REACH**2
 
 
@@ -64,7 +64,7 @@ def hidden_distances(
     stride: int,  # pixels between neighbours in ``wanted``
     enough: float = np.inf,  # metres; of larger distances only that they are larger is found out
 ) -> np.ndarray:  # [K, h, w] metres along the ray; 0 where not wanted or where the volume knows that nothing is there
-    """How far the ray of each pixel may go at most until it must have met a surface that the map lacks."""
+    """Distance by which each pixel's ray must have met a surface that the map lacks; 0 where there is none."""
     return _march(
         volume.state,
         *grid_rays(volume, camera, world_from_camera, stride),

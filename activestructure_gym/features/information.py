@@ -1,4 +1,4 @@
-"""What the information gains have in common: the prior, the candidates' information, and the term for unseen space.
+"""Shared parts of the information features: the prior, the candidates' information, the term for unseen space.
 
 H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`):
 H_train of all keyframes, H_c of a candidate, both at the candidates' camera. Metres, logarithms and colours have other
@@ -35,7 +35,7 @@ def trained(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
 
 
 def units(context: FeatureContext) -> np.ndarray:  # [4]
-    """By kind of parameter, what is known about a Gaussian: median over those of which anything is; 1 without any.
+    """Unit per kind of parameter: median information over the Gaussians that have any; 1 without any.
 
     Of the mean over a Gaussian's entries of that kind: along the thin axis of a disk an entry is next to nothing.
     """
@@ -99,7 +99,7 @@ def adaptive(context: FeatureContext, coverage: np.ndarray, quality: np.ndarray)
 
 
 def share_below(values: np.ndarray) -> np.ndarray:  # [K] -> [K] in 0..1
-    """Of every value the share of all that are not above it; 0 where the value is 0."""
+    """For every value the share of all values that are not above it; 0 where the value is 0."""
     return np.where(values > 0, np.searchsorted(np.sort(values), values, side="right") / max(1, len(values)), 0.0)
 
 

@@ -17,7 +17,7 @@ Compute = Callable[[FeatureContext], np.ndarray]  # -> [K], or [K, C] with C col
 
 
 class Feature:
-    """What a candidate view is worth, has or stands for: a function of a `FeatureContext`, and what it returns.
+    """A feature of candidate views: a function of a `FeatureContext`, with names, units and ranges of its columns.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Feature:
 
 
 class FeatureRegistry(Registry[Feature]):
-    """All features, and the columns that they have."""
+    """The registry of features, which also finds columns by their full names."""
 
     def register(  # type: ignore[override]
         self,
@@ -122,7 +122,7 @@ FEATURES = FeatureRegistry("feature", "features", fits=callable, wanted="a funct
 
 
 def _beginnings(column: str) -> list[str]:
-    """What the feature may be called that has the column ``a_b_c``: ``a_b`` or ``a``."""
+    """Names of features that could have the column ``a_b_c``: ``a_b`` and ``a``."""
     return [column[:place] for place in range(len(column) - 1, 0, -1) if column[place] == "_"]
 
 

@@ -1,4 +1,4 @@
-"""How sure the map is of its surface, and the connected pieces of it that are least so: ANM's view targets.
+"""Uncertainty of the map's surface, and its connected most uncertain pieces: ANM's view targets.
 
 ANM and ANM-S perturb the weights W of a signed distance network and take
 u(x) = 1/M sum over m of |f(x; W) - f(x; W + delta_m)| as the uncertainty of a surface point. Here W are the Gaussians

@@ -59,7 +59,7 @@ class PinholeCamera:
         return cls(width, height, float(focal), float(focal), width / 2.0, height / 2.0)
 
     def resized(self, width: int, height: int) -> PinholeCamera:
-        """The same camera sampled with another number of pixels."""
+        """The same field of view with another number of pixels."""
         sx, sy = width / self.width, height / self.height
         return PinholeCamera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
 

@@ -1,4 +1,4 @@
-"""Where an episode may begin: choosing such poses for a scene, and checking one that a user gives."""
+"""Start poses: choosing them for a scene, and checking one that a user gives."""
 
 from __future__ import annotations
 

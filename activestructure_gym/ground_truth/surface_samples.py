@@ -37,7 +37,7 @@ def lattice_samples(
 
 
 def samples_per_area(spacing: float) -> float:  # metres -> samples per m^2
-    """How many `lattice_samples` has on triangles that are large against the spacing."""
+    """Samples per square metre that `lattice_samples` takes on triangles large against the spacing."""
     return 2.0 / spacing**2
 
 

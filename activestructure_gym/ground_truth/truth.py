@@ -30,7 +30,7 @@ class GroundTruth:
 
     @cached_property
     def free_space(self) -> FreeSpace:
-        """Where the agent could be, with the scene's start poses."""
+        """The free space, with the scene's start poses."""
         return free_space_of(self.scene)
 
     @cached_property

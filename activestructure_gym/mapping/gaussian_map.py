@@ -56,7 +56,7 @@ class GaussianMap:
 
     @property
     def capacity(self) -> int:
-        """How many Gaussians fit before the arrays have to grow."""
+        """Number of Gaussians that fit before the arrays have to grow."""
         return self.parameters.shape[1]
 
     @property

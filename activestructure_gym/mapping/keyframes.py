@@ -12,7 +12,7 @@ _CHUNK = 16
 
 
 class KeyframeStore:
-    """All keyframes with what view selection needs to know about each of them.
+    """All keyframes, with the statistics that view selection needs of each.
 
     A frame costs 7 bytes a pixel (uint8 colour, float32 depth). ``psnr`` is the last measured value of each keyframe
     (`stalest` tells whose is the oldest), ``new_share`` the share of its pixels the map did not cover when it came.

@@ -170,12 +170,12 @@ class Mapper:
         return np.array(self._store.psnr, dtype=np.float64)
 
     def movement(self) -> np.ndarray:  # [N] float32 metres
-        """How far the last event that moved a Gaussian moved it; followed from the first call on, 0 until then."""
+        """Metres each Gaussian moved in the last event that moved it; 0 until then. Followed from the first call on."""
         self._movement = self._movement or Movement(self.map)
         return self._movement.metres()
 
     def keyframe_information(self, camera: PinholeCamera) -> np.ndarray:  # [N, 24] float64, to be read only
-        """What all keyframes tell about every Gaussian, each as seen by ``camera`` (see `KeyframeInformation`).
+        """Fisher information of all keyframes about every Gaussian, as seen by ``camera`` (`KeyframeInformation`).
 
         Measured when somebody asks, and at most once between two mapping events: who else asks cannot change it.
         """
@@ -187,7 +187,7 @@ class Mapper:
         return found
 
     def reliability(self) -> np.ndarray:  # [N, 4] float64 log-odds, to be read only
-        """How far every Gaussian can be relied on from each side (see `DirectionalReliability`).
+        """Log-odds of every Gaussian's reliability from four sides (`DirectionalReliability`).
 
         Keyframes vote when somebody asks for the first time after them.
         """

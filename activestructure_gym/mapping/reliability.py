@@ -81,7 +81,7 @@ def direction_shares(
     means: np.ndarray,  # [S, 3] metres, world
     eye: np.ndarray,  # [3] metres, world
 ) -> np.ndarray:  # [S, 4] in 0..1
-    """Of the unit vector from the eye to each mean, the parts along +x, +y, -x, -y; what is vertical counts nowhere."""
+    """Parts along +x, +y, -x, -y of the unit vectors from the eye to the means; the vertical part is left out."""
     ray = means - eye
     ray = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-9)
     return np.concatenate([np.maximum(ray[:, :2], 0.0), np.maximum(-ray[:, :2], 0.0)], axis=1)

@@ -103,7 +103,7 @@ def surface_steps(
     *,
     min_cosine: float = 0.05,  # of the angle between normal and line of sight
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # per column [n, 3], per row [n, 3], defined [n] bool
-    """How the surface moves on from pixel to pixel: one-sided differences on the side of the smaller depth jump.
+    """Change of the surface point from pixel to pixel: one-sided differences towards the smaller depth jump.
 
     One side is enough on a plane (exact), and beside a depth edge it is the side that stays on the surface. Undefined
     where a direction has no neighbour with a return, or where the surface would be seen nearly edge-on: that is what

@@ -38,7 +38,7 @@ class Sightings:
 
 
 def sightings(mapper: Mapper) -> Sightings:
-    """Of all Gaussians, by all keyframes. Balls have no normal: n v counts as 1.
+    """`Sightings` of all Gaussians by all keyframes. Balls have no normal: n v counts as 1.
 
     A keyframe sees a Gaussian whose mean projects into its image and does not lie behind the surface measured there.
     """

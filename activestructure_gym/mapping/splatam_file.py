@@ -146,7 +146,7 @@ def splatam_path(
 def _place(
     content: dict[str, np.ndarray], path: str | os.PathLike[str], given: np.ndarray | None
 ) -> np.ndarray:  # [4, 4] world from the first camera
-    """As given, as the file's own key says, or as true poses that do not begin with the identity say.
+    """``world_from_first``: as given, else by the file's own key, else by true poses that do not start at the identity.
 
     Raises `InputError` where that is no rigid motion.
     """

@@ -146,7 +146,7 @@ def _length(path: np.ndarray) -> float:
 
 
 def _skip_vertices(volume: VoxelVolume, path: np.ndarray, min_clearance: float) -> np.ndarray:
-    """From each vertex straight to the last one that it sees."""
+    """The path without vertices it can skip: from each that is kept straight to the last one in sight."""
     kept, here = [0], 0
     while here < len(path) - 1:
         later = np.arange(here + 2, len(path))

@@ -1,4 +1,4 @@
-"""From a path to the poses of single frames: small steps, small turns, looking where one goes."""
+"""Poses of single frames along a path: limited steps and turns, looking along the motion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """How the agent moves from one view to the next."""
+    """Constants of the agent's motion from one view to the next."""
 
     max_step_m: float = 0.1
     """Metres per frame. [activegamer, code]"""

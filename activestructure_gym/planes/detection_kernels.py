@@ -320,7 +320,7 @@ def _square_distance(second, count, mean, plane):
 
 @kernel
 def _coplanar_gap(i, j, moments, planes, mean, scale, limits):
-    """How far the smaller one's centroid is from the larger one's plane, metres; inf where two are not one plane."""
+    """Distance of the smaller one's centroid from the larger one's plane, metres; inf unless they are coplanar."""
     sigma, tolerance, merge_back, cosine, wide_sigma, wide_tolerance, wide_cosine, reach = limits
     p, q, m, n = planes[i], planes[j], mean[i], mean[j]
     turn = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]

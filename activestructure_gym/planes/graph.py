@@ -72,7 +72,7 @@ NO_NODE = -1
 
 @dataclass(frozen=True)
 class GraphUpdate:
-    """What one keyframe did to the graph."""
+    """Changes of the graph by one keyframe."""
 
     detection: PlaneDetection
     node_ids: tuple[int, ...]  # per segment, the id of the node it belongs to now, -1 = too small for one

@@ -37,7 +37,7 @@ def qualifying(planes, normal, offset, centroid, limits):
 
 @kernel
 def depth_gaps(points, eye, normal, offset, grid, low, seen, cell):
-    """How far the points [P, 3] lie from a plane along their rays from ``eye``, times the ray's slant: metres [M].
+    """Distances [M] of the points [P, 3] to a plane along their rays from ``eye``, times the rays' slant, metres.
 
     Only of rays that meet the plane in front of the eye, in a seen cell of its grid. Seen at a slant a plane's own
     noise moves the meeting point along the ray, hence the slant; 0.2 = 78 degrees from the normal.

@@ -65,7 +65,7 @@ class PlaneNode:
         return self.surface.points()
 
     def spread(self, count: int) -> np.ndarray:  # [count, 3] world
-        """So many of the points from the first to the last, evenly; some are there twice if there are fewer."""
+        """``count`` of the points at even steps from first to last; some are repeated if there are fewer."""
         return self.surface.spread(count)
 
     @property

@@ -90,7 +90,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Deficiencies:
-    """Where planes have holes: targets for the next views."""
+    """Deficiency centres of the planes: targets for the next views."""
 
     centres: np.ndarray  # [D, 3] world, each on an unseen cell inside a hole
     normals: np.ndarray  # [D, 3] of the plane, towards the side it is seen from

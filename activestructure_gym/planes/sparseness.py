@@ -23,14 +23,14 @@ _CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of a rectangle of cells
 
 @dataclass(frozen=True)
 class MapPoints:
-    """What the Plane Scene Graph knows of the map: where its Gaussians are and how large."""
+    """Centres and sizes of the map's Gaussians, as the Plane Scene Graph reads them."""
 
     means: np.ndarray  # [M, 3] metres, world
     sizes: np.ndarray  # [M] metres, middle one of the three standard deviations: the short one in the plane of a disk
 
     @classmethod
     def from_log_scales(cls, means: np.ndarray, log_scales: np.ndarray) -> MapPoints:
-        """From the map's own arrays, each [3, M] (metres; logarithms of metres)."""
+        """`MapPoints` from the map's own arrays, each [3, M] (metres; logarithms of metres)."""
         a, b, c = log_scales
         return cls(means.T, np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))))
 
@@ -84,7 +84,7 @@ class _Cells(NamedTuple):
 
 
 class _Voxels(NamedTuple):
-    """Where Gaussians are, in voxels around the planes; [X + 4, Y + 4, W] uint64 where nothing else is said."""
+    """Bits of voxels around the planes that hold Gaussians; [X + 4, Y + 4, W] uint64 unless said otherwise."""
 
     low: np.ndarray  # [3] metres: the corner of voxel (0, 0, 0)
     box: np.ndarray  # [2, 3] the first voxel and their number
@@ -101,7 +101,7 @@ def _voxels_around(
     cell: float,
     largest: float,  # metres
 ) -> _Voxels:
-    """Where Gaussians are, in voxels around the planes, as bits: few voxels have any, and so all fit into a cache.
+    """Voxels around the planes that hold Gaussians, as bits, so that all of them fit into a cache.
 
     Voxels are counted from the lowest Gaussian but stored only around the planes: one Gaussian that strayed far off
     must not ask for a grid that reaches as far. A Gaussian is fine up to the size ``largest``.
@@ -206,7 +206,7 @@ def _rank(held, place, sizes):
 
 @kernel
 def _bits(word):
-    """How many bits of a word are set."""
+    """Number of set bits of a word."""
     word -= word >> np.uint64(1) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)

@@ -173,7 +173,7 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
 
 @contextmanager
 def _being_read(file: Path) -> Iterator[None]:
-    """While the block runs, nobody removes the file."""
+    """While the block runs no process removes the file."""
     with open(file, "rb") as stream:
         if fcntl is not None:
             fcntl.flock(stream, fcntl.LOCK_SH)

@@ -178,7 +178,7 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
 
 
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
-    """What loads a bare path."""
+    """The factory that loads a bare path, and the path."""
     check_printable(str(path))
     if is_replica(path):
         return load_replica_scene, str(path)

@@ -122,7 +122,7 @@ class RGBDSensor:
         return config.edge_dropout or (config.depth_noise != "none" and config.noise_multiplier > 0)
 
     def true_depth(self, world_from_camera: np.ndarray) -> np.ndarray:  # [H, W] float32 metres, 0 = no return
-        """What `capture` would measure there without an error. Ground truth; draws no random number."""
+        """The depth that `capture` would measure there without an error. Ground truth; draws no random number."""
         _, depth = self._renderer.render(self.camera, _checked_pose(world_from_camera), supersample=1)
         return self._within_range(depth)
 

@@ -28,7 +28,7 @@ class Appearance(NamedTuple):
 
 @dataclass(frozen=True)
 class ShadingTables:
-    """What all sensors share that look at a scene; all but the texels are the mesh's own arrays, not copies."""
+    """Tables shared by all sensors of a scene; all but the texels are the mesh's own arrays, not copies."""
 
     appearance: Appearance
 

@@ -36,7 +36,7 @@ class Rasterization:
 
 @dataclass(frozen=True)
 class _Request:
-    """What every implementation is given; exactly one of ``colors`` and ``sh`` is there."""
+    """Arguments of every implementation; exactly one of ``colors`` and ``sh`` is given."""
 
     means: torch.Tensor
     quaternions: torch.Tensor

@@ -275,7 +275,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
 
 @inner
 def write_tile(tile, grid, state, width, pictures):
-    """From the blocks to the pictures (no colour where ``width`` is that of scoring)."""
+    """Write a tile's blocks into the pictures (no colour where ``width`` is that of scoring)."""
     color, depth, alpha = pictures
     x, y = corner_of(tile, grid)
     for block in range(grid[TILE_BLOCKS]):

@@ -28,7 +28,7 @@ PARAMETER_ROWS = layout.ROWS
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a camera sees of the map."""
+    """Colour, depth and alpha of one camera."""
 
     color: np.ndarray  # [H, W, 3] float32
     depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth; divide by alpha for metres

@@ -27,7 +27,7 @@ _NO_FLOATS = np.empty(0, np.float32)
 
 @dataclass(frozen=True)
 class ViewInformation:
-    """What one camera sees, and for each of the S Gaussians that have a weight in it what it tells about them."""
+    """Pictures of one camera, and its information about each of the S Gaussians that have a weight in it."""
 
     color: np.ndarray  # [H, W, 3] float32
     depth: np.ndarray  # [H, W] float32, accumulated: sum of weight times depth

@@ -1,4 +1,4 @@
-"""The same pictures from gsplat on a CUDA device (extra ``gpu``)."""
+"""The rasteriser's pictures by gsplat on a CUDA device (extra ``gpu``)."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def _load_at(context, builder, sig, args, offset):
 
 
 def _taps(builder):
-    """By distance, one value for all uses: literal vectors would be most of the code that LLVM has to read."""
+    """Weights of the blur by distance, as shared values: literal vectors would be most of the code LLVM reads."""
     return [spread_value(builder, ir.Constant(F32, float(tap))) for tap in _TAPS[5:]]
 
 

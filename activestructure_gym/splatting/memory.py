@@ -109,7 +109,7 @@ def prefetch(typingctx, array, index):
 
 @intrinsic
 def _to_line(typingctx, array):
-    """How many floats into the array the next 64-byte boundary lies."""
+    """Number of floats from the array's start to the next 64-byte boundary."""
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, value=args[0]).data

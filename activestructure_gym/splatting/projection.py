@@ -1,4 +1,4 @@
-"""From a Gaussian to its ellipse in the image: 16 at a time, into records of 64 bytes."""
+"""Projection of Gaussians to ellipses in the image: 16 at a time, into records of 64 bytes."""
 
 # mypy: ignore-errors
 # (the arguments of kernels have numba's types, and intrinsics are called without their typing context)

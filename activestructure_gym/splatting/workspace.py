@@ -28,7 +28,7 @@ def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: f
 
 @lru_cache(64)
 def _view_of(camera: PinholeCamera) -> np.ndarray:
-    """All of `make_view` that a camera keeps while it moves."""
+    """The part of `make_view` that stays when a camera moves."""
     view = np.zeros(layout.VIEW_SIZE, np.float32)
     view[layout.FX : layout.LOW_X] = camera.fx, camera.fy, camera.cx, camera.cy
     margin_x, margin_y = 0.5 * layout.CLAMP_MARGIN * camera.width, 0.5 * layout.CLAMP_MARGIN * camera.height

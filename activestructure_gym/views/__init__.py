@@ -1,4 +1,4 @@
-"""Where to look next: the pool of candidate views, what each would see, and what each is worth.
+"""Candidate views: the pool, the planes each view would see, and panoramas of missing parts.
 
 The pool is the same for every policy; a feature turns the current map into one number per candidate. Nothing in this
 room may look at ground truth.

@@ -34,7 +34,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """How candidate views are laid out and offered."""
+    """Layout of the candidate pool, and how many views are offered."""
 
     lattice_step_m: float = 0.5  # horizontal distance of lattice positions (ActiveGAMER's fine stage)
     heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # above the start camera; a flying camera uses them all

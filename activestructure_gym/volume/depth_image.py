@@ -20,7 +20,7 @@ def fill_gaps(
     *,
     dropouts: bool,  # whether it also loses single returns within that range
 ) -> np.ndarray:  # [H, W] metres; 0 = proves nothing
-    """How far each pixel's ray is free.
+    """Distance up to which each pixel's ray is free.
 
     Without dropouts a pixel without return is free up to the sensor's range. With them only those of a 5 x 5 block
     are; the others are taken to be as near as the nearest of their neighbours.

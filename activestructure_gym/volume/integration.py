@@ -37,7 +37,7 @@ _SURE = 1e-3
 
 
 class VoxelFields(NamedTuple):
-    """What is kept of every voxel; all arrays [X, Y, Z]."""
+    """The arrays of the volume, each [X, Y, Z]."""
 
     origin: np.ndarray  # [3] lower corner of voxel (0, 0, 0)
     voxel_size: float  # metres

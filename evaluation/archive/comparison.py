@@ -17,7 +17,7 @@ _REMEDY = (
 
 
 def run_directory(directory: Path, job: Job) -> Path:
-    """Where a job's result stands in a comparison's directory."""
+    """The directory of a job's run within a comparison's directory."""
     return directory / store.JOBS / job.name
 
 

@@ -177,7 +177,7 @@ def policy_label(spec: str) -> str:
 
 
 def absolute_spec(spec: str) -> str:
-    """The same scene, named so that it is found from any working directory."""
+    """The scene's spec with absolute paths, so that it is found from any working directory."""
     kind, path, options = _split_spec(spec)
     if not path or not Path(os.path.expanduser(path)).exists():
         return spec

@@ -1,4 +1,4 @@
-"""What every file of a comparison and of a run must hold; see `store` for what they are."""
+"""Checks of every file of a comparison and of a run; `store` lists the files."""
 
 from __future__ import annotations
 

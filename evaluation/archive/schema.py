@@ -1,4 +1,4 @@
-"""What a file must hold, said once and checked where it is read: kinds, ranges, lengths that agree.
+"""Checks of files when they are read: kinds, ranges and lengths that agree.
 
 A check is a function of a value and of its place in the file (``metrics.views[3].psnr``); it returns nothing or raises
 `Mismatch`. Behind a check nobody needs to ask again whether a key is there or a number is finite. Keys that a check

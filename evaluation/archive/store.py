@@ -147,7 +147,7 @@ def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None
 
 
 def damage_of(directory: Path, job: Job) -> str | None:
-    """What is wrong with the files of a finished job, None if all of them can be read; reads the map and all."""
+    """The damage of a finished job's files in words, None if all can be read; reads every file."""
     try:
         run = read_done(directory, job)
         if run is None:
@@ -396,7 +396,7 @@ def json_line(content: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """The same content in JSON's types. JSON has no NaN and no infinity: they become null."""
+    """``value`` in JSON's types; NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -1,1 +1,1 @@
-"""What `asg bench` measures on this machine, one file per part."""
+"""Benchmarks behind `asg bench`, one file per part."""

@@ -102,7 +102,7 @@ def run_growth_benchmark(
 
 
 def growth_steps(checkpoints: Sequence[int]) -> int:
-    """How often `run_growth_benchmark` calls ``advance``."""
+    """Number of times `run_growth_benchmark` calls ``advance``."""
     return 2 * max(checkpoints)
 
 
@@ -217,7 +217,7 @@ def gaussians_in_view(
     parameters: np.ndarray,  # [14, n] live Gaussians
     frame: Frame,
 ) -> int:
-    """How many centres project into the frame's image, hidden ones included."""
+    """Number of centres that project into the frame's image, hidden ones included."""
     camera = frame.camera
     pose = invert_rigid(frame.world_from_camera).astype(np.float32)
     x, y, z = pose[:3, :3] @ parameters[MEAN] + pose[:3, 3:]

@@ -152,5 +152,5 @@ def run_quality_benchmark(
 
 
 def quality_steps(scenes: int, recipes: int, keyframes: int, views: int) -> int:
-    """How often `run_quality_benchmark` calls ``advance``."""
+    """Number of times `run_quality_benchmark` calls ``advance``."""
     return scenes * (keyframes + views + recipes * keyframes)

@@ -76,7 +76,7 @@ def _meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
 
 
 def field_notes(kind: type) -> Mapping[str, str]:
-    """What a dataclass's source says of its fields: a text below, a comment behind, or else comments above."""
+    """Descriptions of a dataclass's fields from its source: a text below, a comment behind, or comments above."""
     source = textwrap.dedent(inspect.getsource(kind))
     comments = {
         token.start[0]: (token.string.lstrip("# ").rstrip(), token.line.strip().startswith("#"))

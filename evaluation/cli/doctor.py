@@ -59,7 +59,7 @@ def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
 
 
 def _kernels_state() -> tuple[str, str]:
-    """Where compiled kernels are kept, and whether what is there can be used."""
+    """Directory of the compiled kernels, and whether its files can be used."""
     from activestructure_gym.compiling import cache_place
     from activestructure_gym.compiling.files import is_whole
     from activestructure_gym.evaluation.running.warmup import kernel_files

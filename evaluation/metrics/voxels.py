@@ -11,7 +11,7 @@ def nearest_per_voxel(
     points: np.ndarray,  # [N, 3] metres
     size: float,  # metres
 ) -> tuple[np.ndarray, np.ndarray]:  # [K] indices into points, [K, 3] centres of their voxels
-    """Of every occupied voxel of the grid through the origin, the point nearest to its centre (the first of equals)."""
+    """Per occupied voxel of the grid through the origin the point nearest to its centre (the first of equals)."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3))

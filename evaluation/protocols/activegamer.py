@@ -54,7 +54,7 @@ _WIDTH, _HEIGHT, _FOCAL = 1200, 680, 600.0  # pixels
 
 @dataclass(frozen=True)
 class MatchedTruth:
-    """What a map of one scene is compared with."""
+    """Thinned surface and true views of one scene, for comparison with a map."""
 
     points: np.ndarray  # [G, 3] metres: one sample of the whole surface per voxel
     centres: np.ndarray  # [G, 3] metres: the centres of these voxels

@@ -50,7 +50,7 @@ class EvaluationProtocol(Protocol):
         """Name, version and every constant, for the result file."""
 
     def truth(self, known: GroundTruth) -> Any:
-        """What a map of the scene is compared with (cached by the scene's content)."""
+        """The reference data of a scene that maps are compared with (cached by the scene's content)."""
 
     def evaluate(self, gaussians: GaussianMap, truth: Any, path: CameraPath | None = None) -> dict[str, Any]:
         """All numbers of a finished map; what is not defined is None, and its reason stands under ``notes``."""

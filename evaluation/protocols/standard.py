@@ -39,7 +39,7 @@ ViewSource = Literal["free_space", "recorded"]
 
 @dataclass(frozen=True)
 class Truth:
-    """What a map of one scene is compared with."""
+    """Surface samples and true views of one scene, for comparison with a map."""
 
     surface: SurfaceSamples
     views: HeldOutViews

@@ -101,7 +101,7 @@ def tile_grid(
 
 
 def first_row(tiles: Sequence[Image.Image]) -> list[Box]:
-    """Where `tile_grid` puts the first row of a page with column labels and without row labels."""
+    """Position of the first row on a page of `tile_grid` with column labels and without row labels."""
     (width, height), top = tiles[0].size, MARGIN + _TITLE + _LABELS
     corners = [MARGIN + column * (width + GAP) for column in range(len(tiles))]
     return [(left, top, left + width, top + height) for left in corners]

@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.results import Results
 
 
 def method_section(results: Results) -> Markup:
-    """Everything that is needed to make the same numbers again."""
+    """The section with protocol, commands, machine, configuration and versions."""
     return render(
         "method.html.j2",
         definitions=definitions(results),

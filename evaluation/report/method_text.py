@@ -9,7 +9,7 @@ from activestructure_gym.evaluation.statistics import resampling
 
 
 def meanings(results: Results) -> dict[str, str]:
-    """What each of the quality columns says, by its header."""
+    """Explanation of each quality column, by its header."""
     protocol = results.runs[0].job.protocol
     near = f"{100 * protocol.threshold_m:g} cm"
     every = {
@@ -60,7 +60,7 @@ def protocol_texts(results: Results) -> list[str]:
 
 
 def protocol_text(results: Results) -> str:
-    """How the protocol measures, in words; what its numbers mean stands in `meanings`."""
+    """How the protocol measures, in sentences; `meanings` explains its numbers."""
     run = results.runs[0]
     protocol = run.job.protocol
     views = (
@@ -112,5 +112,5 @@ def machine_text(results: Results) -> str:
 
 
 def definitions(results: Results) -> list[str]:
-    """All of it, a paragraph each; code stands between backticks."""
+    """All texts of this module, a paragraph each; code stands between backticks."""
     return [*protocol_texts(results), *statistics_text(), machine_text(results)]

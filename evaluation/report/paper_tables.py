@@ -100,13 +100,13 @@ def time_table(results: Results) -> Table:
 
 
 def tables_like_the_papers(results: Results) -> list[Table]:
-    """All of them."""
+    """Quality and ablation tables for every aspect, and the table of times."""
     found = [table(results, aspect) for aspect in aspects(results.runs) for table in (quality_table, ablation_table)]
     return [*found, time_table(results)]
 
 
 def _mean(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
-    """On one scene, or averaged over all of them."""
+    """Mean on one scene, or averaged over all of them."""
     strata = results.strata(policy, column.key, scene)
     if strata is None:
         return _undefined(results, policy, column, scene)
@@ -114,7 +114,7 @@ def _mean(results: Results, policy: str, column: Column, scene: str | None) -> C
 
 
 def _undefined(results: Results, policy: str, column: Column, scene: str | None) -> Cell:
-    """What stands for a number that is not there: no run on a scene, or not defined in a run, and why."""
+    """Text in place of a number that no run has, with the reason."""
     if not all(results.of(policy, own) for own in ([scene] if scene else results.scenes)):
         return Cell(MISSING)
     reasons = [reason for run in results.of(policy, scene) if (reason := reason_of(run, column.key))]

@@ -132,7 +132,7 @@ def _plot(episodes: Sequence[tuple[str, Steps]], path: Path | IO[bytes], title: 
 
 
 def stored_timeline(path: Path) -> Image.Image | None:
-    """What `plot_phases` drew into a file, without its title; None where it did not."""
+    """The picture that `plot_phases` drew into a file, without its title; None for any other file."""
     picture = stored_picture(path)
     if picture is None:
         return None

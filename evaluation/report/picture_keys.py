@@ -1,4 +1,4 @@
-"""What the signs of the page's pictures mean: label, shape and CSS background of every sign."""
+"""Legends of the page's pictures: label, shape and CSS background of every sign."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
 
 
 def typical_view(runs: Sequence[Run]) -> int:
-    """Of the `telling_views` that with the median PSNR, averaged over the runs; of an even number the lower middle."""
+    """The one of the `telling_views` with the median PSNR over the runs; the lower middle of an even number."""
     psnr = np.mean([run.pictures["psnr"] for run in runs], axis=0)
     ordered = sorted(telling_views(runs[0].pictures["true"]), key=lambda view: (psnr[view], view))
     return ordered[(len(ordered) - 1) // 2]

@@ -31,7 +31,7 @@ def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndar
 
 
 def plan_base(arrays: Mapping[str, np.ndarray], scale: float) -> Image.Image:
-    """What was known of the space, and over it the map from above, at ``scale`` pixels per metre."""
+    """Known space and the map from above over it, at ``scale`` pixels per metre."""
     size = pixel_size(arrays["plan_extent"], scale)
     picture = _ground(arrays).resize(size, Image.Resampling.NEAREST)
     above = Image.fromarray(arrays["above_rgb"], "RGB").resize(size, Image.Resampling.BICUBIC)
@@ -64,7 +64,7 @@ def legend() -> Image.Image:
 
 
 def flight(paths: Sequence[tuple[Mapping[str, np.ndarray], Mapping[str, np.ndarray] | None]]) -> str:
-    """How high the camera flew, of trajectories with their graphs: above the lowest floor that each has seen.
+    """A sentence on the camera's height along trajectories, above the lowest floor in each run's graph.
 
     Without a floor in every graph the heights are the world's z.
     """

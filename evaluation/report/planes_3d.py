@@ -21,7 +21,7 @@ _SHADE = 0.2  # share of lightness between planes towards the light and away fro
 
 
 def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Image.Image]:
-    """By type with edges and tree, and by deficit with deficiency centres.
+    """Two pictures: planes by type with edges and tree, and by deficit with deficiency centres.
 
     Only faces towards the eye are drawn, so one looks through the near walls and the ceiling into the rooms; what
     belongs to a plane that is not drawn (its node, its edges, its holes) is left out with it. ``side`` 0 or 1 is the
@@ -54,7 +54,7 @@ def draw_planes_3d(arrays: GraphArrays, side: int = 0) -> tuple[Image.Image, Ima
 
 
 def compass(towards: np.ndarray) -> str:  # [3]
-    """Where the eye stands, with north where y grows, as in the plans."""
+    """Compass direction of the eye, with north where y grows, as in the plans."""
     names = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
     return names[round(float(np.degrees(np.arctan2(towards[1], towards[0]))) / 45.0) % 8]
 

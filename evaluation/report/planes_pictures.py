@@ -34,7 +34,7 @@ def run_planes_3d(arrays: GraphArrays, *, title: str) -> tuple[Image.Image, list
 
 
 def _counted(arrays: GraphArrays) -> tuple[str, str]:
-    """What stands above the two panels."""
+    """Titles of the two panels, with counts."""
     structural, areas = int(arrays["structural"].sum()), arrays["deficiency_areas"]
     return (
         f"by type: {structural} structural planes, {len(arrays['ids']) - structural} of objects",

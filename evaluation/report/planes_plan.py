@@ -28,7 +28,7 @@ Colour = tuple[int, int, int]
 
 
 def draw_planes_plan(arrays: GraphArrays, plan: Mapping[str, np.ndarray]) -> tuple[Image.Image, Image.Image]:
-    """By type with edges and tree, and by deficit with deficiency centres; ``plan`` as in `picture_record.plan_arrays`.
+    """Planes by type with edges and tree, and by deficit with centres; ``plan`` as of `picture_record.plan_arrays`.
 
     Steep planes are strokes on the side they are seen from, so that both faces of a wall can be told apart. Level
     ones that face up are areas, the floor a faint one; those that face down, the ceiling among them, are outlines.
@@ -142,7 +142,7 @@ def _drawn(ground: Image.Image, shapes: Sequence[_Shape], colours: Sequence[Colo
 
 
 def stretches(arrays: GraphArrays, plane: int) -> list[tuple[np.ndarray, np.ndarray]]:  # pairs of [3] metres
-    """Where along the floor plan a steep plane has been seen at any height; gaps narrower than a cell are closed."""
+    """Intervals along a steep plane in the floor plan that were seen at any height; gaps below a cell are closed."""
     cell, axes, normal = float(arrays["cell"]), arrays["patch_axes"][plane], arrays["normals"][plane]
     rows, columns = np.nonzero(seen_cells(arrays, plane))
     cells = np.stack([rows, columns], axis=1) + 0.5

@@ -134,7 +134,7 @@ class Results:
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
-    """What must not differ between compared runs, with all values found."""
+    """Values of every condition that compared runs must share, as found in the runs."""
     found: dict[str, dict[str, None]] = {}
     for run in runs:
         job = run.job.as_dict()

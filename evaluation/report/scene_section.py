@@ -36,7 +36,7 @@ _SEEN = {  # what there is to see in the pictures of planes
 
 
 def scene_section(results: Results, scene: str, anchor: str) -> Markup:
-    """Everything about one scene that does not stand further up on the page."""
+    """The section of one scene, without what stands further up on the page."""
     shown = results.shown(scene)
     numbers = curves = None
     if len(results.scenes) > 1:
@@ -76,7 +76,7 @@ def which_runs(results: Results, scene: str) -> str:
 
 
 def scene_facts(run: Run) -> str:
-    """What the scene is."""
+    """Sentences on the scene of a run."""
     info, metrics = run.config["scene"], run.metrics["metrics"]
     size = " × ".join(f"{side:.1f}" for side in info["extent_m"])
     seen = f"{metrics['true_area_m2']:.1f} m² of surface can be seen ({metrics['true_samples']:,} samples)"

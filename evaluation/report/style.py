@@ -23,7 +23,7 @@ def colour(index: int) -> str:
 
 
 def path_colour(share: float) -> tuple[int, int, int]:
-    """From the path's first frame (0) to its last (1): dark blue to yellow, rising in lightness throughout."""
+    """Colour of a share of the path: dark blue at its first frame (0) to yellow at its last (1), ever lighter."""
     stops = ((44, 27, 110), (48, 103, 141), (33, 144, 140), (94, 186, 95), (238, 203, 36))
     position = min(max(share, 0.0), 1.0) * (len(stops) - 1)
     low = min(int(position), len(stops) - 2)

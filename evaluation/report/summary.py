@@ -1,4 +1,4 @@
-"""Everything a report is made of, written into one directory: the page, the tables, and a summary in Markdown."""
+"""Write a report into one directory: the page, the tables, and a summary in Markdown."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _written(path: Path, text: str) -> Path:
 
 
 def _endings(scenes: Sequence[str]) -> list[str]:
-    """What the file names of each scene's pictures end with; "a b" and "a?b" look the same in a file name."""
+    """Suffixes of each scene's picture files; different even where names look the same as file names."""
     if len(scenes) == 1:
         return [""]
     endings: list[str] = []

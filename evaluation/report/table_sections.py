@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.report.results import Results
 
 
 def quality_section(results: Results) -> Markup | None:
-    """What the table at a glance does not say: of single scenes, and other statistics than the mean."""
+    """Quality on single scenes, and by other statistics than the mean."""
     if len(results.scenes) == 1 and len(results.seeds) == 1:
         return None
     tables = []
@@ -31,7 +31,7 @@ def quality_section(results: Results) -> Markup | None:
 
 
 def differences_section(results: Results) -> Markup | None:
-    """Nothing where one pair of runs is all there is: its difference stands at a glance."""
+    """Differences to the baseline; nothing where a single pair is all there is, which stands at a glance."""
     table = verdicts.difference_table(results)
     intervals = verdicts.can_tell(results)
     if table is None or (len(results.scenes) == 1 and not intervals):

@@ -70,7 +70,7 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
 
 
 def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
-    """For the terminal; the best numbers are bold and green."""
+    """The table for a terminal; the best numbers are bold and green."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table as RichTable

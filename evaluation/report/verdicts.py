@@ -88,7 +88,7 @@ def can_tell(results: Results) -> bool:
 
 
 def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
-    """In words, and its tone: whether the interval excludes 0, and towards which side; nothing without an interval.
+    """Words and tone for a paired difference: its interval's side of 0; nothing without an interval.
 
     The numbers are judged as they are printed: what is smaller than the last digit is neither better nor worse. A
     resampled interval of very few pairs excludes 0 as soon as all of them agree, so below `_FEW` that is said.
@@ -217,7 +217,7 @@ def area_table(results: Results) -> Table:
 
 
 def cost_table(results: Results) -> Table:
-    """What the episodes cost, planning and mapping apart; a collision is an alarm."""
+    """Costs of the episodes, planning and mapping apart; a collision is marked as an alarm."""
     columns = measured(COSTS, results.runs)
     rows = []
     for policy in results.policies:

@@ -1,1 +1,1 @@
-"""From a job to its directory: one episode, its worker, the engines, a whole comparison."""
+"""Running jobs: one episode, its worker, the engines, a whole comparison."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is compared, and under which conditions; the same for every policy."""
+    """Scenes, policies, seeds and the conditions that all of them share."""
 
     scenes: Sequence[str]  # texts as `load_scene` takes them
     policies: Sequence[str]  # names with options

@@ -175,7 +175,7 @@ def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Epis
 
 
 def path_collisions(scene: Scene, trajectory: np.ndarray) -> int:
-    """How many executed steps of a trajectory [T, 4, 4] pass through the true mesh. Must be 0."""
+    """Number of executed steps of a trajectory [T, 4, 4] that pass through the true mesh. Must be 0."""
     positions = trajectory[:, :3, 3]
     moved = np.linalg.norm(np.diff(positions, axis=0), axis=1) > 1e-9
     if not moved.any():

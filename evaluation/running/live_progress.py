@@ -123,7 +123,7 @@ class LiveProgress:
         self._console.print(text, highlight=False)
 
     def _keep_saying(self) -> None:
-        """For a log: how far everything is, whenever nothing has been said for a while."""
+        """Write the state of all jobs to a log whenever nothing has been written for half a minute."""
         while not self._over.wait(_QUIET / 30):
             if time.monotonic() - self._said > _QUIET:
                 self._say(f"[dim]{escape(self._state())}")
@@ -159,7 +159,7 @@ class _Bar:
         self._first: tuple[float, int] | None = None  # when exploring began, and at which frame
 
     def seconds_left(self, progress: episode.Progress) -> float | None:
-        """From the speed since the first decision; loading and compiling before it tell nothing."""
+        """Seconds left by the speed since the first decision; loading and compiling before it do not count."""
         if progress.stage != "exploring":
             return None
         now = time.monotonic()

@@ -50,7 +50,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
 
 
 def conditions(job: Job) -> dict[str, Any]:
-    """What a job shares with all others of its comparison, as JSON gives it back."""
+    """The conditions that a job shares with all others of its comparison, in JSON's types."""
     content: dict[str, Any] = json.loads(json.dumps(store.plain(job.as_dict())))
     return {key: value for key, value in content.items() if key not in _CELL}
 

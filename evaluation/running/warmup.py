@@ -87,7 +87,7 @@ class WarmMark:
 
     @classmethod
     def of(cls, job: Job, gains: Sequence[str] = ()) -> WarmMark | None:
-        """None where kernels cannot be kept, or where what is compiled may lie outside of this package."""
+        """The mark of this job and these features; None where kernels cannot be kept or are not this package's."""
         from activestructure_gym.compiling import cache_place
         from activestructure_gym.features import FEATURES
         from activestructure_gym.policies import make_policy
@@ -184,7 +184,7 @@ class _Tally:
             self._notify(describe(len(self._names), self._seconds()))
 
     def conclude(self) -> None:
-        """All is compiled; not said where nothing had to be."""
+        """Report that all is compiled, if anything had to be."""
         from activestructure_gym.compiling.progress import conclusion
 
         with self._lock:

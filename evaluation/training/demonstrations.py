@@ -62,7 +62,7 @@ class Demonstrations:
 
 
 def description(config: TrainingConfig) -> dict[str, Any]:
-    """What the demonstrations depend on."""
+    """The settings that the demonstrations depend on."""
     whole = config.as_dict()
     return {key: whole[key] for key in ("seed", "world", "teacher", "episodes", "explore")}
 

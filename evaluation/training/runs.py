@@ -95,7 +95,7 @@ class TrainingRun:
 
     @property
     def tensors(self) -> dict[str, torch.Tensor]:
-        """What `save` was given last; empty at the beginning."""
+        """The tensors of the last `save`; empty at the beginning."""
         return self._tensors
 
     def restore(self, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:

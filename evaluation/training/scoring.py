@@ -50,7 +50,7 @@ class Cell:
 
     @property
     def file(self) -> str:
-        """Where its results are kept."""
+        """Name of the file with its results."""
         mark = hashlib.sha256(self.scene.encode()).hexdigest()[:6]  # two files may have one label
         start = "" if self.start is None else f"--start{self.start}"
         return f"{slug(scene_label(self.scene))}-{mark}--seed{self.seed}{start}.json"

@@ -1,4 +1,4 @@
-"""From the Plane Scene Graph to the information gain of every candidate (Eqs. 11 to 14). Pure functions.
+"""The information gain of every candidate from the Plane Scene Graph (Eqs. 11 to 14). Pure functions.
 
 Shapes: K candidates, P rows of planes; rows without a plane are False in every column of ``visible``.
 """
@@ -42,7 +42,7 @@ def plane_view(observation: Observation) -> PlaneView:
 
 @dataclass(frozen=True)
 class Weights:
-    """What a phase, or a rung of the ablation, makes of the terms."""
+    """Weights of the terms in a phase, or on a rung of the ablation."""
 
     structural: float = 1.0  # alpha_i of planes in V_S, Eq. 13
     objects: float = 1.0  # alpha_i of planes in V_O, Eq. 13

@@ -1,4 +1,4 @@
-"""From observations to the network's inputs, scaled by physical ranges.
+"""The network's inputs from observations, scaled by physical ranges.
 
 No running statistics: those of a set-valued entry would be per row, which breaks equivariance and is spoilt by empty
 rows (stable-baselines3's VecNormalize does so). Places and directions are told in the camera's heading frame (at the
@@ -41,7 +41,7 @@ GLOBAL_INPUTS = 3  # and one for every gain
 
 
 def heading(pose: Tensor) -> tuple[Tensor, Tensor]:  # [B, 7] -> [B, 3] position, [B, 2] (cos, sin) of the yaw
-    """Where the camera is and which way it faces; (0, 0) where it looks straight up or down, which has no yaw."""
+    """Position and yaw direction of the camera; (0, 0) where it looks straight up or down."""
     w, x, y, z = pose[:, 3:].unbind(-1)
     forward = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], -1)  # of the optical axis, horizontal part
     return pose[:, :3], forward / (forward.norm(dim=-1, keepdim=True) + 1e-6)
@@ -125,7 +125,7 @@ def _shares(gains: Tensor, valid: Tensor) -> Tensor:  # [B, K, G], [B, K, 1] -> 
 
 
 def global_inputs(observation: Tensors) -> Tensor:  # [B, GLOBAL_INPUTS + G]
-    """What is left of the budget, how much there is to choose from, and how much there still is to gain."""
+    """Remaining budget, log counts of candidates and planes, and the largest valid value of every feature."""
     valid = observation["action_mask"]
     counts = [valid.sum(-1, keepdim=True).log1p() / 6, observation["plane_mask"].sum(-1, keepdim=True).log1p() / 4]
     most = (gain_sizes(observation["candidate_gains"]) * valid[..., None]).amax(dim=1)

@@ -44,7 +44,7 @@ class Learned(Policy):
         return self._network
 
     def scores(self, observation: Observation) -> np.ndarray:  # [K]
-        """What the network holds every candidate to be worth; very low in rows without one."""
+        """The network's score of every candidate; very low in rows without one."""
         import torch
 
         from activestructure_gym.policies.learned.network import as_tensors

@@ -83,7 +83,7 @@ class _Split(nn.Module):
 
 
 class CandidateHeads(BasePolicy):
-    """What makes an actor-critic policy of stable-baselines3 one of the candidate-set network; stands before its base.
+    """Mixin before an actor-critic policy of stable-baselines3 that makes it one of the candidate-set network.
 
     ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its gains;
     `begin_from` copies a checkpoint of ours.

@@ -51,7 +51,7 @@ class LimitError(UnreadableMesh):
 
 @dataclass
 class SceneBudget:
-    """What a scene has read and taken so far."""
+    """Counters of what a scene has read and allocated, against `LIMITS`."""
 
     bytes_read: int = 0
     taken: dict[str, int] = field(default_factory=dict)

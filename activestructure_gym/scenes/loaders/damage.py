@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 
 class UnreadableMesh(ValueError):
-    """What is wrong with a file, for the end of a sentence: "it is cut off", "its nodes form a loop"."""
+    """A damaged file; the message ends a sentence: "it is cut off", "its nodes form a loop"."""
 
 
 # What Python and numpy say of text that is no number.

@@ -162,7 +162,7 @@ def finished_scene(
 
 
 def texture_notes(textures: TextureStore) -> list[str]:
-    """What the textures lack, in a sentence each."""
+    """Sentences on textures that are missing or unreadable."""
     notes = []
     missing, bare = (list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv))
     if missing:

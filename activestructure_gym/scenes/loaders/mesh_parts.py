@@ -212,7 +212,7 @@ class _WrappedTextures:
     _places: dict[tuple[int, tuple[int, int]], int] = field(default_factory=dict)
 
     def index(self, image: int, wrap: tuple[int, int]) -> int:
-        """Where the image stands with this way to go on."""
+        """Index of the image with this wrap mode."""
         if (image, wrap) not in self._places:
             place = image
             if any(image == known for known, _ in self._places):
@@ -223,7 +223,7 @@ class _WrappedTextures:
 
     @property
     def wraps(self) -> tuple[tuple[int, int], ...]:
-        """Of each image; () where all repeat."""
+        """Wrap mode of each image; () where all repeat."""
         wraps = [(REPEAT, REPEAT)] * len(self.images)
         for (_, wrap), place in self._places.items():
             wraps[place] = wrap

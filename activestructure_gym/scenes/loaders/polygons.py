@@ -56,7 +56,7 @@ _QUAD = np.array([[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]])  # through co
 
 
 def concave_corners(points: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where polygons (arguments of `triangulated`) turn back: polygon and its own corner; none without an area."""
+    """Polygon and own corner wherever a polygon (arguments of `triangulated`) is concave; none without an area."""
     if not (sizes > 3).any():
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     polygon = np.repeat(np.arange(len(sizes)), sizes)

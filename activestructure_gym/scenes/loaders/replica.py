@@ -201,7 +201,7 @@ def _count(word: str) -> int:
 
 
 def _corner_count(data: bytes, start: int, properties: Properties) -> int:
-    """How many corners the first face has."""
+    """Number of corners of the first face."""
     for _, kind, count_kind in properties:
         if count_kind:
             corners = int(np.frombuffer(data, count_kind, 1, start)[0])

@@ -45,7 +45,7 @@ _LEAST_BETWEEN = 0.015  # of the level surface: with less there is no furniture 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the geometry says about up."""
+    """The up axis as inferred from the geometry."""
 
     up: str | None  # the axis it tells, None where it does not
     possible: tuple[str, ...]  # of `UP_AXES`: those that it does not clearly exclude
@@ -54,7 +54,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Side:
-    """What is seen along one axis, its low end called floor; lengths in shares of the side."""
+    """Statistics of the geometry along one axis, its low end called floor; lengths in shares of the side."""
 
     length: float  # metres
     surface: float  # share of all surface that faces along the axis
@@ -141,7 +141,7 @@ def _both_ends(axes: Collection[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class DeclaredUp:
-    """What is up where the user does not say."""
+    """The up axis where the user does not give one."""
 
     up: str
     words: str  # why, as in "y is up in glTF"
@@ -256,7 +256,7 @@ def _side(points: np.ndarray, normals: np.ndarray, axis: int) -> _Side:
 
 
 def _missing_end(heights: np.ndarray) -> int:
-    """How many points more one end has than the other, where that one has next to none."""
+    """Number of points by which one end exceeds the other, where that one has next to none."""
     low, high = np.count_nonzero(heights < _END), np.count_nonzero(heights > 1.0 - _END)
     return int(abs(high - low)) if min(low, high) < 0.1 * max(low, high) else 0
 

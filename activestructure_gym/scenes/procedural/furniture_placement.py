@@ -181,7 +181,7 @@ class RoomPlanner:
         return bool(common)
 
     def wall_spots(self, size: Size, *, front: float, step: float = 0.1) -> list[Spot]:
-        """Where something of this size can stand at a wall, with ``front`` metres of free floor before it.
+        """Places at walls for a piece of this size with ``front`` metres of free floor before it.
 
         Things as high as a window sill do not stand in front of windows.
         """

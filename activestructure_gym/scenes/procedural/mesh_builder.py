@@ -13,7 +13,7 @@ from activestructure_gym.scenes.procedural.mesh_shapes import Shape
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks before light falls on it: texture times tint."""
+    """Appearance of a surface without light: texture times tint."""
 
     texture: int = -1  # index into the textures of the scene, -1 = none
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)  # sRGB factor

@@ -146,7 +146,7 @@ def next_message(messages: Messages, workers: Iterable[WorkerProcess]) -> tuple[
 
 
 def read_progress(line: str) -> Progress | None:
-    """What a worker's line says; None for a line that says nothing, as one torn by a dying worker."""
+    """The progress in a worker's line of output; None for any other line, such as a torn one."""
     try:
         return Progress(**json.loads(line))
     except (json.JSONDecodeError, TypeError):
@@ -154,7 +154,7 @@ def read_progress(line: str) -> Progress | None:
 
 
 def search_path() -> list[str]:
-    """Where this process finds modules, for workers to find the same, a user's policy in the working directory too."""
+    """This process's module search path, for workers to find the same modules."""
     # Ray puts private copies of other packages in front.
     return [path or os.getcwd() for path in sys.path if not path.endswith("thirdparty_files")]
 

@@ -98,7 +98,7 @@ def run_ray(
 
 @dataclass(frozen=True)
 class _Order:
-    """What a Ray task needs to know."""
+    """Arguments of a Ray task."""
 
     job: dict[str, Any]
     directory: str
@@ -149,7 +149,7 @@ def _attempt(order: _Order, board: Any) -> Ended:
 
 
 def _result(ray: Any, reference: Any, job: Job, directory: Path) -> Ended:
-    """What a task returned, seen from this machine."""
+    """The outcome of a Ray task, as this machine sees it."""
     try:
         ended: Ended = ray.get(reference)
     except ray.exceptions.RayError as error:
@@ -166,7 +166,7 @@ def _result(ray: Any, reference: Any, job: Job, directory: Path) -> Ended:
 
 
 class _News:
-    """What the board has heard. One question at a time: lines leave the board with an answer, which may come late."""
+    """Polls the board for messages, one request at a time: an answer may be late, and messages leave with it."""
 
     def __init__(self, ray: Any, board: Any) -> None:
         self._ray, self._board = ray, board

@@ -9,21 +9,6 @@ ROOT = Path(__file__).resolve().parents[1]
 TOP = ("activestructure_gym", "envs", "policies", "evaluation")
 MOST = 8
 
-# Functions, nearly all kernels, that are still above it, with what they take; this list may only shrink.
-ABOVE = {
-    "activestructure_gym/mapping/map_passes.py:larger_in_view": 9,
-    "activestructure_gym/planes/detection_kernels.py:explained_shares": 10,
-    "activestructure_gym/planes/detection_kernels.py:grow_regions": 11,
-    "activestructure_gym/planes/detection_kernels.py:refine_pixels": 13,
-    "activestructure_gym/planes/quality_kernels.py:open_sides": 10,
-    "activestructure_gym/planes/surface_kernels.py:count_hits": 11,
-    "activestructure_gym/planes/surface_kernels.py:image_sums": 9,
-    "activestructure_gym/planes/surface_kernels.py:join": 11,
-    "activestructure_gym/planes/surface_kernels.py:look_up_cells": 15,
-    "evaluation/metrics/fusion.py:_integrate": 9,
-    "evaluation/metrics/nearest.py:_search": 9,
-}
-
 
 def positional_parameters() -> dict[str, int]:
     """Of every function and method, itself not counted."""
@@ -41,6 +26,4 @@ def positional_parameters() -> dict[str, int]:
 
 def test_no_function_takes_more_than_eight_positional_parameters() -> None:
     above = {name: count for name, count in positional_parameters().items() if count > MOST}
-    new = {name: count for name, count in above.items() if count > ABOVE.get(name, MOST)}
-    assert not new, f"pass what belongs together as a NamedTuple: {new}"
-    assert above == ABOVE, f"the list may shrink: {sorted(ABOVE.items() - above.items())}"
+    assert not above, f"pass what belongs together as a NamedTuple: {above}"

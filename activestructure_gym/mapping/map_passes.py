@@ -5,12 +5,22 @@ In numpy each of them makes several temporary arrays as long as the map, which i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.mapping.gaussian_map import ROWS
 
 CHUNK = 1024  # Gaussians whose sums stay in the nearest cache; the rasteriser's chunk
+
+
+class MeasuredDepth(NamedTuple):
+    """A depth image and the camera that took it."""
+
+    depth: np.ndarray  # [H, W] float32 metres; 0 = no return
+    camera_from_world: np.ndarray  # [3, 4] float32
+    intrinsics: np.ndarray  # [4] float32 pixels: fx, fy, cx, cy
 
 
 @kernel
@@ -52,9 +62,7 @@ def fit_to_stay(
 def larger_in_view(
     parameters: np.ndarray,  # [14, n] float32
     count: int,
-    camera_from_world: np.ndarray,  # [3, 4] float32
-    intrinsics: np.ndarray,  # [4] float32 pixels: fx, fy, cx, cy
-    depth: np.ndarray,  # [H, W] float32 metres, measured; 0 = no return
+    measured_depth: MeasuredDepth,
     limit: float,  # pixels, largest sigma
     wide: float,  # metres, middle sigma: from here on the second limit holds as well
     limit_wide: float,  # pixels, middle sigma
@@ -64,6 +72,7 @@ def larger_in_view(
 
     Also the pixels that those were the seeds of: a square of the seeds' spacing around each, on the same surface.
     """
+    depth, camera_from_world, intrinsics = measured_depth
     found, pixels = np.empty(count, np.bool_), np.zeros(depth.shape, np.bool_)
     m, height, width = camera_from_world, depth.shape[0], depth.shape[1]
     focal = np.float32(0.5) * (intrinsics[0] + intrinsics[1])

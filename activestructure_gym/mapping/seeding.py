@@ -15,7 +15,7 @@ from activestructure_gym.geometry import invert_rigid, transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
-from activestructure_gym.mapping.map_passes import larger_in_view
+from activestructure_gym.mapping.map_passes import MeasuredDepth, larger_in_view
 
 
 def missing_pixels(
@@ -73,9 +73,11 @@ def too_coarse(
     return larger_in_view(
         np.ascontiguousarray(parameters, dtype=np.float32),
         parameters.shape[1] if count is None else count,
-        invert_rigid(frame.world_from_camera)[:3].astype(np.float32),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
-        np.ascontiguousarray(frame.depth, dtype=np.float32),
+        MeasuredDepth(
+            np.ascontiguousarray(frame.depth, dtype=np.float32),
+            invert_rigid(frame.world_from_camera)[:3].astype(np.float32),
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
+        ),
         float(limit),
         float(wide),
         float(limit_wide),

@@ -122,7 +122,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     config = config or PlaneDetectionConfig()
     depth = np.ascontiguousarray(frame.depth, dtype=np.float32)
     camera = frame.camera
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     nothing = PlaneDetection((), np.full(depth.shape, -1, np.int32))
 
     # Noise tilts a small block's plane: a much noisier sensor needs larger ones.
@@ -134,7 +134,7 @@ def segment_planes(frame: Frame, config: PlaneDetectionConfig | None = None) -> 
     if not len(planes):
         return nothing
     labels, planes = _refine(depth, lens, size, block_labels, planes, config)
-    moments = kernels.segment_moments(depth, *lens, labels, len(planes))
+    moments = kernels.segment_moments(depth, lens, labels, len(planes))
     moments, new_label = _merge_coplanar(moments, config)
     moments, order = _keep_large(moments, config.min_pixel_share * depth.size)
     if not len(moments):
@@ -149,10 +149,10 @@ def _noise(z: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _block_regions(
-    depth: np.ndarray, lens: tuple[float, float, float, float], size: int, config: PlaneDetectionConfig
+    depth: np.ndarray, lens: np.ndarray, size: int, config: PlaneDetectionConfig
 ) -> tuple[np.ndarray, np.ndarray]:  # block labels [By, Bx], planes [S, 5]
     scale = config.depth_noise_scale
-    moments = kernels.block_moments(depth, *lens, size, config.max_depth)
+    moments = kernels.block_moments(depth, lens, size, config.max_depth)
     shape = moments.shape[:2]
     flat = moments.reshape(-1, kernels.MOMENTS)
     planes, mean = kernels.fit_planes(flat)
@@ -173,9 +173,11 @@ def _block_regions(
     labels = np.full(shape, -1, np.int32)
     regions = np.zeros_like(flat)
     count = kernels.grow_regions(
-        moments, planes.reshape(*shape, 5), accepted.reshape(shape), order[accepted[order]], scale,
-        np.radians(config.link_angle_deg), config.link_sigma * tilt.reshape(shape), config.link_sigma,
-        config.link_tolerance, labels, regions,
+        kernels.Blocks(
+            moments, planes.reshape(*shape, 5), accepted.reshape(shape), config.link_sigma * tilt.reshape(shape)
+        ),
+        order[accepted[order]], scale, np.radians(config.link_angle_deg), config.link_sigma, config.link_tolerance,
+        labels, regions,
     )  # fmt: skip
     if not count:
         return labels, np.zeros((0, 5))
@@ -224,7 +226,7 @@ def _steady(
 
 def _refine(
     depth: np.ndarray,
-    lens: tuple[float, float, float, float],
+    lens: np.ndarray,
     size: int,
     block_labels: np.ndarray,
     planes: np.ndarray,
@@ -237,15 +239,16 @@ def _refine(
     scale = config.depth_noise_scale
     edge_on = np.cos(np.radians(config.max_incidence_deg))
     pixel = (scale, config.pixel_sigma, config.pixel_tolerance, config.max_depth, edge_on)
-    labels = kernels.refine_pixels(depth, *lens, size, block_labels, planes, *pixel)
+    labels = kernels.refine_pixels(depth, lens, kernels.Choice(size, block_labels, planes), *pixel)
     shares = kernels.explained_shares(
-        depth, *lens, labels, planes, scale, config.explained_sigma, config.explained_tolerance
+        depth, lens, labels, planes, scale, config.explained_sigma, config.explained_tolerance
     )
     keep = shares <= config.explained_share
     if keep.all():
         return labels, planes
     table = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1).astype(np.int32)
-    return kernels.refine_pixels(depth, *lens, size, table[block_labels], planes[keep], *pixel), planes[keep]
+    left = kernels.Choice(size, table[block_labels], planes[keep])
+    return kernels.refine_pixels(depth, lens, left, *pixel), left.planes
 
 
 def _merge_coplanar(
@@ -282,14 +285,14 @@ def _keep_large(moments: np.ndarray, min_pixels: float) -> tuple[np.ndarray, np.
 def _lift(
     frame: Frame,
     depth: np.ndarray,
-    lens: tuple[float, float, float, float],
+    lens: np.ndarray,
     labels: np.ndarray,
     moments: np.ndarray,
     config: PlaneDetectionConfig,
 ) -> tuple[PlaneSegment, ...]:
     planes, mean = kernels.fit_planes(moments)
     # 3 degrees: closer to edge-on a pixel's footprint says nothing about area.
-    areas = kernels.segment_areas(depth, *lens, labels, planes, np.sin(np.radians(3.0)))
+    areas = kernels.segment_areas(depth, lens, labels, planes, np.sin(np.radians(3.0)))
     rotation = frame.world_from_camera[:3, :3]
     normals = planes[:, :3] @ rotation.T
     centroids = transform_points(frame.world_from_camera, mean)
@@ -298,7 +301,7 @@ def _lift(
     pixels = np.bincount(labels.ravel() + 1, minlength=len(moments) + 1)[1:]
     steps = -(-pixels // config.max_points)
     ends = np.cumsum(-(-pixels // np.maximum(steps, 1)))
-    points = kernels.spread_points(depth, *lens, labels, steps, ends)
+    points = kernels.spread_points(depth, lens, labels, steps, ends)
     points = transform_points(frame.world_from_camera, points)
     segments = []
     for k, end in enumerate(ends):

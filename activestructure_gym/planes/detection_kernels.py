@@ -2,10 +2,13 @@
 
 Second-order moments of a set of points are kept as ten sums, in the order
 ``[1, x, y, z, xx, xy, xz, yy, yz, zz]``: they add, so a block, a region and a merged plane are fitted the same way.
-All points are in the camera frame.
+All points are in the camera frame. ``lens`` [4] is fx, fy, cx, cy in pixels. What noise may do to a distance is
+``sigmas * noise(z, scale) + base`` metres.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +17,23 @@ from activestructure_gym.geometry.depth_noise import axial_sigma
 
 MOMENTS = 10
 MAX_LINK_ANGLE = np.radians(40.0)  # whatever the noise: beyond it two blocks are an edge of a room
+
+
+class Blocks(NamedTuple):
+    """The blocks of an image and their planes."""
+
+    moments: np.ndarray  # [By, Bx, 10]
+    planes: np.ndarray  # [By, Bx, 5]
+    accepted: np.ndarray  # [By, Bx] bool, planar ones
+    tilt: np.ndarray  # [By, Bx] radians: what noise does to the normal
+
+
+class Choice(NamedTuple):
+    """Between which planes the pixels of a block choose: its own and those of the blocks around it."""
+
+    size: int  # pixels, edge of a block
+    labels: np.ndarray  # [By, Bx] int32 row of ``planes``, -1 = none
+    planes: np.ndarray  # [S, 5]
 
 
 @kernel
@@ -114,8 +134,9 @@ def fit_planes(moments):
 
 
 @kernel
-def block_moments(depth, fx, fy, cx, cy, size, max_depth):
+def block_moments(depth, lens, size, max_depth):
     """Moments [By, Bx, 10] of the valid pixels of every full block."""
+    fx, fy, cx, cy = lens
     rows, columns = depth.shape[0] // size, depth.shape[1] // size
     moments = np.zeros((rows, columns, MOMENTS))
     for r in range(rows):
@@ -140,17 +161,18 @@ def noise(z, scale):
 
 
 @kernel
-def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link_noise, link_base, labels, regions):
+def grow_regions(blocks, order, scale, link_angle, link_noise, link_base, labels, regions):
     """Join neighbouring planar blocks into regions, flattest block first.
 
     A block joins when it is coplanar both with the neighbour it is reached from and with the plane of the whole
     region, which is refitted as the region grows: chaining along a curved surface stops where the plane stops.
 
-    Normals may differ by ``link_angle`` radians plus what noise does to them, ``tilt`` [By, Bx].
+    Normals may differ by ``link_angle`` radians plus what noise does to them.
 
     Writes ``labels`` [By, Bx] int32 (-1 = none, given so) and the moments of the regions into ``regions``
     [By * Bx, 10] (given as 0), and returns how many there are.
     """
+    moments, planes, accepted, tilt = blocks
     rows, columns = accepted.shape
     stack = np.empty(rows * columns, np.int64)
     plane = np.empty(4)
@@ -212,13 +234,13 @@ def grow_regions(moments, planes, accepted, order, scale, link_angle, tilt, link
 
 
 @kernel
-def refine_pixels(
-    depth, fx, fy, cx, cy, size, block_labels, planes, scale, pixel_noise, pixel_base, max_depth, min_cosine
-):
+def refine_pixels(depth, lens, choice, scale, pixel_noise, pixel_base, max_depth, min_cosine):
     """Give every pixel to the closest plane among those of its own and the eight surrounding blocks.
 
     Pixels that see the plane at less than ``min_cosine`` between ray and normal stay without.
     """
+    fx, fy, cx, cy = lens
+    size, block_labels, planes = choice
     height, width = depth.shape
     rows, columns = block_labels.shape
     labels = np.full((height, width), -1, np.int32)
@@ -248,8 +270,9 @@ def refine_pixels(
 
 
 @kernel
-def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, limit_base):
+def explained_shares(depth, lens, labels, planes, scale, limit_noise, limit_base):
     """For every label the share of its pixels that some larger label's plane explains as well."""
+    fx, fy, cx, cy = lens
     count = len(planes)
     sizes = np.zeros(count, np.int64)
     for v in range(depth.shape[0]):
@@ -278,8 +301,9 @@ def explained_shares(depth, fx, fy, cx, cy, labels, planes, scale, limit_noise, 
 
 
 @kernel
-def segment_moments(depth, fx, fy, cx, cy, labels, count):
+def segment_moments(depth, lens, labels, count):
     """Moments [S, 10] of the pixels of every label."""
+    fx, fy, cx, cy = lens
     moments = np.zeros((count, MOMENTS))
     for v in range(depth.shape[0]):
         y1 = (v + 0.5 - cy) / fy
@@ -292,8 +316,9 @@ def segment_moments(depth, fx, fy, cx, cy, labels, count):
 
 
 @kernel
-def segment_areas(depth, fx, fy, cx, cy, labels, planes, min_cosine):
+def segment_areas(depth, lens, labels, planes, min_cosine):
     """Square metres of every label: the sum of its pixels' footprints z^2 / (fx fy cos)."""
+    fx, fy, cx, cy = lens
     areas = np.zeros(len(planes))
     for v in range(depth.shape[0]):
         y1 = (v + 0.5 - cy) / fy
@@ -380,11 +405,12 @@ def merge_coplanar(moments, scale, limits):
 
 
 @kernel
-def spread_points(depth, fx, fy, cx, cy, labels, steps, ends):
+def spread_points(depth, lens, labels, steps, ends):
     """Every so many pixels (``steps`` [S]) of each label, in row order: their points, those of label k up to ends[k].
 
     Camera frame [ends[-1], 3] float64.
     """
+    fx, fy, cx, cy = lens
     points = np.empty((ends[-1], 3))
     found, place = np.zeros(len(ends), np.int64), np.zeros(len(ends), np.int64)
     place[1:] = ends[:-1]

@@ -224,8 +224,8 @@ def boundary_closure(
     ends = np.cumsum([len(edge.unexplained) for edge in edges])
     near = np.concatenate([surface.near.ravel() for surface in surfaces])
     probes, owner = kernels.open_sides(
-        np.concatenate([edge.unexplained for edge in edges]), ends, near, grids.starts, grids.shapes, grids.lows,
-        grids.frames, surfaces[0].cell, config.boundary_reach, config.space_step,
+        np.concatenate([edge.unexplained for edge in edges]), ends, near, grids, surfaces[0].cell,
+        config.boundary_reach, config.space_step,
     )  # fmt: skip
     unclosed = np.bincount(owner, minlength=len(nodes)).astype(np.float64)
     if space_state is not None and len(probes):

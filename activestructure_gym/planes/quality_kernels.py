@@ -9,11 +9,12 @@ from activestructure_gym.planes.surface_kernels import UNKNOWN
 
 
 @kernel
-def _may_touch(index, other, shapes, lows, grids, cell, reach):
+def _may_touch(index, other, stack, cell, reach):
     """Whether a grid's rectangle and a cell around it come within ``reach`` of the plane of another, over its cells.
 
     False only where one of the other grid's three axes separates the two.
     """
+    grids, lows, shapes = stack.frames, stack.lows, stack.shapes
     for axis in range(3):
         q = 3 + 3 * axis
         u, v, w = grids[other, q], grids[other, q + 1], grids[other, q + 2]
@@ -69,16 +70,16 @@ def edge_sides(seen, beside):
 
 
 @kernel
-def open_sides(edges, ends, near, starts, shapes, lows, grids, cell, reach, step):
+def open_sides(edges, ends, near, stack, cell, reach, step):
     """Those sides of all nodes' boundary cells that no other plane closes.
 
     ``edges`` [M, 3] are row, column and direction of the sides, those of node k end at ``ends[k]``. A side is closed
     when another plane passes within ``reach`` metres of the centre of the cell beyond it (``near`` = seen, dilated by
-    the reach; the flat array holds all grids, node k at ``starts[k]``); ``lows`` [N, 2] is the cell index of each
-    array's first entry.
+    the reach; the flat array holds all grids of ``stack``, a `surface.GridStack`).
 
     Returns for every open side the world point ``step`` metres outwards of the cell's centre [K, 3] and its node [K].
     """
+    grids, lows, shapes, starts = stack
     total = 0
     probes, owner = np.empty((len(edges), 3)), np.empty(len(edges), np.int64)
     others = np.empty(len(grids), np.int64)
@@ -89,7 +90,7 @@ def open_sides(edges, ends, near, starts, shapes, lows, grids, cell, reach, step
         g = grids[index]
         close = 0
         for j in range(len(grids)):
-            if j != index and _may_touch(index, j, shapes, lows, grids, cell, reach):
+            if j != index and _may_touch(index, j, stack, cell, reach):
                 others[close] = j
                 close += 1
         for edge in range(first, ends[index]):

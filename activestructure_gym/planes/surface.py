@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -77,9 +78,8 @@ class SurfaceGrid:
             return
         row, column = self._cover(patch.low, *patch.shown.shape)
         kernels.join(
-            self.shown, self.denied, self.hits, self.beside, patch.shown, patch.denied, patch.hits, patch.beside,
-            row, column, self.seen,
-        )  # fmt: skip
+            self._votes(), kernels.Votes(patch.shown, patch.denied, patch.hits, patch.beside), row, column, self.seen
+        )
         if not cv2.countNonZero(self.seen):
             self.seen[:] = self.hits > 0  # a sliver between all cell centres still has a place
         self._forget()
@@ -91,10 +91,13 @@ class SurfaceGrid:
         corners = other._to_world(other.low + np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * other.seen.shape)
         ours = np.floor(self._to_cells(corners)).astype(np.int64)
         low, high = ours.min(axis=0), ours.max(axis=0) + 1
-        asked = other.shown, other.denied, other.hits, other.beside
-        answers = tuple(np.zeros(tuple(high - low), array.dtype) for array in asked)
+        asked = other._votes()
+        answers = kernels.Votes(*(np.zeros(tuple(high - low), array.dtype) for array in asked))
         kernels.ask_cells(self.frame, self.cell, low, other.frame, other.cell, other.low, asked, answers)
         self.add(Patch(low, *answers))
+
+    def _votes(self) -> kernels.Votes:
+        return kernels.Votes(self.shown, self.denied, self.hits, self.beside)
 
     def _cover(self, low: np.ndarray, height: int, width: int) -> tuple[int, int]:
         """Grow the arrays over a rectangle from cell ``low`` on; returns the array cell it then begins at."""
@@ -204,8 +207,7 @@ class SurfaceGrid:
         return np.asarray(kernels.near_seen(points, self.frame, self.low, self.seen, self.cell, disc(reach)))
 
 
-@dataclass(frozen=True)
-class GridStack:
+class GridStack(NamedTuple):
     """Frames, shapes and flat offsets of several grids, for kernels that go through all of their cells."""
 
     frames: np.ndarray  # [N, 12], see `SurfaceGrid.frame`
@@ -258,21 +260,22 @@ def observe(
     frames = np.stack([grid.frame for grid in grids])
     cell = grids[0].cell
     table = np.asarray(table, dtype=np.int64)
-    image = (depth, labels, table, lens, rotation, translation)
-    extents, moments = kernels.image_sums(*image, frames, anchors, cell)
+    image = kernels.LabelledImage(depth, labels, table, lens, rotation, translation)
+    extents, moments = kernels.image_sums(image, frames, anchors, cell)
     extents += np.array([-2, -2, 2, 2])  # look a little beyond the edge: is there something else?
     shapes = extents[:, 2:] - extents[:, :2] + 1
     starts = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
     hits = np.zeros(starts[-1], np.int32)
     seen = np.zeros(starts[-1], np.uint8)
     beside = np.zeros(starts[-1], np.uint8)
-    kernels.count_hits(*image, frames, cell, extents, starts, hits)
+    rectangles = kernels.Rectangles(frames, cell, extents, starts)
+    kernels.count_hits(image, rectangles, hits)
     planes = np.array([[*segment.normal, segment.offset] for segment in segments])
     centroids = np.array([segment.centroid for segment in segments])
     # Which segments stand on the visible side of each grid's plane.
     facing = np.einsum("sti,ti->ts", centroids[:, None] - frames[None, :, :3], frames[:, 9:]) > cell
     facing &= table[None] != np.arange(len(grids))[:, None]
-    kernels.look_up_cells(*image, frames, cell, extents, starts, seen, beside, reach, planes, facing)
+    kernels.look_up_cells(image, rectangles, seen, beside, reach, planes, facing)
     patches = []
     for t, shape in enumerate(shapes):
         part = slice(starts[t], starts[t + 1])

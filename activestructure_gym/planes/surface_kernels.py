@@ -6,12 +6,43 @@ grid covers ``[r, r + 1) x [c, c + 1)`` cells along the axes, seen from the orig
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.planes.detection_kernels import MOMENTS, add_point
 
 UNKNOWN, OPEN, COVERED = 0, 1, 2
+
+
+class LabelledImage(NamedTuple):
+    """A depth image, its segments, and where it was taken."""
+
+    depth: np.ndarray  # [H, W] float32 metres
+    labels: np.ndarray  # [H, W] int32 segment, -1 = none
+    table: np.ndarray  # [S] int64, the grid that each segment belongs to, -1 = none
+    lens: np.ndarray  # [4] fx, fy, cx, cy, pixels
+    rotation: np.ndarray  # [3, 3] world from camera
+    translation: np.ndarray  # [3] metres, world
+
+
+class Rectangles(NamedTuple):
+    """Of every tangent grid the cells that an image may show, one grid after the other in flat arrays."""
+
+    grids: np.ndarray  # [T, 12]
+    cell: float  # metres
+    extents: np.ndarray  # [T, 4] int64: first row, first column, last row, last column
+    starts: np.ndarray  # [T + 1] int64: node t owns [starts[t], starts[t + 1]), row-major
+
+
+class Votes(NamedTuple):
+    """What images showed in the cells of a grid, or in a rectangle of them; see `surface.SurfaceGrid`."""
+
+    shown: np.ndarray  # [R, C] int32
+    denied: np.ndarray  # [R, C] int32
+    hits: np.ndarray  # [R, C] int32
+    beside: np.ndarray  # [R, C] uint8
 
 
 @kernel
@@ -36,13 +67,13 @@ def cell_of(px, py, pz, grid, cell):
 
 
 @kernel
-def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors, cell):
+def image_sums(image, grids, anchors, cell):
     """One pass over the pixels: extent of every node in its grid, and its new point moments.
 
-    ``table`` [S] maps a label to a row (or -1) of ``grids`` [T, 12] and ``anchors`` [T, 3], about which the moments
-    are taken.
+    ``grids`` [T, 12]; the moments are taken about ``anchors`` [T, 3].
     Returns extents [T, 4] (first row, first column, last row, last column) and moments [T, 10].
     """
+    depth, labels, table, lens, rotation, translation = image
     count = len(grids)
     extents = np.empty((count, 4), np.int64)
     extents[:, :2] = 1 << 40
@@ -67,8 +98,10 @@ def image_sums(depth, labels, table, lens, rotation, translation, grids, anchors
 
 
 @kernel
-def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, hits):
-    """Pixels per cell, written to the flat ``hits``; node t owns ``hits[starts[t]:starts[t + 1]]``, row-major."""
+def count_hits(image, rectangles, hits):
+    """Pixels per cell, added to the flat ``hits``."""
+    depth, labels, table, lens, rotation, translation = image
+    grids, cell, extents, starts = rectangles
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             label = labels[v, u]
@@ -86,9 +119,7 @@ def count_hits(depth, labels, table, lens, rotation, translation, grids, cell, e
 
 
 @kernel
-def look_up_cells(
-    depth, labels, table, lens, rotation, translation, grids, cell, extents, starts, seen, beside, reach, planes, facing
-):
+def look_up_cells(image, rectangles, seen, beside, reach, planes, facing):
     """Project every cell's centre into the image: does the image show this plane there, or what else?
 
     Looking cells up in the image (not pixels in the grid) makes a cell seen whatever the density of pixels on it, so
@@ -100,6 +131,8 @@ def look_up_cells(
     [S, 4] world) and the segment stands on this plane's visible side (``facing`` [T, S]; around a convex edge neither
     plane hides the other).
     """
+    depth, labels, table, lens, rotation, translation = image
+    grids, cell, extents, starts = rectangles
     height, width = depth.shape
     for t in range(len(grids)):
         g = grids[t]
@@ -170,25 +203,28 @@ def near_seen(points, grid, low, seen, cell, disc):
 def ask_cells(grid, cell, low, other, other_cell, other_low, asked, answers):
     """Sample the arrays of another grid at the centres of a rectangle of cells, from ``low`` on; 0 beyond it."""
     shown, denied, hits, beside = asked
-    for r in range(answers[0].shape[0]):
+    to_shown, to_denied, to_hits, to_beside = answers
+    for r in range(to_shown.shape[0]):
         a = (low[0] + r + 0.5) * cell
-        for c in range(answers[0].shape[1]):
+        for c in range(to_shown.shape[1]):
             b = (low[1] + c + 0.5) * cell
             px, py = grid[0] + (a * grid[3] + b * grid[6]), grid[1] + (a * grid[4] + b * grid[7])
             i, j = cell_of(px, py, grid[2] + (a * grid[5] + b * grid[8]), other, other_cell)
             i, j = i - other_low[0], j - other_low[1]
             if 0 <= i < shown.shape[0] and 0 <= j < shown.shape[1]:
-                answers[0][r, c], answers[1][r, c] = shown[i, j], denied[i, j]
-                answers[2][r, c], answers[3][r, c] = hits[i, j], beside[i, j]
+                to_shown[r, c], to_denied[r, c] = shown[i, j], denied[i, j]
+                to_hits[r, c], to_beside[r, c] = hits[i, j], beside[i, j]
 
 
 @kernel
-def join(shown, denied, hits, beside, patch_shown, patch_denied, patch_hits, patch_beside, row, column, seen):
-    """Add what one image showed to the arrays of a grid, from (row, column) on; see `surface.SurfaceGrid`.
+def join(votes, patch, row, column, seen):
+    """Add the votes of one image to those of a grid, from (row, column) on.
 
     Votes: where two planes meet, noise gives a pixel to the wrong one now and then, and without a vote every plane
     would grow over its edge with time.
     """
+    shown, denied, hits, beside = votes
+    patch_shown, patch_denied, patch_hits, patch_beside = patch
     for r in range(patch_shown.shape[0]):
         for c in range(patch_shown.shape[1]):
             at = row + r, column + c

@@ -7,6 +7,7 @@ through are kept; each of them is carved by every image that looks through it.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,9 +63,8 @@ def fused_surface(
 
     def integrate(start: int) -> None:
         part = slice(start, start + _CHUNK)
-        _integrate(
-            depth, intrinsics, camera_from_world, origin, voxel, truncation, blocks[part], distance[part], weight[part]
-        )
+        own = _Blocks(blocks[part], distance[part], weight[part])
+        _integrate(depth, intrinsics, camera_from_world, origin, voxel, truncation, own)
 
     def extract(start: int) -> np.ndarray:
         part = blocks[start : start + _CHUNK]
@@ -148,6 +148,14 @@ def _mark(
                     marked[where[0], where[1], where[2]] = True
 
 
+class _Blocks(NamedTuple):
+    """Some blocks of voxels and what is known in them."""
+
+    places: np.ndarray  # [B, 3]
+    distance: np.ndarray  # [B, 8, 8, 8] mean of the distances seen, metres, cut at +truncation
+    weight: np.ndarray  # [B, 8, 8, 8] how many
+
+
 @kernel
 def _integrate(
     depth: np.ndarray,  # [K, H, W]
@@ -156,10 +164,9 @@ def _integrate(
     origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
     voxel: float,
     truncation: float,
-    blocks: np.ndarray,  # [B, 3]
-    distance: np.ndarray,  # [B, 8, 8, 8] out, mean of the distances seen, metres, cut at +truncation
-    weight: np.ndarray,  # [B, 8, 8, 8] out, how many
+    own: _Blocks,  # changed
 ) -> None:
+    blocks, distance, weight = own
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape[1], depth.shape[2]
     block = 8 * voxel

@@ -8,6 +8,7 @@ the tree is never looked at. The answer does not depend on the order, nor on the
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,17 @@ _LEAF = 8  # points
 _CHUNK = 8192  # queries that one thread takes at a time
 _DEEPEST = 64  # entries of the stack: one per level, and 2^64 leaves are out of reach
 _BITS = 16  # per axis of the curve
+
+
+class _Tree(NamedTuple):
+    """What the search reads of a `PointTree`."""
+
+    points: np.ndarray  # [N, 3] sorted
+    normals: np.ndarray  # [N, 3], or [0, 3] without discs
+    radius: float
+    discs: bool
+    first_leaf: int
+    boxes: np.ndarray  # [2 first_leaf, 6] lower and upper corners; 1 is the root, 2 n and 2 n + 1 are below n
 
 
 class PointTree:
@@ -51,16 +63,14 @@ class PointTree:
         index = np.full(len(queries), -1, np.int64)
         if not len(self) or not len(queries):
             return distance, index
+        tree = _Tree(self._points, self._normals, self._radius, self._discs, self._first_leaf, self._boxes)
         order = curve_order(queries)
         ordered = queries[order]
         near, which = np.empty(len(queries)), np.empty(len(queries), np.int64)
 
         def work(first: int) -> None:
             part = slice(first, first + _CHUNK)
-            _search(
-                self._points, self._normals, self._radius, self._discs, self._first_leaf, self._boxes,
-                ordered[part], near[part], which[part],
-            )  # fmt: skip
+            _search(tree, ordered[part], near[part], which[part])
 
         starts = range(0, len(queries), _CHUNK)
         threads = min(thread_cap(), len(starts))
@@ -136,16 +146,12 @@ def _squared(
 
 @kernel
 def _search(
-    points: np.ndarray,  # [N, 3] sorted
-    normals: np.ndarray,  # [N, 3], or [0, 3] without discs
-    radius: float,
-    discs: bool,
-    first_leaf: int,
-    boxes: np.ndarray,  # [2 first_leaf, 6] lower and upper corners; 1 is the root, 2 n and 2 n + 1 are below n
+    tree: _Tree,
     queries: np.ndarray,  # [Q, 3] sorted
     near: np.ndarray,  # [Q] out, squared metres
     which: np.ndarray,  # [Q] out, index into points
 ) -> None:
+    points, normals, radius, discs, first_leaf, boxes = tree
     stack = np.empty(64, np.int64)
     below = np.empty(64)
     best_index = 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay, larger_in_view
+from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, fit_to_stay, larger_in_view
 
 CAPACITY, COUNT = 3072, 2500  # more than one block, and not a whole number of them
 
@@ -58,7 +58,8 @@ def test_larger_in_view_is_what_projecting_says():
     expected = inside & (measured > 0) & large & (np.abs(z - measured) <= sigma)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     to_camera = invert_rigid(pose)[:3].astype(np.float32)
-    found, pixels = larger_in_view(parameters, COUNT, to_camera, intrinsics, depth, 2.0, 0.05, 1.0, 1.0)
+    measured = MeasuredDepth(depth, to_camera, intrinsics)
+    found, pixels = larger_in_view(parameters, COUNT, measured, 2.0, 0.05, 1.0, 1.0)
     assert expected.sum() > 10
     assert pixels.any() and not pixels[depth == 0].any()
     assert (found != expected).sum() <= 1  # float32 at a pixel's border

@@ -101,5 +101,5 @@ def test_real_scenes(shared, name, share):
     """The hotel's share was measured independently as 0.76 (docs/notebook/groundwork.md, 400 viewpoints)."""
     from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 
-    surface = load_mesh_scene(shared / "scenes" / f"{name}.glb", up="z").observable_surface
+    surface = ground_truth_of(load_mesh_scene(shared / "scenes" / f"{name}.glb", up="z")).observable_surface
     assert share[0] < surface.area_share < share[1]

@@ -53,7 +53,7 @@ def _transmitted_unknown(
     alpha: np.ndarray,  # [K, h, w] how opaque it is there
     reach: float,  # metres of depth
 ) -> np.ndarray:  # [K]
-    """Length of ray in unobserved voxels times transmittance, by steps of half a voxel along each ray."""
+    """Mean over pixels of the transmittance in unobserved voxels along each ray; 1 if all is unobserved."""
     count, height, width = depth.shape
     size = unobserved.shape
     shares = np.zeros(count)

@@ -1,4 +1,4 @@
-"""What the kernels of the rasteriser are given together: arrays that belong to one thing, by name."""
+"""Named tuples of arrays that the rasteriser's kernels take together."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Lists(NamedTuple):
-    """What one camera sees of the map: records of the Gaussians, and of every tile those that reach it."""
+    """The projected map of one camera: records of the Gaussians, and the entries of every tile."""
 
     camera: np.ndarray  # [VIEW_SIZE] float32: `layout.POSE ...` (numba takes an attribute ``view`` for a cast)
     grid: np.ndarray  # [GRID_SIZE] int64, sizes: `layout.COUNT ...`
@@ -20,7 +20,7 @@ class Lists(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What blending a picture leaves for the way back."""
+    """Alphas and stops that blending stores for the backward pass."""
 
     alphas: np.ndarray  # [room] float32, 16 per entry and block; none where nothing goes back
     places: np.ndarray  # [2 * tiles] int64: where those of a tile start (-1: not kept), and the first entry not blended
@@ -35,7 +35,7 @@ class Pictures(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What pictures are compared with, and how."""
+    """Target images and weights of a loss, and the parts of its sums."""
 
     color: np.ndarray  # [H * W * 3] float32, measured
     depth: np.ndarray  # [H * W] float32 metres, measured; 0 = no return
@@ -44,7 +44,7 @@ class Comparison(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What the second part of a backward kernel reads and changes; ``rates[MODE]`` says which of it."""
+    """Arrays of the second part of a backward kernel; ``rates[MODE]`` says which of them it changes."""
 
     parameters: np.ndarray  # [14, capacity] float32
     first_moment: np.ndarray  # [14, capacity] float32

@@ -59,7 +59,7 @@ _STATE = 64 * blending.COLORED_STATE
 
 
 class Asked(NamedTuple):
-    """What a view is asked beyond its pictures."""
+    """Optional inputs of the second pass: channels to blend, pixel values to gather, and the limit of touches."""
 
     touch: np.float32  # transmittance before a Gaussian, above which it counts in a pixel
     width: int  # D, channels of every Gaussian
@@ -68,7 +68,7 @@ class Asked(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What a view tells beyond its pictures, and room on the way to it."""
+    """Outputs of the second pass beyond the pictures, and its scratch slots."""
 
     pictures: np.ndarray  # [H * W * D] float32, the channels
     slots: np.ndarray  # [entries * SLOT_FLOATS] float32, room for the sums of every entry
@@ -77,7 +77,7 @@ class Told(NamedTuple):
 
 @_inline
 def _turn_back(state, tile, grid, pixel_values):
-    """From what blending leaves to what the pass begins with: transmittance, colour behind (none), pixel values."""
+    """Turn the state that blending leaves into the second pass's: transmittance, no colour behind, pixel values."""
     zero, width = spread(F(0.0)), grid[layout.WIDTH]
     x, y = blending.corner_of(tile, grid)
     for block in range(grid[layout.TILE_BLOCKS]):

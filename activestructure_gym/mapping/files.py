@@ -11,6 +11,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.ply import read_ply
 from activestructure_gym.mapping.splatam_file import read_splatam
+from activestructure_gym.ply_header import MAGIC
 
 
 def map_kind(path: str | os.PathLike[str]) -> str:
@@ -18,7 +19,7 @@ def map_kind(path: str | os.PathLike[str]) -> str:
     try:
         with open(path, "rb") as file:
             start = file.read(4)
-        if start[:3] == b"ply":
+        if start.startswith(MAGIC):
             return "ply"
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:

@@ -24,6 +24,16 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
+from activestructure_gym.ply_header import (
+    BINARY_LITTLE_ENDIAN,
+    NUMPY_ORDERS,
+    NUMPY_TYPES,
+    PlyElement,
+    PlyHeader,
+    PlyProperty,
+    header_bytes,
+    read_header,
+)
 
 # The order other tools write; readers go by name.
 PLY_PROPERTIES = (
@@ -37,18 +47,6 @@ PLY_PROPERTIES = (
 
 _SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmonic
 _FLAT = np.log(0.1)  # thickness given to a file's two-axis (2D) Gaussians, as in seeding
-_MAX_HEADER = 1 << 20  # bytes; a file without an end_header must not be read to its end
-
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
 
 
 def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: str = "z") -> None:
@@ -64,16 +62,10 @@ def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: str =
     rows[:, 9] = live[OPACITY_LOGIT]
     rows[:, 10:13] = live[LOG_SCALE].T
     rows[:, 13:17] = live[QUATERNION].T
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment world frame, {up} up, metres",
-        f"element vertex {gaussians.count}",
-        *(f"property float {name}" for name in PLY_PROPERTIES),
-        "end_header",
-    ]
+    vertex = PlyElement("vertex", gaussians.count, tuple(PlyProperty(name, "float") for name in PLY_PROPERTIES))
+    header = PlyHeader(BINARY_LITTLE_ENDIAN, (vertex,))
     with replaced(path) as file:
-        file.write("\n".join(header).encode() + b"\n")
+        file.write(header_bytes(header, [f"world frame, {up} up, metres"]))
         file.write(rows.tobytes())
 
 
@@ -129,7 +121,7 @@ def _log_scales(columns, names: set[str]) -> np.ndarray:  # [n, 3]
 def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, one record per vertex
     try:
         with open(path, "rb") as file:
-            count, dtype = _read_header(file, path)
+            count, dtype = _vertices(read_header(file), path)
             # Compared before reading: a damaged count must not ask for more memory than the file is long.
             announced, present = count * dtype.itemsize, os.fstat(file.fileno()).st_size - file.tell()
             payload = file.read(announced) if announced <= present else b""
@@ -145,40 +137,25 @@ def _read_vertices(path: str | os.PathLike[str]) -> np.ndarray:  # structured, o
     return np.frombuffer(payload, dtype=dtype, count=count)
 
 
-def _read_header(file, path: str | os.PathLike[str]) -> tuple[int, np.dtype]:  # vertex count and record type
-    if file.readline(8).strip() != b"ply":
+def _vertices(header: PlyHeader | None, path: str | os.PathLike[str]) -> tuple[int, np.dtype]:
+    """Vertex count and record type, of a header that may be any."""
+    if header is None:
         raise InputError(f"'{path}' is not a PLY file: it does not begin with 'ply'")
-    order, count, fields = "", -1, []
-    element = ""
-    consumed = 0
-    while True:
-        line = file.readline(4096)
-        consumed += len(line)
-        words = line.decode("ascii", errors="replace").split()
-        if not line or consumed > _MAX_HEADER:
-            raise InputError(f"'{path}' is not a usable PLY file: its header has no 'end_header'")
-        if not words or words[0] in ("comment", "obj_info"):
-            continue
-        if words[0] == "end_header":
-            break
-        if words[0] == "format" and len(words) >= 2:
-            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1], "")
-            if not order:
-                raise InputError(f"'{path}' is a PLY in '{words[1]}' format; save it as binary PLY")
-        elif words[0] == "element" and len(words) == 3 and words[2].isdigit():
-            if count < 0 and words[1] != "vertex":
-                raise InputError(f"'{path}': expected the element 'vertex' first, found '{words[1]}'")
-            element = words[1]
-            if element == "vertex":
-                count = int(words[2])
-        elif words[0] == "property" and element == "vertex":
-            if len(words) != 3 or words[1] not in _TYPES:
-                raise InputError(f"'{path}' is not a Gaussian splatting PLY: vertex property '{' '.join(words[1:])}'")
-            fields.append((words[2], order + _TYPES[words[1]]))
-        elif words[0] != "property":
-            raise InputError(f"'{path}' is not a usable PLY file: cannot read the header line '{' '.join(words)}'")
-    if not order or count < 0:
+    if header.format and header.format not in NUMPY_ORDERS:
+        raise InputError(f"'{path}' is a PLY in '{header.format}' format; save it as binary PLY")
+    if header.elements and header.elements[0].name != "vertex":
+        raise InputError(f"'{path}': expected the element 'vertex' first, found '{header.elements[0].name}'")
+    if header.unreadable:
+        raise InputError(f"'{path}' is not a usable PLY file: cannot read the header line '{header.unreadable}'")
+    if not header.complete:
+        raise InputError(f"'{path}' is not a usable PLY file: its header has no 'end_header'")
+    if not header.format or not header.elements:
         raise InputError(f"'{path}' is not a usable PLY file: its header lacks the format or the vertex element")
-    if not fields or len({name for name, _ in fields}) < len(fields):
+    vertex = header.elements[0]
+    for one in vertex.properties:
+        if one.count_kind or one.kind not in NUMPY_TYPES:
+            raise InputError(f"'{path}' is not a Gaussian splatting PLY: vertex property '{one}'")
+    if not vertex.properties or len({one.name for one in vertex.properties}) < len(vertex.properties):
         raise InputError(f"'{path}' is not a usable PLY file: vertex properties are missing or appear twice")
-    return count, np.dtype(fields)
+    order = NUMPY_ORDERS[header.format]
+    return vertex.count, np.dtype([(one.name, order + NUMPY_TYPES[one.kind]) for one in vertex.properties])

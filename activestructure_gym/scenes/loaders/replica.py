@@ -9,13 +9,24 @@ PLY parser.
 
 from __future__ import annotations
 
+import io
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from activestructure_gym.errors import InputError, shown
+from activestructure_gym.ply_header import (
+    BINARY_LITTLE_ENDIAN,
+    NUMPY_ORDERS,
+    NUMPY_TYPES,
+    PlyElement,
+    PlyHeader,
+    PlyProperty,
+    read_header,
+)
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh, in_words
 from activestructure_gym.scenes.loaders.json_files import read_json
@@ -23,12 +34,6 @@ from activestructure_gym.scenes.loaders.mesh_loader import check_mesh_file, fini
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, assemble, find_reference
 from activestructure_gym.scenes.loaders.sequence import load_sequence
 from activestructure_gym.scenes.scene import PartLabels, Scene
-
-_PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2", "ushort": "<u2",
-    "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4", "float": "<f4", "float32": "<f4",
-    "double": "<f8", "float64": "<f8",
-}  # fmt: skip
 
 # Replica's class names that are the building itself; everything else stands or hangs in it.
 STRUCTURAL_CLASSES = frozenset(("wall", "floor", "ceiling", "door", "window", "beam", "pillar", "stair"))
@@ -126,20 +131,19 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     budget = SceneBudget()
     try:
         data = budget.read(path)
-        elements, start = _parse_header(data)
-        vertex_dtype = np.dtype([(name, kind) for name, kind, _ in elements["vertex"][1]])
-        vertex_count = elements["vertex"][0]
+        vertices_of, faces_of = _elements(read_header(stream := io.BytesIO(data)))
+        start, vertex_count, face_count = stream.tell(), vertices_of.count, faces_of.count
+        vertex_dtype = np.dtype([(one.name, _number(one.kind)) for one in vertices_of.properties])
         face_start = start + vertex_count * vertex_dtype.itemsize
-        face_count, face_properties = elements["face"]
         if not face_count:
             raise UnreadableMesh("it has no faces")
-        corners = _corner_count(data, face_start, face_properties)
-        fields = []
-        for name, kind, count_kind in face_properties:
-            if count_kind:
-                fields += [("count", count_kind), ("corners", kind, (corners,))]
+        corners = _corner_count(data, face_start, faces_of.properties)
+        fields: list[tuple] = []
+        for one in faces_of.properties:
+            if one.count_kind:
+                fields += [("count", _number(one.count_kind)), ("corners", _number(one.kind), (corners,))]
             else:
-                fields.append((name, kind))
+                fields.append((one.name, _number(one.kind)))
         face_dtype = np.dtype(fields)
         if face_start + face_count * face_dtype.itemsize > len(data):
             raise UnreadableMesh(f"it is cut off: {vertex_count} vertices and {face_count} faces do not fit into it")
@@ -168,47 +172,34 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     return vertices, faces, colors, object_ids
 
 
-Properties = list[tuple[str, str, str]]  # name, type, type of the list's count ("" where no list)
-
-
-def _parse_header(data: bytes) -> tuple[dict[str, tuple[int, Properties]], int]:
-    """Element -> (count, properties), and where the data begin."""
-    end = data.find(b"end_header\n")
-    lines = data[: max(end, 0)].decode("ascii", errors="replace").split("\n")
-    if end < 0 or lines[0].strip() != "ply":
+def _elements(header: PlyHeader | None) -> tuple[PlyElement, PlyElement]:
+    """The vertices and the faces, which come first."""
+    if header is None or not header.complete and not header.unreadable:
         raise UnreadableMesh("it has no PLY header")
-    elements: dict[str, tuple[int, Properties]] = {}
-    current: Properties = []
-    for words in (line.split() for line in lines[1:]):
-        if words[:1] == ["format"] and words[1] != "binary_little_endian":
-            raise UnreadableMesh(f"its format is {words[1]}, not binary_little_endian")
-        if words[:1] == ["element"]:
-            current = []
-            elements[words[1]] = (_count(words[2]), current)
-        elif words[:1] == ["property"] and words[1] == "list":
-            current.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
-        elif words[:1] == ["property"]:
-            current.append((words[2], _PLY_TYPES[words[1]], ""))
-    if list(elements)[:2] != ["vertex", "face"]:
-        raise UnreadableMesh(f"its elements are {', '.join(elements) or 'none'}, not vertex and face")
-    return elements, end + len(b"end_header\n")
+    if header.format not in ("", BINARY_LITTLE_ENDIAN):
+        raise UnreadableMesh(f"its format is {header.format}, not {BINARY_LITTLE_ENDIAN}")
+    if header.unreadable:
+        raise UnreadableMesh(f"the line '{header.unreadable}' of its header cannot be read")
+    names = [element.name for element in header.elements]
+    if names[:2] != ["vertex", "face"]:
+        raise UnreadableMesh(f"its elements are {', '.join(names) or 'none'}, not vertex and face")
+    return header.elements[0], header.elements[1]
 
 
-def _count(word: str) -> int:
-    if not word.isdecimal() or len(word) > 12:
-        raise UnreadableMesh(f"its header counts {word[:20]} elements")
-    return int(word)
+def _number(kind: str) -> str:
+    """The numpy type of a type as the file names it."""
+    return NUMPY_ORDERS[BINARY_LITTLE_ENDIAN] + NUMPY_TYPES[kind]
 
 
-def _corner_count(data: bytes, start: int, properties: Properties) -> int:
+def _corner_count(data: bytes, start: int, properties: Sequence[PlyProperty]) -> int:
     """Number of corners of the first face."""
-    for _, kind, count_kind in properties:
-        if count_kind:
-            corners = int(np.frombuffer(data, count_kind, 1, start)[0])
+    for one in properties:
+        if one.count_kind:
+            corners = int(np.frombuffer(data, _number(one.count_kind), 1, start)[0])
             if corners not in (3, 4):
                 raise UnreadableMesh(f"its first face has {corners} corners")
             return corners
-        start += np.dtype(kind).itemsize
+        start += np.dtype(_number(one.kind)).itemsize
     raise UnreadableMesh("its faces have no list of vertices")
 
 

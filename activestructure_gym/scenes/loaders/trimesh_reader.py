@@ -12,6 +12,7 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from activestructure_gym.ply_header import MAGIC
 from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.images import opened_image
@@ -83,7 +84,7 @@ def _check_materials(text: str) -> None:
 
 
 def _check_ply(data: bytes, textures: TextureStore) -> None:
-    if not data.startswith(b"ply"):
+    if not data.startswith(MAGIC):
         raise UnreadableMesh("it does not begin with the letters 'ply'")
     if b"ascii" in data[:1000].lower():  # every line becomes an array of its own
         textures.budget.take("numbers in arrays", 16 * sum(data.count(end) for end in _LINE_ENDS))

@@ -1,0 +1,102 @@
+"""Headers of PLY files, which may be damaged or hostile: parsed into data, and written.
+
+A header is lines of ASCII words from ``ply`` to ``end_header``: the format, then elements with their count, each with
+its properties ([turk1994]). What a reader makes of one that is odd, it says itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import IO
+
+MAGIC = b"ply"
+BINARY_LITTLE_ENDIAN, BINARY_BIG_ENDIAN = "binary_little_endian", "binary_big_endian"
+NUMPY_ORDERS = {BINARY_LITTLE_ENDIAN: "<", BINARY_BIG_ENDIAN: ">"}
+NUMPY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_MOST_BYTES = 1 << 20  # a file without an end_header must not be read to its end
+_MOST_DIGITS = 18  # of a count, which fits into 64 bits
+
+
+@dataclass(frozen=True)
+class PlyProperty:
+    """A number of each record, or a list of numbers with their count in front; types as the file names them."""
+
+    name: str
+    kind: str  # "float", "uchar", ...; files may name what is no key of `NUMPY_TYPES`
+    count_kind: str = ""  # the type of the count; "" where it is no list
+
+    def __str__(self) -> str:
+        return f"list {self.count_kind} {self.kind} {self.name}" if self.count_kind else f"{self.kind} {self.name}"
+
+
+@dataclass(frozen=True)
+class PlyElement:
+    """A table of the file: ``count`` records of these properties."""
+
+    name: str
+    count: int
+    properties: tuple[PlyProperty, ...]
+
+
+@dataclass(frozen=True)
+class PlyHeader:
+    """What a header says, as far as it could be read."""
+
+    format: str  # "ascii", `BINARY_LITTLE_ENDIAN`, ...; "" where it does not say
+    elements: tuple[PlyElement, ...]  # in the order of their data, no two of one name
+    complete: bool = True  # whether it has its end_header, behind which the data begin
+    unreadable: str = ""  # the line that is no line of a header; nothing was read behind it
+
+
+def read_header(file: IO[bytes]) -> PlyHeader | None:
+    """The header of a file that is read from its beginning, and stands at its data then; None if it is no PLY.
+
+    At most 1 MiB is read.
+    """
+    if file.readline(8).strip() != MAGIC:
+        return None
+    form = ""
+    elements: dict[str, tuple[int, list[PlyProperty]]] = {}
+
+    def header(*, complete: bool, unreadable: str = "") -> PlyHeader:
+        found = tuple(PlyElement(name, count, tuple(own)) for name, (count, own) in elements.items())
+        return PlyHeader(form, found, complete, unreadable)
+
+    left = _MOST_BYTES
+    while line := file.readline(left):
+        left -= len(line)
+        match line.decode("ascii", errors="replace").split():
+            case [] | ["comment" | "obj_info", *_]:
+                continue
+            case ["end_header", *_]:
+                return header(complete=True)
+            case ["format", form, *_]:
+                continue
+            case ["element", name, count] if name not in elements and count.isdigit() and len(count) <= _MOST_DIGITS:
+                elements[name] = int(count), []
+            case ["property", "list", count_kind, kind, name] if elements:
+                elements[next(reversed(elements))][1].append(PlyProperty(name, kind, count_kind))
+            case ["property", kind, name] if elements:
+                elements[next(reversed(elements))][1].append(PlyProperty(name, kind))
+            case words:
+                return header(complete=False, unreadable=" ".join(words)[:80])
+    return header(complete=False)
+
+
+def header_bytes(header: PlyHeader, comments: Iterable[str] = ()) -> bytes:
+    """The header as a file begins with it; comments stand behind the format."""
+    lines = [MAGIC.decode(), f"format {header.format} 1.0", *(f"comment {text}" for text in comments)]
+    for element in header.elements:
+        lines.append(f"element {element.name} {element.count}")
+        lines += [f"property {one}" for one in element.properties]
+    return "\n".join([*lines, "end_header\n"]).encode()

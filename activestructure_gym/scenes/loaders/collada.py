@@ -1,4 +1,6 @@
-"""Reader for COLLADA (`.dae`), with the standard library's XML parser: trimesh needs pycollada for it.
+"""Reader for COLLADA (`.dae`), with the standard library's XML parser.
+
+pycollada, which trimesh needs for it, reads less of what exporters write, and rounds (docs/notebook/groundwork.md).
 
 Only what a still scene needs: triangles and polygons, node transforms, instances, diffuse colours and textures, the
 declared unit and up axis. Specification: [collada].
@@ -28,7 +30,7 @@ class ColladaFile:
 
     parts: list[MeshPart]
     metres_per_unit: float
-    up: str  # "x", "y" or "z"
+    up: str  # "x", "y" or "z", or whatever else the file says
 
 
 def read_collada(path: Path, textures: TextureStore) -> ColladaFile:

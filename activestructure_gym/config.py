@@ -8,7 +8,7 @@ import numbers
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.features import column_names
@@ -52,8 +52,9 @@ class ReconstructionConfig:
         object.__setattr__(self, "gains", column_names(self.gains))
 
 
+Preset = Literal["fast", "default", "paper"]
 # Overrides of the defaults above, by field.
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: dict[Preset, dict[str, Any]] = {
     # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
     # depth and stay as they are (docs/notebook/performance.md, "Learning-sized environment").
     "fast": {
@@ -74,7 +75,15 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def configure(preset: str = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
+def known_preset(name: str) -> Preset:
+    """The name, if it is that of a preset; raises `InputError` naming the nearest one."""
+    for preset in PRESETS:
+        if name == preset:
+            return preset
+    raise unknown_name("preset", name, PRESETS)
+
+
+def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
     """The preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
 
     ``{"mapper.name": "splatam"}`` starts from that recipe of `MAPPERS`; the preset's and the given fields then replace
@@ -102,11 +111,10 @@ def configure(preset: str = "default", overrides: Mapping[str, Any] | None = Non
     >>> configure("fast", {"sensor.width": 96, "mapper": {"iterations": 4}}).sensor.width
     96
     """
-    if preset not in PRESETS:
-        raise unknown_name("preset", preset, PRESETS)
+    overridden = PRESETS[known_preset(preset)]
     try:
         changes = _nested(overrides or {})
-        config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), PRESETS[preset])
+        config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), overridden)
         return replaced(config, changes)
     except InputError:
         raise

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from activestructure_gym.config import ReconstructionConfig, configure, replaced
+from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
@@ -29,7 +29,7 @@ RenderMode = Literal["rgb_array"]
 class EnvOptions(TypedDict, total=False):
     """The keywords that every task shares; see the manual of `ReconstructionEnv`."""
 
-    preset: str
+    preset: Preset
     frame_budget: int | None
     gains: Sequence[str] | None
     config: ReconstructionConfig | Mapping[str, Any] | None
@@ -112,7 +112,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self,
         scene: Scenes,
         *,
-        preset: str = "default",
+        preset: Preset = "default",
         frame_budget: int | None = None,
         gains: Sequence[str] | None = None,
         config: ReconstructionConfig | Mapping[str, Any] | None = None,

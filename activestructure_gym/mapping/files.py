@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+from typing import Literal
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from activestructure_gym.mapping.ply import read_ply
 from activestructure_gym.mapping.splatam_file import read_splatam
 from activestructure_gym.ply_header import MAGIC
 
+MapKind = Literal["ply", "splatam", "npz"]
 
-def map_kind(path: str | os.PathLike[str]) -> str:
-    """ "ply", "splatam" or "npz" (ours); raises `InputError` for a file that is none of them."""
+
+def map_kind(path: str | os.PathLike[str]) -> MapKind:
+    """What the file holds, "npz" being ours; raises `InputError` for a file that is none of them."""
     try:
         with open(path, "rb") as file:
             start = file.read(4)

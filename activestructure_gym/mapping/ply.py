@@ -24,6 +24,7 @@ from activestructure_gym.mapping.gaussian_map import (
     ROWS,
     GaussianMap,
 )
+from activestructure_gym.mapping.turning import UpInFile
 from activestructure_gym.ply_header import (
     BINARY_LITTLE_ENDIAN,
     NUMPY_ORDERS,
@@ -49,7 +50,7 @@ _SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmoni
 _FLAT = np.log(0.1)  # thickness given to a file's two-axis (2D) Gaussians, as in seeding
 
 
-def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: str = "z") -> None:
+def write_ply(gaussians: GaussianMap, path: str | os.PathLike[str], *, up: UpInFile = "z") -> None:
     """Write the live Gaussians (no moments). Writing what was read back from the file gives the same bytes.
 
     ``up`` is what a comment says of the map's axes; it turns nothing.

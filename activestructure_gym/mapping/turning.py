@@ -7,14 +7,16 @@ quaternions turn.
 from __future__ import annotations
 
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from activestructure_gym.geometry.rotations import quaternion_of, turned
 from activestructure_gym.mapping.gaussian_map import MEAN, QUATERNION, GaussianMap
 
+UpInFile = Literal["z", "y", "-y"]
 # File axes from the world's, by what is up in the file; proper rotations about x.
-FILE_FROM_WORLD = MappingProxyType(
+FILE_FROM_WORLD: MappingProxyType[UpInFile, np.ndarray] = MappingProxyType(
     {
         "z": np.eye(3),
         "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),

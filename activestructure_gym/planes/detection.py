@@ -16,6 +16,7 @@ from activestructure_gym.geometry.depth_noise import axial_sigma
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import detection_kernels as kernels
 from activestructure_gym.ranges import check_ranges
+from activestructure_gym.sensors.noise import DepthNoise
 
 _RANGES = {
     "depth_noise_scale": "[0, 1000]",
@@ -82,7 +83,7 @@ class PlaneDetectionConfig:
         check_ranges(self, _RANGES)
 
 
-def depth_noise_scale(depth_noise: str, multiplier: float = 1.0) -> float:
+def depth_noise_scale(depth_noise: DepthNoise, multiplier: float = 1.0) -> float:
     """The scale that suits a sensor's noise model (`none`, `kinect`, `redwood`) and its multiplier.
 
     Noise-free depth is not trusted to the last digit either: below 0.25 nothing gets better, and real surfaces bulge.

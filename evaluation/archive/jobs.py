@@ -12,11 +12,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
 
 _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
@@ -32,7 +35,7 @@ class Job:
     policy: str  # name, or "module:Class", with its options: "naruto?travel=shared"
     seed: int  # of the start pose, the sensor's noise, the planner's and the policy's choices
     scene_hash: str = ""  # content hash of the loaded scene: a changed file is another job
-    preset: str = "default"  # of the configuration
+    preset: Preset = "default"  # of the configuration
     frame_budget: int | None = None  # frames; None = the preset's
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields, e.g. (("sensor.depth_noise", "kinect"),)
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed

@@ -10,12 +10,15 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.threads import capped_environment
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
 
 SCENES = ("apartment?rooms=3",)
 GAINS = ("pixel", "hole_area")  # what a learned policy is told
@@ -37,7 +40,7 @@ class Round:
 def run_env_benchmark(
     scenes: Sequence[str] = SCENES,
     *,
-    preset: str = "fast",
+    preset: Preset = "fast",
     overrides: Mapping[str, Any] | None = None,
     rounds: int = 5,
     seconds: float = 6.0,
@@ -98,7 +101,7 @@ def _profile(scene: str, parts: Sequence[Round]) -> list[dict[str, Any]]:
 class _Player:
     """A spawned process that plays when told to."""
 
-    def __init__(self, scene: str, preset: str, overrides: dict[str, Any], seed: int) -> None:
+    def __init__(self, scene: str, preset: Preset, overrides: dict[str, Any], seed: int) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, scene, preset, overrides, seed), daemon=True)
@@ -132,7 +135,7 @@ class _Player:
             self._process.kill()
 
 
-def _serve(pipe: Connection, scene: str, preset: str, overrides: dict[str, Any], seed: int) -> None:
+def _serve(pipe: Connection, scene: str, preset: Preset, overrides: dict[str, Any], seed: int) -> None:
     try:
         play = Episodes(scene, preset, overrides, seed)
         play.episode()
@@ -151,7 +154,7 @@ def _serve(pipe: Connection, scene: str, preset: str, overrides: dict[str, Any],
 class Episodes:
     """Episodes one after the other, timed."""
 
-    def __init__(self, scene: str, preset: str, overrides: Mapping[str, Any], seed: int) -> None:
+    def __init__(self, scene: str, preset: Preset, overrides: Mapping[str, Any], seed: int) -> None:
         from activestructure_gym.envs import ReconstructionEnv
 
         config = {"gains": GAINS, **overrides}

@@ -6,13 +6,16 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 from rich.markup import escape
 
 from activestructure_gym.evaluation.machine.threads import thread_cap
 from activestructure_gym.ground_truth import ground_truth_of
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
 
 T = TypeVar("T")
 SCENES = ("room", "apartment?rooms=3&seed=5")
@@ -30,7 +33,7 @@ def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) 
     return rows
 
 
-def _rows(spec: str, protocol: Any, *, frames: int, preset: str) -> Iterator[dict[str, Any]]:
+def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[dict[str, Any]]:
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.metrics import geometry_scores
     from activestructure_gym.evaluation.running.episode import (

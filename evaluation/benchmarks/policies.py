@@ -6,11 +6,14 @@ import copy
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from activestructure_gym.evaluation.machine.threads import thread_cap
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
 
 LIMIT_S = 2.0  # per decision, for every policy but
 LIMITS_S = {"activestructure": 0.2}
@@ -22,7 +25,7 @@ def run_policy_benchmark(
     scene: str = SCENE,
     *,
     policies: Sequence[str] = (),  # all that are registered if none is given
-    preset: str = "default",
+    preset: Preset = "default",
     gaussians: int = 30_000,  # the state is taken when the map has as many and the candidate table is full
     frames: int = 400,  # or after so many frames
     repeats: int = 7,
@@ -60,7 +63,7 @@ def run_policy_benchmark(
     return [_row(name, times[name]) | state for name in names]
 
 
-def _explored(scene: str, preset: str, gaussians: int, frames: int, notify: Callable[[str], None]) -> Any:
+def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: Callable[[str], None]) -> Any:
     """An env in the middle of an episode."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy

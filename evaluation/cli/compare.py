@@ -178,6 +178,7 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def _comparison(options: Compare) -> Comparison:
+    from activestructure_gym.config import known_preset
     from activestructure_gym.evaluation.protocols import StandardProtocol
     from activestructure_gym.evaluation.running.comparison import Comparison
 
@@ -191,7 +192,7 @@ def _comparison(options: Compare) -> Comparison:
         scenes=split_scenes(options.scenes),
         policies=split_policies(options.policies),
         seeds=parse_seeds(options.seeds),
-        preset=options.preset or "default",
+        preset=known_preset(options.preset or "default"),
         frame_budget=options.frames,
         overrides=parse_overrides(options.set),
         start_pose=parse_start(options.start),

@@ -35,10 +35,10 @@ class Config:
 
     def run(self) -> int:
         """Field by field, and what the preset and ``--set`` change of the defaults."""
-        from activestructure_gym.config import ReconstructionConfig, configure
+        from activestructure_gym.config import ReconstructionConfig, configure, known_preset
 
-        preset = configure(self.preset)
-        chosen = configure(self.preset, parse_overrides(self.set))
+        preset = configure(preset_name := known_preset(self.preset))
+        chosen = configure(preset_name, parse_overrides(self.set))
         if self.json:
             return print_json(dataclasses.asdict(chosen))
         defaults = dict(leaves(ReconstructionConfig()))

@@ -19,5 +19,6 @@ Changes = Annotated[tuple[str, ...], option("FIELD=VALUE [FIELD=VALUE ...]", "")
 Text = Annotated[str | None, option("TEXT", "")]
 PathName = Annotated[str | None, option("PATH", "")]
 Count = Annotated[int | None, option("N", "")]
-Preset = Annotated[str, option("fast|default|paper")]
+# A name that is checked where it is used, whose error knows the nearest one.
+PresetName = Annotated[str, option("fast|default|paper")]
 Runs = Annotated[tuple[str, ...], tyro.conf.Positional, option("[RUN ...]", "")]

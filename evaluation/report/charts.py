@@ -15,6 +15,7 @@ import numpy as np
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.html import render
+from activestructure_gym.evaluation.report.layout import Judgement
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
@@ -83,7 +84,7 @@ class Bar:
     value: float
     low: float | None
     high: float | None
-    tone: str = ""  # "good" or "bad": the interval excludes 0
+    tone: Judgement = ""  # good or bad: the interval excludes 0
 
 
 def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str, holds: Sequence[float] = ()) -> Markup:

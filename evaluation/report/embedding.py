@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from typing import Literal
 
 from markupsafe import Markup
 from PIL import Image
@@ -35,7 +36,7 @@ def picture(image: Image.Image, alt: str, *, drawing: bool = False, widest: int 
     return render("picture.html.j2", source=source, alt=alt, width=image.width, height=image.height)
 
 
-def _encoded(image: Image.Image, kind: str, **options: int | bool) -> bytes:
+def _encoded(image: Image.Image, kind: Literal["JPEG", "PNG"], **options: int | bool) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, kind, **options)
     return buffer.getvalue()

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from activestructure_gym.evaluation.report.columns import Column
 from activestructure_gym.evaluation.statistics import Estimate
 
 NONE = "n/a"  # a number that is not defined
 MISSING = "–"  # no run: as in the paper, "failure to complete"
+
+Judgement = Literal["", "good", "bad"]
+Tone = Literal[Judgement, "alarm"]
 
 
 @dataclass(frozen=True)
@@ -19,7 +23,7 @@ class Cell:
     text: str
     value: float | None = None  # what it is sorted by; None: by its text, or it has none
     rank: int = 0  # 1, 2, 3; 0 = unmarked
-    tone: str = ""  # "good", "bad" or "alarm"
+    tone: Tone = ""
     note: str = ""  # shown on demand, where there is a hand to ask
 
 

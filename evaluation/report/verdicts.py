@@ -14,6 +14,7 @@ from activestructure_gym.evaluation.report.layout import (
     MISSING,
     Cell,
     Heading,
+    Judgement,
     Table,
     number,
     ranked,
@@ -87,7 +88,7 @@ def can_tell(results: Results) -> bool:
     return any(shared and min(shared.values()) > 1 for shared in pairs)
 
 
-def verdict(pair: PairedDifference, column: Column) -> tuple[str, str]:
+def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
     """Words and tone for a paired difference: its interval's side of 0; nothing without an interval.
 
     The numbers are judged as they are printed: what is smaller than the last digit is neither better nor worse. A
@@ -159,7 +160,7 @@ def improvement_table(results: Results, column: Column) -> Table | None:
         for theirs in policies:
             chance = None if ours == theirs else _improvement(results, ours, theirs, column)
             cell = with_interval(chance, 2)
-            tone = ""
+            tone: Judgement = ""
             if chance is not None and chance.excludes(0.5):
                 tone = "good" if chance.value > 0.5 else "bad"
             row.append(Cell(cell.text, cell.value, tone=tone))

@@ -22,6 +22,7 @@ from activestructure_gym.evaluation.running.resuming import merged, recorded_job
 from activestructure_gym.evaluation.running.warmup import warming_up
 
 if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
     from activestructure_gym.scenes import Scene
 
 
@@ -32,7 +33,7 @@ class Comparison:
     scenes: Sequence[str]  # texts as `load_scene` takes them
     policies: Sequence[str]  # names with options
     seeds: Sequence[int] = (0,)  # equal seeds share start and noise
-    preset: str = "default"  # of the configuration
+    preset: Preset = "default"  # of the configuration
     frame_budget: int | None = None  # frames; None = the preset's
     overrides: Mapping[str, Any] = field(default_factory=dict)  # of the preset's fields
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg

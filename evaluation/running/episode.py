@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -33,11 +33,14 @@ CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
 
 
+Stage = Literal["loading", "exploring", "measuring", "done"]
+
+
 @dataclass(frozen=True)
 class Progress:
     """Progress of a running job."""
 
-    stage: str  # "loading", "exploring", "measuring", "done"
+    stage: Stage
     frames: int = 0
     frame_budget: int = 0
     completion_ratio: float | None = None  # % at the last checkpoint

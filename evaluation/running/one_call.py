@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -13,6 +13,9 @@ from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison, Result, check_output, run_comparison
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
 
 
 class Silence:
@@ -37,7 +40,7 @@ def compare(
     out: str | os.PathLike[str],
     *,
     seeds: Sequence[int] = (0,),
-    preset: str = "default",
+    preset: Preset = "default",
     frame_budget: int | None = None,
     config: Mapping[str, Any] | None = None,
     start_pose: tuple[float, float, float, float] | None = None,

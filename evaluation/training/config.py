@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from activestructure_gym.envs.observation import feature_columns
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
 
 Method = Literal["bc", "rank", "ppo"]
 Reward = Literal["rate", "auc", "env"]
@@ -44,7 +47,7 @@ class WorldConfig:
 
     layouts: int = 240  # procedural apartments; GenNBV's main finding is that their number matters most
     rooms: tuple[int, ...] = (1, 2, 3)  # of the layouts, in turn
-    preset: str = "fast"
+    preset: Preset = "fast"
     frames: int | None = None  # frame budget; None = the preset's
     overrides: tuple[tuple[str, Any], ...] = ()  # of the preset's fields
     gains: tuple[str, ...] = ("pixel", "hole_area")  # features of every candidate that the policy is told

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from activestructure_gym.evaluation.report.charts import Line, line_chart, standalone
+from activestructure_gym.evaluation.training.config import Method
 
 _TRAINING = {"ppo": ("rollout/reward_per_episode", "reward per training episode")}
 _LOSS = ("train/loss", "loss")
 _VALIDATION = ("validation/normalised", "validation: 0 = random, 1 = oracle")
 
 
-def learning_curve(method: str, rows: Sequence[Mapping[str, Any]]) -> str | None:
+def learning_curve(method: Method, rows: Sequence[Mapping[str, Any]]) -> str | None:
     """A run's log as an SVG file with two charts, or None where nothing can be drawn yet."""
     unit = "iteration" if method == "ppo" else "epoch"
     charts, names = [], []

@@ -13,7 +13,7 @@ from activestructure_gym.config import ReconstructionConfig, configure, replaced
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.observation import observation_space
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.training.config import WorldConfig
+from activestructure_gym.evaluation.training.config import Reward, WorldConfig
 from activestructure_gym.evaluation.training.layouts import layout_specs
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.policies.learned.config import USED_KEYS
@@ -85,7 +85,7 @@ def draw_noise(rng: np.random.Generator) -> dict[str, Any]:
     return {"depth_noise": "kinect", "noise_multiplier": float(multiplier), "edge_dropout": bool(holes)}
 
 
-def learning_reward(kind: str, *, share: float, frames: int, left: float, env_reward: float) -> float:
+def learning_reward(kind: Reward, *, share: float, frames: int, left: float, env_reward: float) -> float:
     """The reward of a step for PPO.
 
     ``share`` of the surface newly seen at the cost of ``frames``, with ``left`` of the budget left on average on the

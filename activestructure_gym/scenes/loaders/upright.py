@@ -20,6 +20,7 @@ from activestructure_gym.errors import InputError
 
 UpAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
+_ENDS: dict[str, tuple[UpAxis, UpAxis]] = {"x": ("x", "-x"), "y": ("y", "-y"), "z": ("z", "-z")}
 CEILING_HEIGHTS = (1.9, 6.0)  # metres, floor to ceiling
 
 # Points on the surface, and columns per side of the grid they are sorted into: enough for hundreds of free lines, few
@@ -47,8 +48,8 @@ _LEAST_BETWEEN = 0.015  # of the level surface: with less there is no furniture 
 class Verdict:
     """The up axis as inferred from the geometry."""
 
-    up: str | None  # the axis it tells, None where it does not
-    possible: tuple[str, ...]  # of `UP_AXES`: those that it does not clearly exclude
+    up: UpAxis | None  # the axis it tells, None where it does not
+    possible: tuple[UpAxis, ...]  # those that it does not clearly exclude
     reason: str  # what was seen, as the end of a sentence
 
 
@@ -117,7 +118,7 @@ def which_way_is_up(vertices: np.ndarray, faces: np.ndarray) -> Verdict:
         possible = (axis, *(name for name, other in others.items() if other.surface_per_length > near))
         reason = f"{room}, but what stands between them does not tell one from the other"
         return Verdict(None, _both_ends(possible), reason)
-    up, floor = (axis, f"-{axis}") if evidence > 0 else (f"-{axis}", f"+{axis}")
+    up, floor = (_ENDS[axis][0], f"-{axis}") if evidence > 0 else (_ENDS[axis][1], f"+{axis}")
     share = side.lower if evidence > 0 else 1.0 - side.lower
     return Verdict(
         up,
@@ -135,8 +136,8 @@ def _stands_out(side: _Side, others: Collection[_Side]) -> bool:
     )
 
 
-def _both_ends(axes: Collection[str]) -> tuple[str, ...]:
-    return tuple(sign + axis for axis in sorted(axes) for sign in ("", "-"))
+def _both_ends(axes: Collection[str]) -> tuple[UpAxis, ...]:
+    return tuple(end for axis in sorted(axes) for end in _ENDS[axis])
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -18,9 +19,12 @@ _WINDOW_SILL, WINDOW_HEAD = 9, 22  # 0.9 m and 2.2 m
 NICHE = 2  # 0.2 m from the inner face of an outer wall to the window pane
 _WALL = 1  # lattice steps a room keeps from its cell's border: inner walls are 0.2 m thick
 
+RoomKind = Literal["living", "bedroom", "kitchen", "bath", "study", "child", "dining"]
 # Usual floor areas in m^2, walls included.
-_AREAS = {"living": 21.0, "bedroom": 15.0, "kitchen": 12.5, "bath": 7.0, "study": 11.5, "child": 12.0, "dining": 13.0}
-_PROGRAMS = {
+_AREAS: dict[RoomKind, float] = {
+    "living": 21.0, "bedroom": 15.0, "kitchen": 12.5, "bath": 7.0, "study": 11.5, "child": 12.0, "dining": 13.0
+}  # fmt: skip
+_PROGRAMS: dict[int, tuple[RoomKind, ...]] = {
     2: ("living", "bedroom"),
     3: ("living", "bedroom", "kitchen"),
     4: ("living", "bedroom", "kitchen", "bath"),
@@ -28,7 +32,7 @@ _PROGRAMS = {
     6: ("living", "bedroom", "kitchen", "bath", "study", "child"),
     7: ("living", "bedroom", "kitchen", "bath", "study", "child", "dining"),
 }
-_SINGLE = ("living", "bedroom", "study", "kitchen")  # rooms=1 takes these in turn, by seed
+_SINGLE: tuple[RoomKind, ...] = ("living", "bedroom", "study", "kitchen")  # rooms=1 takes these in turn, by seed
 _PRIVATE = ("bedroom", "bath", "child")  # nobody walks through these if it can be helped
 MAX_ROOMS = max(_PROGRAMS)
 
@@ -39,7 +43,7 @@ Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in lattice steps
 class Space:
     """A box of air."""
 
-    kind: str  # a room's kind, "door" or "window"
+    kind: RoomKind | Literal["door", "window"]
     lower: tuple[int, int, int]  # lattice steps
     upper: tuple[int, int, int]
     room: int  # index of the room it is or belongs to (for a door: the first of the two)
@@ -108,7 +112,7 @@ def plan_layout(rng: np.random.Generator, *, rooms: int, seed: int) -> Layout:
     return Layout(tuple(spaces + doors + windows), rooms, entrance)
 
 
-def _split(cell: Box, kinds: list[str], rng: np.random.Generator) -> list[tuple[str, Box]]:
+def _split(cell: Box, kinds: list[RoomKind], rng: np.random.Generator) -> list[tuple[RoomKind, Box]]:
     if len(kinds) == 1:
         return [(kinds[0], cell)]
     kinds = [kinds[i] for i in rng.permutation(len(kinds))]
@@ -123,14 +127,14 @@ def _split(cell: Box, kinds: list[str], rng: np.random.Generator) -> list[tuple[
     return _split((x0, y0, x1, cut), first, rng) + _split((x0, cut, x1, y1), second, rng)
 
 
-def _usable(kind: str, box: Box) -> bool:
+def _usable(kind: RoomKind, box: Box) -> bool:
     """Whether the room is wide enough for its furniture and not a corridor."""
     short, long = sorted((box[2] - box[0], box[3] - box[1]))
     least = {"bath": 19, "living": 34, "bedroom": 29}.get(kind, 27)  # decimetres
     return short >= least and long <= 2.0 * short
 
 
-def _doors(boxes: list[Box], kinds: tuple[str, ...], rng: np.random.Generator) -> list[Space] | None:
+def _doors(boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generator) -> list[Space] | None:
     """Tunnels that connect all rooms: a random spanning tree and a quarter of the other possible ones."""
     pairs = []
     for i, a in enumerate(boxes):
@@ -162,7 +166,7 @@ def _doors(boxes: list[Box], kinds: tuple[str, ...], rng: np.random.Generator) -
 
 
 def _windows(
-    boxes: list[Box], kinds: tuple[str, ...], rng: np.random.Generator
+    boxes: list[Box], kinds: tuple[RoomKind, ...], rng: np.random.Generator
 ) -> tuple[list[Space], list[tuple[int, int, int]]]:
     """Window niches in outer walls, at most two per room, and the outer walls (room, wall, length) left without."""
     edge = (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))

@@ -8,7 +8,7 @@ from typing import Any
 from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
-from activestructure_gym.evaluation.cli.fields import Preset, Switch
+from activestructure_gym.evaluation.cli.fields import PresetName, Switch
 from activestructure_gym.evaluation.cli.output import make_console, working
 
 
@@ -84,13 +84,14 @@ class Env:
 
     scene: SceneNames = None
     """The scenes in which steps are taken, separated by commas; apartment?rooms=3 if not given."""
-    preset: Preset = "fast"
+    preset: PresetName = "fast"
     """What `asg config PRESET` prints."""
     quick: Switch = False
     """In small, to see that it runs."""
 
     def run(self) -> int:
         """Measure and print."""
+        from activestructure_gym.config import known_preset
         from activestructure_gym.evaluation.benchmarks.env import SCENES, run_env_benchmark
 
         console = make_console()
@@ -98,7 +99,7 @@ class Env:
         with console.status("measuring the environment") as status:
             speed, rows = run_env_benchmark(
                 split_names(self.scene) or (["box"] if self.quick else SCENES),
-                preset=self.preset,
+                preset=known_preset(self.preset),
                 notify=lambda line: status.update(f"measuring the {escape(line)}"),
                 **size,
             )

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from activestructure_gym.cores import core_count
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import Changes, Count, PathName, Preset, Switch, option
+from activestructure_gym.evaluation.cli.fields import Changes, Count, PathName, PresetName, Switch, option
 from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.machine.threads import capped_environment
 
@@ -24,7 +24,7 @@ class Episodes:
     """Let files (the record of --resume, a checkpoint) name code, package.module:Name, that is run."""
     workers: int = 0
     """Processes at a time; 0 is one per core. Changes no result."""
-    preset: Preset = "fast"
+    preset: PresetName = "fast"
     """What `asg config PRESET` prints."""
     frames: Count = None
     """Frame budget of every episode; the preset's if not given."""

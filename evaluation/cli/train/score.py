@@ -38,6 +38,7 @@ class Score(Episodes):
         """Play what is not in the directory yet, print and write the table."""
         workers = self.begin()
 
+        from activestructure_gym.config import known_preset
         from activestructure_gym.evaluation.archive.directory_lock import hold
         from activestructure_gym.evaluation.training import scoring
         from activestructure_gym.evaluation.training.config import WorldConfig
@@ -52,7 +53,7 @@ class Score(Episodes):
             if baseline not in (*policies, scoring.RANDOM):
                 raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{baseline}'")
         world = WorldConfig(
-            rooms=self.rooms, preset=self.preset, frames=self.frames, noise=False,
+            rooms=self.rooms, preset=known_preset(self.preset), frames=self.frames, noise=False,
             overrides=tuple(parse_overrides(self.set).items()),
         )  # fmt: skip
         for name in policies:

@@ -6,6 +6,7 @@ from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.running.engines import inline, local, ray_cluster
 from activestructure_gym.evaluation.running.engines.base import Engine, Limits, Listener, Outcome
 
+# Anybody may add an engine of their own, so their names are any text.
 ENGINES: dict[str, Engine] = {"inline": inline.ENGINE, "local": local.ENGINE, "ray": ray_cluster.ENGINE}
 
 

@@ -61,7 +61,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "frame_budget": 100,
         "keyframe_every": 20,
         "sensor": {"width": 96, "height": 54, "supersample": 1},
-        "mapper": {"iterations": 0, "psnr_refresh": 0, "seed_stride": 4},
+        "mapper": {"iterations": 0, "psnr_refresh": 0, "seed_pixels": 4.0, "seed_spacing": 0.12},
         "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 0.25},
     },
     # What comparisons on a CPU use.

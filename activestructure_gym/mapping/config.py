@@ -23,7 +23,7 @@ _RANGES = {
     "in_front_factor": "[0, 1e9]",
     "in_front_floor": "[0, 1000]",
     **dict.fromkeys(("iterations", "psnr_refresh"), "[0, 100000]"),
-    **dict.fromkeys(("image_weight", "depth_weight", "alpha_weight"), "[0, 1e6]"),
+    **dict.fromkeys(("edge_footprint", "image_weight", "depth_weight", "alpha_weight"), "[0, 1e6]"),
     **dict.fromkeys(("mean_rate", "quaternion_rate", "log_scale_rate", "opacity_rate", "color_rate"), "[0, 1000]"),
     "scene_radius": "(0, 100000]",
     "adam_epsilon": "(0, 1]",
@@ -82,6 +82,7 @@ class MapperConfig:
         0.045  # metres, at most, from a seen surface to a mean; None: SplaTAM's rule (measured)
     )
     seed_pixels: float = 1.0  # the same in pixels where there is texture or an edge (measured)
+    edge_footprint: float = 0.65  # share of that sigma where the surface ends (measured)
     texture_contrast: float = 0.04  # 0..1, between neighbouring pixels, from which on there is texture (measured)
     seed_footprint: float = (
         0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * depth / focal length) (measured)

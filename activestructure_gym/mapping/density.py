@@ -37,12 +37,12 @@ def wanted_spacing(
     plain: float,  # metres, where nothing of the surface is seen but its place
     pixels: float,  # where there is texture or an edge: pixels between neighbours
     contrast: float,  # 0..1, difference of a channel between neighbouring pixels from which on there is texture
-) -> np.ndarray:  # [H, W] float32 metres
-    """Distance within which every point of the surface should have a mean."""
-    depth = frame.depth
-    resolved = pixels * depth / np.float32(0.5 * (frame.camera.fx + frame.camera.fy))
-    spacing = np.where(_textured(frame.rgb, depth, contrast), np.minimum(resolved, plain), plain)
-    return np.ascontiguousarray(spacing, dtype=np.float32)
+) -> tuple[np.ndarray, np.ndarray]:  # [H, W] float32 metres, [H, W] bool
+    """Distance within which every point of the surface should have a mean, and where the surface ends."""
+    resolved = pixels * frame.depth / np.float32(0.5 * (frame.camera.fx + frame.camera.fy))
+    textured, edges = _textured(frame.rgb, frame.depth, contrast)
+    spacing = np.where(textured | edges, np.minimum(resolved, plain), plain)
+    return np.ascontiguousarray(spacing, dtype=np.float32), edges
 
 
 @kernel
@@ -50,25 +50,24 @@ def _textured(
     rgb: np.ndarray,  # [H, W, 3] uint8
     depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
     contrast: float,
-) -> np.ndarray:  # [H, W] bool
-    """Pixels that differ from one of their four neighbours in colour, or lie on another surface."""
+) -> tuple[np.ndarray, np.ndarray]:  # [H, W] bool, [H, W] bool
+    """Pixels that differ from one of their four neighbours in colour, and such that lie on another surface."""
     height, width = depth.shape
     least = contrast * _LEVELS
-    found = np.zeros((height, width), np.bool_)
+    textured, edges = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
     for row in range(height):
         for column in range(width):
             for down, right in ((0, 1), (1, 0)):
                 i, j = row + down, column + right
                 if i >= height or j >= width:
                     continue
-                differs = not _joined(depth, row, column, down, right)
+                if not _joined(depth, row, column, down, right):
+                    edges[row, column] = edges[i, j] = True
                 for channel in range(3):
                     step = int(rgb[row, column, channel]) - int(rgb[i, j, channel])
-                    differs |= abs(step) >= least
-                if differs:
-                    found[row, column] = True
-                    found[i, j] = True
-    return found
+                    if abs(step) >= least:
+                        textured[row, column] = textured[i, j] = True
+    return textured, edges
 
 
 @kernel

@@ -212,11 +212,15 @@ class Mapper:
         if config.seed_spacing is None:
             seeds, sigma, new_share = self._seeds_by_rendering(frame, unseen)
         else:
-            spacing = wanted_spacing(
-                frame, plain=config.seed_spacing, pixels=config.seed_pixels, contrast=config.texture_contrast
+            spacing, edges = wanted_spacing(
+                frame,
+                plain=config.seed_spacing,
+                pixels=config.seed_pixels,
+                contrast=config.texture_contrast,
             )
             coarse = self._coarse(frame, spacing, unseen)
             seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
+            sigma[edges.ravel()[seeds.pixels]] *= config.edge_footprint
             replaced = self.map.keep(~coarse)
         count = len(sigma)
         room = count if config.max_gaussians is None else max(0, config.max_gaussians - self.map.count)

@@ -81,8 +81,8 @@ class MapperConfig:
     seed_spacing: float | None = (
         0.045  # metres, at most, from a seen surface to a mean; None: SplaTAM's rule (measured)
     )
-    seed_pixels: float = 1.0  # the same in pixels where there is texture or an edge (measured)
-    edge_footprint: float = 0.65  # share of that sigma where the surface ends (measured)
+    seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
+    edge_footprint: float = 0.8  # share of that sigma where the surface ends (measured)
     texture_contrast: float = 0.04  # 0..1, between neighbouring pixels, from which on there is texture (measured)
     seed_footprint: float = (
         0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * depth / focal length) (measured)

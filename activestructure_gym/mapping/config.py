@@ -82,7 +82,7 @@ class MapperConfig:
         0.045  # metres, at most, from a seen surface to a mean; None: SplaTAM's rule (measured)
     )
     seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
-    edge_footprint: float = 0.8  # share of that sigma where the surface ends (measured)
+    edge_footprint: float = 0.7  # share of that sigma where the surface ends (measured)
     texture_contrast: float = 0.04  # 0..1, between neighbouring pixels, from which on there is texture (measured)
     seed_footprint: float = (
         0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * depth / focal length) (measured)
@@ -109,7 +109,7 @@ class MapperConfig:
     # SplaTAM's rates training views are fitted at the cost of all others (measured). Opacity is not learnt at all.
     mean_rate: float = 3e-5  # metres per step
     quaternion_rate: float = 1e-4  # per step
-    log_scale_rate: float = 2e-4  # per step
+    log_scale_rate: float = 6e-4  # per step
     opacity_rate: float = 0.0  # logit per step
     color_rate: float = 3e-4  # of the 0..1 range per step
     adam_beta1: float = 0.9  # [adam]

@@ -78,15 +78,11 @@ class MapperConfig:
     isotropic: bool = False  # balls, and one scale per Gaussian, instead of disks on the surface (True: SplaTAM)
 
     # Seeding
-    seed_spacing: float | None = (
-        0.045  # metres, at most, from a seen surface to a mean; None: SplaTAM's rule (measured)
-    )
+    seed_spacing: float | None = 0.045  # metres from seen surface to a mean, at most; None: SplaTAM's rule (measured)
     seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
+    texture_contrast: float = 0.04  # 0..1, between neighbouring pixels, above which is texture (measured)
+    seed_footprint: float = 0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * z / f) (measured)
     edge_footprint: float = 0.7  # share of that sigma where the surface ends (measured)
-    texture_contrast: float = 0.04  # 0..1, between neighbouring pixels, from which on there is texture (measured)
-    seed_footprint: float = (
-        0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * depth / focal length) (measured)
-    )
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: irrelevant in .02 .. .3)
     seed_opacity: float = 0.99  # 0..1 (measured: .9 lets 3 % of every wall through, which gains of holes add up)
     min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)

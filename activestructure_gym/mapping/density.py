@@ -36,7 +36,7 @@ def wanted_spacing(
     *,
     plain: float,  # metres, where nothing of the surface is seen but its place
     pixels: float,  # where there is texture or an edge: pixels between neighbours
-    contrast: float,  # 0..1, difference of a channel between neighbouring pixels from which on there is texture
+    contrast: float,  # 0..1, difference of a channel between neighbouring pixels above which there is texture
 ) -> tuple[np.ndarray, np.ndarray]:  # [H, W] float32 metres, [H, W] bool
     """Distance within which every point of the surface should have a mean, and where the surface ends."""
     resolved = pixels * frame.depth / np.float32(0.5 * (frame.camera.fx + frame.camera.fy))
@@ -65,7 +65,7 @@ def _textured(
                     edges[row, column] = edges[i, j] = True
                 for channel in range(3):
                     step = int(rgb[row, column, channel]) - int(rgb[i, j, channel])
-                    if abs(step) >= least:
+                    if abs(step) > least:
                         textured[row, column] = textured[i, j] = True
     return textured, edges
 

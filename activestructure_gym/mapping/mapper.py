@@ -266,7 +266,7 @@ class Mapper:
         wanted = np.flatnonzero(states == WANTED)
         seeds = SurfaceSamples(*(array[wanted] for array in samples))
         new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != HELD)  # the pixels' own come first
-        return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], new / frame.depth.size
+        return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], float(new) / frame.depth.size
 
     def _new_gaussians(self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray) -> np.ndarray:
         config = self.config

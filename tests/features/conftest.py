@@ -30,7 +30,10 @@ class TwoWalls:
     """What a gain asks for, around one real mapper that never takes a step."""
 
     def __init__(self) -> None:
-        self.mapper = Mapper(MapperConfig(seed_stride=1), np.random.default_rng(0))
+        self.mapper = Mapper(
+            MapperConfig(seed_spacing=None, seed_stride=1, seed_footprint=0.6, seed_opacity=0.9),  # one per pixel
+            np.random.default_rng(0),
+        )
         self.volume = VoxelVolume(np.array([[-3.0] * 3, [3.0] * 3]), VolumeConfig())
 
     def see(self, frame: Frame) -> None:

@@ -48,10 +48,8 @@ def context(
     images = np.broadcast_to(np.asarray(alpha, np.float32), (len(poses), CAMERA.height, CAMERA.width)).copy()
     mapper = SimpleNamespace(
         render_depth_alpha=lambda camera, poses: (np.zeros_like(images), images),
-        config=SimpleNamespace(
-            coarse_ratio=coarse_ratio, wide_sigma=0.1, wide_ratio=1.5, seed_footprint=0.6, seed_stride=2
-        ),
-        keyframes=[SimpleNamespace(camera=SENSOR)],
+        config=SimpleNamespace(coarse_ratio=coarse_ratio, seed_footprint=0.6, seed_pixels=2.0),
+        keyframes=[SimpleNamespace(camera=SENSOR, world_from_camera=look_along(HERE, np.array([0.0, 0.0, 1.0])))],
     )
     options: dict[str, Any] = {
         "mapper": mapper,
@@ -121,17 +119,16 @@ def test_deficiency_is_zero_behind_what_is_occupied() -> None:
 
 
 def test_a_coarse_patch_counts_from_where_its_gaussians_would_be_replaced() -> None:
-    # Gaussians of s metres fill s f / z pixels; the limit is 3 x 0.6 x 2 = 3.6 pixels, and half that from 10 cm on.
+    # Gaussians of s metres fill s f / z pixels; the limit is 3 x 0.6 x 2 = 3.6 pixels.
     focal = 0.5 * (SENSOR.fx + SENSOR.fy)
     for size, counts in ((2.01 * 3.6 / focal, True), (1.99 * 3.6 / focal, False)):
         found = holes([[3.0, 2.0, 2.0]], sizes=size)
-        assert size < 0.1
         assert (column("deficiency", context([AHEAD], found))[0] > 0) == counts
         nearer = look_along(HERE + [0.5, 0, 0], np.array([1.0, 0.0, 0.0]))
         assert column("deficiency", context([nearer], found))[0] > 0
         assert column("deficiency", context([nearer], found, coarse_ratio=None))[0] == 0.0  # nothing is ever replaced
     distances = refining_distance(context([AHEAD]), np.array([0.099, 0.1, np.inf]))
-    np.testing.assert_allclose(distances, [0.099 * focal / 3.6, 0.1 * focal / 1.8, np.inf])
+    np.testing.assert_allclose(distances, [0.099 * focal / 3.6, 0.1 * focal / 3.6, np.inf])
     assert column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]]), coarse_ratio=None))[0] > 0
 
 

@@ -1,4 +1,4 @@
-"""Wrong settings are refused by name; the learning rates follow the scene's size."""
+"""Wrong settings are refused by name; learning rates and recipes."""
 
 import pytest
 
@@ -14,15 +14,14 @@ from activestructure_gym.mapping import MAPPERS, MapperConfig
         {"max_gaussians": 0},
         {"seed_opacity": 1.0},
         {"covered_alpha": 1.5},
-        {"color_rate": 0.0},
+        {"color_rate": -1e-3},
         {"depth_weight": float("nan")},
         {"scene_radius": 0.0},
-        {"max_seed_stride": 1},
-        {"seed_elongation": 0.5},
         {"coarse_ratio": float("nan")},
-        {"wide_ratio": 0.9},
-        {"wide_sigma": 0.0},
-        {"mean_rate_radius": 0.0},
+        {"seed_spacing": 0.0},
+        {"seed_pixels": -1.0},
+        {"texture_contrast": 1.5},
+        {"edge_footprint": -0.1},
         {"prune_steps": (0, -2)},
         {"prune_steps": (1.5,)},
     ],
@@ -32,11 +31,9 @@ def test_wrong_values_are_refused_by_name(change):
         MapperConfig(**change)
 
 
-def test_only_the_means_rate_grows_with_the_scene():
-    small, large = MapperConfig().learning_rates(2.0), MapperConfig().learning_rates(6.0)
-    assert small[:3] == pytest.approx([2e-4] * 3) and large[:3] == pytest.approx([6e-4] * 3)
-    assert (small[3:] == large[3:]).all()
-    assert small[3:] == pytest.approx([2e-3] * 4 + [6e-3] * 3 + [0.1] + [2.5e-3] * 3)
+def test_learning_rates_stand_in_the_rows_of_their_parameters():
+    rates = MapperConfig().learning_rates()
+    assert rates == pytest.approx([3e-5] * 3 + [1e-4] * 4 + [6e-4] * 3 + [0.0] + [3e-4] * 3)
 
 
 def test_recipes_carry_their_name_and_the_default_is_the_defaults():
@@ -46,6 +43,6 @@ def test_recipes_carry_their_name_and_the_default_is_the_defaults():
         MapperConfig(name="splatem")
 
 
-def test_splatam_rates_are_the_original_ones_in_every_scene():
-    rates = MAPPERS["splatam"].learning_rates(7.0)
+def test_splatam_rates_are_the_original_ones():
+    rates = MAPPERS["splatam"].learning_rates()
     assert rates == pytest.approx([1e-4] * 3 + [1e-3] * 4 + [1e-3] * 3 + [5e-2] + [2.5e-3] * 3)

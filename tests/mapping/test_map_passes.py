@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, fit_to_stay, larger_in_view
+from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, fit_to_stay, too_wide
 
 CAPACITY, COUNT = 3072, 2500  # more than one block, and not a whole number of them
 
@@ -39,7 +39,7 @@ def test_the_limits_themselves_may_stay():
     assert not fit_to_stay(parameters, 3, 0.0, np.nextafter(0.0, -1.0), _everywhere(3)).any()
 
 
-def test_larger_in_view_is_what_projecting_says():
+def test_too_wide_is_what_projecting_says():
     rng = np.random.default_rng(1)
     parameters = _parameters(rng)
     camera = PinholeCamera(40, 30, 25.0, 27.0, 19.0, 16.0)
@@ -52,17 +52,18 @@ def test_larger_in_view_is_what_projecting_says():
     inside = (z > 0) & (u >= 0) & (u < 40) & (v >= 0) & (v < 30)
     measured = np.zeros(COUNT)
     measured[inside] = depth[v[inside].astype(int), u[inside].astype(int)]
-    sigma = np.exp(parameters[7:10, :COUNT].max(axis=0))
     middle = np.exp(np.median(parameters[7:10, :COUNT], axis=0))
-    large = (sigma * 26.0 > 2.0 * z) | ((middle > 0.05) & (middle * 26.0 > z))
-    expected = inside & (measured > 0) & large & (np.abs(z - measured) <= sigma)
+    largest = rng.uniform(0.01, 0.2, (30, 40)).astype(np.float32)
+    allowed = np.full(COUNT, np.inf)
+    allowed[inside] = largest[v[inside].astype(int), u[inside].astype(int)]
+    expected = inside & (measured > 0) & (middle > allowed) & (np.abs(z - measured) <= middle)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     to_camera = invert_rigid(pose)[:3].astype(np.float32)
-    measured = MeasuredDepth(depth, to_camera, intrinsics)
-    found, pixels = larger_in_view(parameters, COUNT, measured, 2.0, 0.05, 1.0, 1.0)
+    chunks = np.zeros(-(-COUNT // CHUNK), bool)
+    found = too_wide(parameters, COUNT, chunks, MeasuredDepth(depth, to_camera, intrinsics), largest)
     assert expected.sum() > 10
-    assert pixels.any() and not pixels[depth == 0].any()
     assert (found != expected).sum() <= 1  # float32 at a pixel's border
+    assert not too_wide(parameters, COUNT, ~chunks, MeasuredDepth(depth, to_camera, intrinsics), largest).any()
 
 
 def test_only_chunks_that_changed_are_looked_at():
@@ -70,3 +71,30 @@ def test_only_chunks_that_changed_are_looked_at():
     parameters[10] = -9.0  # nobody is opaque enough
     keep = fit_to_stay(parameters, 3 * CHUNK - 5, 0.0, 1.0, np.array([False, True, False]))
     assert keep[:CHUNK].all() and not keep[CHUNK : 2 * CHUNK].any() and keep[2 * CHUNK :].all()
+
+
+def test_too_wide_by_hand():
+    """Wall at 2 m, f = 4: what is on it within one sigma and wider than its pixel allows goes, by the middle sigma."""
+    camera = PinholeCamera.from_size(8, 6)
+    depth = np.full((6, 8), 2.0, np.float32)
+    depth[0, 0] = 0.0  # looks along (-.875, -.625, 1)
+    measured = MeasuredDepth(
+        depth, np.eye(4, dtype=np.float32)[:3], np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    )
+    positions = [
+        (0.1, 0.1, 2.0),  # on the wall
+        (0.1, 0.1, 2.5),  # half a metre behind it: within one sigma
+        (0.1, 0.1, 2.7),  # behind it
+        (0.1, 0.1, 1.3),  # in front of it
+        (2.1, 0.1, 2.0),  # right of the image, which ends at x = 2
+        (0.1, 0.1, -2.0),  # behind the camera
+        (-1.75, -1.25, 2.0),  # where there is no return
+        (0.1, 0.1, 2.0),  # a needle
+    ]
+    balls = np.zeros((14, 16), np.float32)
+    balls[:3, : len(positions)] = np.array(positions).T
+    balls[7:10] = np.log(0.6)
+    balls[[7, 9], 7] = np.log(0.01)
+    for allowed, expected in ((0.59, [True, True, *[False] * 6]), (0.61, [False] * 8)):
+        largest = np.full((6, 8), allowed, np.float32)
+        assert too_wide(balls, 8, np.zeros(1, bool), measured, largest).tolist() == expected

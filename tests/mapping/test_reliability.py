@@ -18,7 +18,7 @@ def frame(colour, depth=2.0):
 
 
 def mapped(colour):
-    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
+    mapper = Mapper(MapperConfig(seed_spacing=None, seed_footprint=0.6, seed_opacity=0.9), np.random.default_rng(0))
     mapper.observe(frame(colour), iterations=0)
     return mapper
 

@@ -80,7 +80,7 @@ class MapperConfig:
     # Seeding
     seed_spacing: float | None = 0.045  # metres from seen surface to a mean, at most; None: SplaTAM's rule (measured)
     seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
-    texture_contrast: float = 0.04  # 0..1, between neighbouring pixels, above which is texture (measured)
+    texture_contrast: float = 0.02  # 0..1, between neighbouring pixels, above which is texture (measured)
     seed_footprint: float = 0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * z / f) (measured)
     edge_footprint: float = 0.7  # share of that sigma where the surface ends (measured)
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: irrelevant in .02 .. .3)

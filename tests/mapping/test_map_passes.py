@@ -44,6 +44,7 @@ def test_too_wide_is_what_projecting_says():
     parameters = _parameters(rng)
     camera = PinholeCamera(40, 30, 25.0, 27.0, 19.0, 16.0)
     pose = look_along(np.array([-1.0, 0.5, 0.2]), np.array([1.0, 0.2, -0.1]))
+    parameters[7:10] += 1.0
     depth = rng.uniform(0.5, 3.0, (30, 40)).astype(np.float32)
     depth[::3] = 0.0
     local = (parameters[:3, :COUNT].T.astype(np.float64) - pose[:3, 3]) @ pose[:3, :3]
@@ -53,7 +54,7 @@ def test_too_wide_is_what_projecting_says():
     measured = np.zeros(COUNT)
     measured[inside] = depth[v[inside].astype(int), u[inside].astype(int)]
     middle = np.exp(np.median(parameters[7:10, :COUNT], axis=0))
-    largest = rng.uniform(0.01, 0.2, (30, 40)).astype(np.float32)
+    largest = rng.uniform(0.01, 0.1, (30, 40)).astype(np.float32)
     allowed = np.full(COUNT, np.inf)
     allowed[inside] = largest[v[inside].astype(int), u[inside].astype(int)]
     expected = inside & (measured > 0) & (middle > allowed) & (np.abs(z - measured) <= middle)

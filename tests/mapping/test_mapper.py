@@ -22,9 +22,9 @@ def _psnr(shown, rgb):
 def test_first_frame_fills_the_image_and_a_second_look_adds_nothing(room_frames):
     mapper = _mapper()
     first = mapper.observe(room_frames[0])
-    assert 1200 < first.added < 45 * 80 and first.new_share == 1.0 and first.left_out == 0
+    assert 800 < first.added < 45 * 80 and first.new_share == 1.0 and first.left_out == 0
     shown = mapper.render(room_frames[0].camera, room_frames[0].world_from_camera)
-    assert shown.alpha.min() > 0.9
+    assert shown.alpha.min() > 0.8
     again = mapper.observe(room_frames[0])
     assert again.added <= 0.01 * first.added and again.new_share < 0.01  # what the first event's steps moved on
     assert len(mapper.keyframes) == 2 and again.count == mapper.map.count

@@ -14,7 +14,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth
+from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, shows_its_back
 
 # Two neighbouring pixels show one surface if the plane through one of them and its neighbour on the other side misses
 # the second by less than this share of its depth: 8 cm at 4 m, about three sigmas of a Kinect's noise there.
@@ -307,15 +307,8 @@ def _means_in_view(parameters, count, leaving, around, margin):  # type: ignore[
                 or y > (height - intrinsics[3]) * z + margin * intrinsics[1]
             ):
                 continue
-            if parameters[9, i] < parameters[8, i]:  # a disk: its third axis is its normal
-                p, q, r, s = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
-                towards = (
-                    (q * s + p * r) * (eye[0] - a)
-                    + (r * s - p * q) * (eye[1] - b)
-                    + np.float32(0.5) * (p * p + s * s - q * q - r * r) * (eye[2] - c)
-                )
-                if towards <= 0.0:
-                    continue
+            if shows_its_back(parameters, i, eye[0], eye[1], eye[2]):
+                continue
             found[at] = i
             at += 1
     return found[:at]

@@ -59,6 +59,20 @@ def fit_to_stay(
 
 
 @kernel
+def shows_its_back(parameters: np.ndarray, i: int, x: float, y: float, z: float) -> bool:
+    """Whether Gaussian i is a disk that faces away from a point [metres, world]: its third axis is its normal."""
+    if not parameters[9, i] < parameters[8, i]:
+        return False
+    p, q, r, s = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
+    towards = (
+        (q * s + p * r) * (x - parameters[0, i])
+        + (r * s - p * q) * (y - parameters[1, i])
+        + np.float32(0.5) * (p * p + s * s - q * q - r * r) * (z - parameters[2, i])
+    )
+    return towards <= np.float32(0.0)
+
+
+@kernel
 def too_wide(
     parameters: np.ndarray,  # [14, n] float32
     count: int,
@@ -66,8 +80,14 @@ def too_wide(
     measured_depth: MeasuredDepth,
     largest: np.ndarray,  # [H, W] float32 metres, middle sigma
 ) -> np.ndarray:  # [count] bool
-    """Which Gaussians on the measured surface in view, within one sigma, are wider than their pixel allows."""
+    """Which Gaussians on the measured surface in view, within one sigma, are wider than their pixel allows.
+
+    A disk that shows its back belongs to the other side of something thin.
+    """
     depth, m, intrinsics = measured_depth
+    eye = np.zeros(3, np.float32)
+    for k in range(3):
+        eye[k] = -(m[0, k] * m[0, 3] + m[1, k] * m[1, 3] + m[2, k] * m[2, 3])
     found, height, width = np.zeros(count, np.bool_), depth.shape[0], depth.shape[1]
     for chunk in range(len(unseen)):
         if unseen[chunk]:
@@ -84,5 +104,6 @@ def too_wide(
             measured = depth[int(v), int(u)]
             p, q, r = parameters[7, i], parameters[8, i], parameters[9, i]
             middle = np.exp(max(min(p, q), min(max(p, q), r)))
-            found[i] = measured > 0.0 and middle > largest[int(v), int(u)] and abs(z - measured) <= middle
+            wide = measured > 0.0 and middle > largest[int(v), int(u)] and abs(z - measured) <= middle
+            found[i] = wide and not shows_its_back(parameters, i, eye[0], eye[1], eye[2])
     return found

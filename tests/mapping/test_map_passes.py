@@ -45,7 +45,8 @@ def test_too_wide_is_what_projecting_says():
     parameters = _parameters(rng)
     parameters[7:10] += 2.0
     parameters[9, ::2] = parameters[7:9, ::2].max(axis=0)  # no disks: they have no back
-    parameters[9, 1::2] = parameters[7:9, 1::2].min(axis=0) - 1.0
+    parameters[7, 1::2] = parameters[8, 1::2]  # round disks
+    parameters[9, 1::2] = parameters[8, 1::2] - 1.0
     camera = PinholeCamera(40, 30, 25.0, 27.0, 19.0, 16.0)
     pose = look_along(np.array([-1.0, 0.5, 0.2]), np.array([1.0, 0.2, -0.1]))
     depth = rng.uniform(0.5, 3.0, (30, 40)).astype(np.float32)

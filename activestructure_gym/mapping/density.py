@@ -64,7 +64,8 @@ def _textured(
                 if not _joined(depth, row, column, down, right):
                     edges[row, column] = edges[i, j] = True
                 for channel in range(3):
-                    step = int(rgb[row, column, channel]) - int(rgb[i, j, channel])
+                    # Not int(): compiled, that of a uint8 is unsigned, and so would be their difference.
+                    step = np.int64(rgb[row, column, channel]) - np.int64(rgb[i, j, channel])
                     if abs(step) >= least:
                         textured[row, column] = textured[i, j] = True
     return textured, edges

@@ -290,6 +290,9 @@ def _means_in_view(parameters, count, leaving, around, margin):  # type: ignore[
     (depth, m, intrinsics), eye, unseen = around
     height, width = depth.shape
     far = depth.max() + margin
+    # A mean `margin` metres off the image's side lies so far beside it at its own depth, times the focal length.
+    beside_x = margin * np.hypot(intrinsics[0], max(intrinsics[2], width - intrinsics[2]))
+    beside_y = margin * np.hypot(intrinsics[1], max(intrinsics[3], height - intrinsics[3]))
     found, at = np.empty(count, np.int32), 0
     for chunk in range(len(unseen)):
         if unseen[chunk]:
@@ -302,10 +305,10 @@ def _means_in_view(parameters, count, leaving, around, margin):  # type: ignore[
             x = intrinsics[0] * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3])
             y = intrinsics[1] * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3])
             if (
-                x < -intrinsics[2] * z - margin * intrinsics[0]
-                or x > (width - intrinsics[2]) * z + margin * intrinsics[0]
-                or y < -intrinsics[3] * z - margin * intrinsics[1]
-                or y > (height - intrinsics[3]) * z + margin * intrinsics[1]
+                x < -intrinsics[2] * z - beside_x
+                or x > (width - intrinsics[2]) * z + beside_x
+                or y < -intrinsics[3] * z - beside_y
+                or y > (height - intrinsics[3]) * z + beside_y
             ):
                 continue
             if shows_its_back(parameters, i, eye[0], eye[1], eye[2]):

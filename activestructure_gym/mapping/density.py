@@ -174,7 +174,11 @@ def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
         step = points[i, j, k] - points[row, column, k]
         gap += step * step
     gap = np.sqrt(gap)
-    return 1 if gap > _LONGEST_GAP else max(1, int(np.ceil(gap / (np.float32(1.25) * spacing))))
+    if gap > _LONGEST_GAP:
+        return 1
+    parts = max(1, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3))))
+    # Of parts within the spacing every other end is spared, so of an odd number two neighbours would be.
+    return parts + 1 if parts % 2 == 1 and parts > 1 and gap <= parts * spacing else parts
 
 
 HELD, WANTED, SPARED = 0, 1, 2  # of a sample: a mean is near, it becomes one, one of the new ones is near

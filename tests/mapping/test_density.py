@@ -139,7 +139,7 @@ def test_a_slanted_plane_has_no_edges_and_a_step_of_three_percent_has() -> None:
 # Coverage
 
 
-@pytest.mark.parametrize("distance", [2.0, 2.4, 2.6, 3.0, 4.0, 4.4, 6.0, 9.0])
+@pytest.mark.parametrize("distance", [2.0, 2.6, 3.0, 4.0, 4.5, 5.0, 5.3, 6.0, 9.0])
 def test_every_point_of_a_wall_has_a_mean_near(distance: float) -> None:
     """Pixels are 5 to 22 cm apart; from one look."""
     wall = picture([plane([distance, 0, 0], [1, 0, 0])])
@@ -151,12 +151,16 @@ def test_every_point_of_a_slanted_floor_has_a_mean_near_as_far_as_gaps_are_fille
     floor = picture([plane([0, 0, -1.2], [0, 0, 1])], direction=[1.0, 0.0, -0.75])
     points = floor.camera.backproject(floor.depth)
     down = np.linalg.norm(np.diff(points, axis=0), axis=2)  # [44, 80]
-    cells = np.minimum(down[:, 1:], down[:, :-1]) < 0.5
+    cells = np.maximum(down[:, 1:], down[:, :-1]) < 0.5
     inside = np.repeat(np.repeat(cells, 8, axis=0), 8, axis=1).ravel()
-    distance = farthest(dense(floor), mapped(floor))
-    assert 0.5 < inside.mean() < 1.0 and down.max() > 1.0
-    # A trapezoid between two rows is divided as its upper edge is, the longer one.
-    assert distance[inside].max() < 1.01 * SPACING and distance.max() > 0.2
+    mapper = mapped(floor)
+    samples = surface_samples(floor, np.full(floor.depth.shape, SPACING, np.float32))
+    pose = floor.world_from_camera
+    assert farthest(samples.points @ pose[:3, :3].T + pose[:3, 3], mapper).max() < SPACING + 1e-5
+    distance = farthest(dense(floor), mapper)
+    assert 0.5 < inside.mean() < 1.0 and down.max() > 1.0 and distance.max() > 0.2
+    # Where the number of parts changes from row to row, samples that are spared may be neighbours. Measured: .2 %.
+    assert (distance[inside] > 1.01 * SPACING).mean() < 0.005 and distance[inside].max() < 1.5 * SPACING
 
 
 def test_a_second_look_adds_nothing_whatever_is_seen(room_frames: list[Frame]) -> None:
@@ -164,6 +168,7 @@ def test_a_second_look_adds_nothing_whatever_is_seen(room_frames: list[Frame]) -
     wall, floor = plane([4, 0, 0], [1, 0, 0]), plane([0, 0, -1.2], [0, 0, 1])
     stripes = lambda p: np.floor(p.sum(axis=1) / 0.7) % 2 == 0  # noqa: E731
     frames = [picture([box, wall, floor]), picture([box, wall, floor], paint=stripes), *room_frames]
+    frames += [picture([floor], [0, 0, -0.9], paint=stripes, camera=PinholeCamera.from_size(160, 90))]
     for frame in frames:
         mapper = mapped(frame)
         first = mapper.map.parameters[:, : mapper.map.count].copy()
@@ -173,17 +178,17 @@ def test_a_second_look_adds_nothing_whatever_is_seen(room_frames: list[Frame]) -
 
 
 def test_a_plain_wall_gets_what_the_spacing_needs_and_a_painted_one_more() -> None:
-    """At 1 m pixels are 2.5 cm apart, 1.5 of them 3.75: nearer than the 4.5 of a plain wall."""
-    wall = [plane([1, 0, 0], [1, 0, 0])]
+    """At .5 m pixels are 1.25 cm apart, 1.5 of them 1.9: nearer than the 4.5 of a plain wall."""
+    wall = [plane([0.5, 0, 0], [1, 0, 0])]
     plain, painted = mapped(picture(wall)), mapped(picture(wall, paint=checkers))
-    area = 79 * 44 * 0.025**2
-    # At most as many as a hexagonal packing of the spacing has, and its rim; at least what covers the area.
-    packed = (area + 0.5 * (2 + 1.125) * 2 * SPACING) / (np.sqrt(0.75) * SPACING**2)
-    assert area / (np.pi * SPACING**2) < plain.map.count < packed
-    assert 1.05 * plain.map.count < painted.map.count < 79 * 44
-    # Where nothing is painted the two agree in size.
+    width, height = 79 * 0.0125, 44 * 0.0125
+    # At most as many as the densest packing has, discs of half the spacing within the wall and its rim; at least
+    # what discs of the spacing need to cover it.
+    packed = (width + SPACING) * (height + SPACING) / (np.sqrt(0.75) * SPACING**2)
+    assert width * height / (np.pi * SPACING**2) < plain.map.count < packed
+    assert 1.05 * plain.map.count < painted.map.count < 79 * 44 / 4
     sizes = painted.map.scales.max(axis=1)
-    assert sizes.max() == pytest.approx(0.9 * SPACING) and sizes.min() == pytest.approx(0.9 * 0.0375)
+    assert sizes.max() == pytest.approx(0.9 * SPACING) and sizes.min() == pytest.approx(0.9 * 0.01875)
 
 
 def test_the_wall_is_denser_where_it_is_painted() -> None:
@@ -191,7 +196,7 @@ def test_the_wall_is_denser_where_it_is_painted() -> None:
     fine = lambda p: (p[:, 1] > 0) & ((np.floor(p[:, 1] / 0.03) + np.floor(p[:, 2] / 0.03)) % 2 == 0)  # noqa: E731
     wall = mapped(picture([plane([0.5, 0, 0], [1, 0, 0])], paint=fine))
     painted = wall.map.means[:, 1] > 0
-    assert 3 * (~painted).sum() < painted.sum()
+    assert 2.5 * (~painted).sum() < painted.sum()
     assert np.median(wall.map.scales[painted].max(axis=1)) == pytest.approx(0.9 * 1.5 * 0.0125)
     assert np.median(wall.map.scales[~painted].max(axis=1)) == pytest.approx(0.9 * SPACING)
 
@@ -296,7 +301,7 @@ def _random_map(rng: np.random.Generator, frame: Frame, count: int) -> GaussianM
     block = rng.normal(size=(14, count)).astype(np.float32)
     points = frame.camera.backproject(frame.depth).reshape(-1, 3)[rng.integers(frame.depth.size, size=count)]
     pose = frame.world_from_camera
-    block[:3] = ((points + rng.normal(0, 0.05, (count, 3))) @ pose[:3, :3].T + pose[:3, 3]).T
+    block[:3] = ((points + rng.normal(0, 0.15, (count, 3))) @ pose[:3, :3].T + pose[:3, 3]).T
     block[:3, ::7] = rng.uniform(-5, 5, (3, len(range(0, count, 7))))
     block[9, ::3] = block[8, ::3]  # balls
     made = GaussianMap()
@@ -304,8 +309,8 @@ def _random_map(rng: np.random.Generator, frame: Frame, count: int) -> GaussianM
     return made
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("fov", [90.0, 60.0])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("fov", [120.0, 60.0])
 def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
     rng = np.random.default_rng(seed)
     camera = PinholeCamera.from_size(24, 18, fov)
@@ -329,7 +334,7 @@ def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
     nearest = cKDTree(means[holding]).query(points)[0]
     clear = np.abs(nearest - reach) > 1e-5  # float32
     assert np.array_equal((states == HELD)[clear], (nearest <= reach)[clear])
-    assert min((states == state).sum() for state in (HELD, WANTED, SPARED)) > 30
+    assert min((states == state).sum() for state in (HELD, WANTED, SPARED)) > 5
 
     wanted = np.flatnonzero(states == WANTED)
     assert (np.diff(wanted) > 0).all()
@@ -348,6 +353,26 @@ def test_states_are_what_a_search_tree_says(seed: int, fov: float) -> None:
     clear = np.abs(nearest - reach) > 1e-5
     assert np.array_equal((fewer == HELD)[clear], (nearest <= reach)[clear])
     assert not (states_of_samples(samples, spacing, NOBODY, 0, frame) == HELD).any()
+
+
+@pytest.mark.parametrize("fov", [60.0, 90.0, 120.0])
+@pytest.mark.parametrize("side", [(0, 40), (-1, 40), (22, 0), (22, -1)])
+def test_a_mean_beside_the_image_holds_the_places_at_its_rim(fov: float, side: tuple[int, int]) -> None:
+    """It stands off the pixel at a right angle to the ray through it, away from the middle of the image."""
+    camera = PinholeCamera.from_size(80, 45, fov)
+    wall = picture([plane([2, 0, 0], [1, 0, 0])], camera=camera)
+    point = camera.backproject(wall.depth)[side].astype(float)
+    ray, outwards = point / np.linalg.norm(point), point * [1, 1, 0]
+    outwards -= outwards @ ray * ray
+    spacing = np.full(wall.depth.shape, 0.2, np.float32)
+    samples = surface_samples(wall, spacing)
+    index = int(np.ravel_multi_index(np.array(side) % wall.depth.shape, wall.depth.shape))
+    for distance, held in ((0.199, True), (0.201, False)):
+        block = np.zeros((14, 1), np.float32)
+        mean = point + distance * outwards / np.linalg.norm(outwards)
+        block[:3, 0], block[3], block[10] = wall.world_from_camera[:3] @ [*mean, 1.0], 1.0, 1.0
+        state = states_of_samples(samples, spacing, block, 1, wall)[np.flatnonzero(samples.pixels == index)[0]]
+        assert (state == HELD) == held
 
 
 def test_of_no_samples_there_are_no_states() -> None:
@@ -402,7 +427,7 @@ def test_at_the_bound_what_is_coarse_stays_if_the_finer_ones_have_no_room() -> N
     mapper.observe(far, iterations=0)
     ids = mapper.map.ids[:free].copy()
     report = mapper.observe(near, iterations=0)
-    assert (report.replaced, report.added, report.count) == (0, 20, free + 20) and report.left_out > 500
+    assert (report.replaced, report.added, report.count) == (0, 20, free + 20) and report.left_out > 300
     assert np.array_equal(mapper.map.ids[:free], ids)
     roomy = Mapper(MapperConfig(max_gaussians=100_000), np.random.default_rng(0))
     unbounded = mapped(far, near)

@@ -64,6 +64,7 @@ def _textured(
                 if not _joined(depth, row, column, down, right):
                     edges[row, column] = edges[i, j] = True
                 for channel in range(3):
+                    # Not int(): compiled, that of a uint8 is unsigned, and so would be their difference.
                     step = np.int64(rgb[row, column, channel]) - np.int64(rgb[i, j, channel])
                     if abs(step) > least:
                         textured[row, column] = textured[i, j] = True
@@ -173,7 +174,11 @@ def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
         step = points[i, j, k] - points[row, column, k]
         gap += step * step
     gap = np.sqrt(gap)
-    return 1 if gap > _LONGEST_GAP else max(1, int(np.ceil(gap / (np.float32(1.25) * spacing))))
+    if gap > _LONGEST_GAP:
+        return 1
+    parts = max(1, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3))))
+    # Of parts within the spacing every other end is spared, so of an odd number two neighbours would be.
+    return parts + 1 if parts % 2 == 1 and parts > 1 and gap <= parts * spacing else parts
 
 
 HELD, WANTED, SPARED = 0, 1, 2  # of a sample: a mean is near, it becomes one, one of the new ones is near
@@ -289,6 +294,9 @@ def _means_in_view(parameters, count, leaving, around, margin):  # type: ignore[
     (depth, m, intrinsics), eye, unseen = around
     height, width = depth.shape
     far = depth.max() + margin
+    # A mean `margin` metres off the image's side lies so far beside it at its own depth, times the focal length.
+    beside_x = margin * np.hypot(intrinsics[0], max(intrinsics[2], width - intrinsics[2]))
+    beside_y = margin * np.hypot(intrinsics[1], max(intrinsics[3], height - intrinsics[3]))
     found, at = np.empty(count, np.int32), 0
     for chunk in range(len(unseen)):
         if unseen[chunk]:
@@ -301,10 +309,10 @@ def _means_in_view(parameters, count, leaving, around, margin):  # type: ignore[
             x = intrinsics[0] * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3])
             y = intrinsics[1] * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3])
             if (
-                x < -intrinsics[2] * z - margin * intrinsics[0]
-                or x > (width - intrinsics[2]) * z + margin * intrinsics[0]
-                or y < -intrinsics[3] * z - margin * intrinsics[1]
-                or y > (height - intrinsics[3]) * z + margin * intrinsics[1]
+                x < -intrinsics[2] * z - beside_x
+                or x > (width - intrinsics[2]) * z + beside_x
+                or y < -intrinsics[3] * z - beside_y
+                or y > (height - intrinsics[3]) * z + beside_y
             ):
                 continue
             if shows_its_back(parameters, i, eye[0], eye[1], eye[2]):

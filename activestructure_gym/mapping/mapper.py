@@ -63,7 +63,8 @@ class Mapper:
     """Online mapping with known poses. Deterministic: same configuration, generator and frames, same parameters.
 
     The map grows with the surface that was seen (`activestructure_gym.mapping.density`). ``max_gaussians`` bounds it
-    for those who must: a frame then gets an even choice of the seeds it asks for, and nothing that is mapped goes.
+    for those who must: a frame then gets an even choice of the seeds it asks for, and nothing that is mapped goes
+    unless there is room for all that is to replace it.
 
     Parameters
     ----------
@@ -220,6 +221,9 @@ class Mapper:
             )
             coarse = self._coarse(frame, spacing, unseen)
             seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
+            if coarse.any() and not self._room_for(len(sigma) - int(coarse.sum())):
+                coarse[:] = False  # the finer ones would not close the gap that these leave
+                seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
             sigma[edges.ravel()[seeds.pixels]] *= config.edge_footprint
             replaced = self.map.keep(~coarse)
         count = len(sigma)
@@ -231,6 +235,11 @@ class Mapper:
             self._largest_seed = max(self._largest_seed, float(sigma.max()))
             self.map.append(self._new_gaussians(frame, seeds, sigma))
         return replaced, len(sigma), count - len(sigma), new_share
+
+    def _room_for(self, more: int) -> bool:
+        """Whether the bound, if there is one, lets the map grow by so many."""
+        bound = self.config.max_gaussians
+        return bound is None or self.map.count + more <= bound
 
     def _seeds_by_rendering(
         self, frame: Frame, unseen: np.ndarray | None

@@ -1,4 +1,4 @@
-"""The mapper as a whole: seeding, optimisation, pruning, a bound, and a room mapped from twelve frames."""
+"""The mapper as a whole: seeding, optimisation, pruning, the bound, and a room mapped from twelve frames."""
 
 import pickle
 
@@ -22,11 +22,12 @@ def _psnr(shown, rgb):
 def test_first_frame_fills_the_image_and_a_second_look_adds_nothing(room_frames):
     mapper = _mapper()
     first = mapper.observe(room_frames[0])
-    assert 800 < first.added < 45 * 80 and first.new_share == 1.0 and first.left_out == 0
+    assert first.added == first.count > 1000 and first.new_share == 1.0
     shown = mapper.render(room_frames[0].camera, room_frames[0].world_from_camera)
-    assert shown.alpha.min() > 0.8
+    assert (shown.alpha > 0.9).mean() > 0.99
     again = mapper.observe(room_frames[0])
-    assert again.added <= 0.01 * first.added and again.new_share < 0.01  # what the first event's steps moved on
+    # Nothing but what a step of the optimiser moved past the spacing.
+    assert again.added < 0.02 * first.added and again.new_share < 0.02
     assert len(mapper.keyframes) == 2 and again.count == mapper.map.count
 
 
@@ -56,7 +57,8 @@ def test_room_from_twelve_frames(room_frames, held_out_frames):
     assert np.mean(psnr) > 27
     assert np.median(np.concatenate(errors)) < 0.015
     assert np.mean(covered) > 0.99
-    assert report.count == mapper.map.count < 12 * 1529 * 0.7  # overlap is not seeded twice
+    alone = [_mapper(iterations=0).observe(frame).added for frame in room_frames]
+    assert report.count == mapper.map.count < 0.8 * sum(alone)  # overlap is not seeded twice
     values = mapper.keyframe_psnr()
     assert values.shape == (12,) and values.min() > 25
     assert values[3] == pytest.approx(
@@ -139,47 +141,69 @@ def test_pruning_by_opacity_and_size(room_frames):
 
 
 def test_coarse_seeds_survive_pruning(room_frames):
-    """At a spacing of .4 m a wall gets disks of .36 m, above a tenth of the scene radius."""
-    mapper = _mapper(seed_spacing=0.4, seed_pixels=16.0, iterations=0)
+    """Seeds 40 cm apart have sigmas of .36 m, above a tenth of the scene radius."""
+    mapper = _mapper(seed_spacing=0.4, seed_pixels=40.0, iterations=0)
     report = mapper.observe(room_frames[0])
     assert mapper.map.scales.max() > 0.1 * mapper.scene_radius
     assert report.pruned == 0 and report.count == report.added > 0
 
 
-def test_coming_closer_to_texture_replaces_coarse_gaussians_by_fine_ones(render_room):
-    """One pixel from 2.6 m is 6.5 cm wide, so the spacing's 4.5 cm hold; from .4 m 1.5 pixels are 1.5 cm."""
+def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
+    """From 2.6 m pixels of the far wall are 6.5 cm wide: seeds of .9 * 4.5 cm. From .4 m, where its painted tiles end,
+    .9 * 1.5 cm."""
     far, near = (render_room(look_along(np.array([x, 1.5, 1.2]), np.array([1.0, 0, 0]))) for x in (1.4, 3.6))
-    mapper = _mapper(texture_contrast=0.0)  # the room's colours change everywhere
+    mapper = _mapper()
     mapper.observe(far)
     report = mapper.observe(near)
-    assert report.replaced > 0 and report.added > 700
+    assert report.replaced > 0 and report.added > 2 * report.replaced
     means, scales = mapper.map.means, mapper.map.scales
-    seen = (means[:, 0] > 3.9) & (np.abs(means[:, 1] - 1.5) < 0.3) & (np.abs(means[:, 2] - 1.2) < 0.15)
-    assert seen.sum() > 400 and np.median(scales[seen].max(axis=1)) < 0.016
+    seen = (means[:, 0] > 3.9) & (np.abs(means[:, 1] - 1.5) < 0.02) & (np.abs(means[:, 2] - 1.2) < 0.15)  # a tile's end
+    assert seen.sum() > 10 and np.median(scales[seen].max(axis=1)) == pytest.approx(0.9 * 0.015, rel=0.05)
     assert mapper.observe(far).replaced == 0  # going back replaces nothing
 
-    kept = _mapper(coarse_ratio=None, texture_contrast=0.0)
+    kept = _mapper(coarse_ratio=None)
     kept.observe(far)
     assert kept.observe(near).replaced == 0
 
 
-def test_nothing_is_replaced_on_a_plain_wall(render_room):
-    far, near = (render_room(look_along(np.array([x, 1.5, 1.2]), np.array([1.0, 0, 0]))) for x in (1.4, 3.6))
-    mapper = _mapper(texture_contrast=1.0)
-    mapper.observe(far)
-    report = mapper.observe(near)
-    assert report.replaced == 0 and report.added < 20
+def test_the_bound_is_never_exceeded_and_what_is_left_out_is_said(room_frames):
+    free, mapper = _mapper(iterations=0), _mapper(max_gaussians=2500, iterations=1)
+    wanted = [free.observe(frame).added for frame in room_frames]
+    reports = [mapper.observe(frame) for frame in room_frames]
+    assert sum(wanted) > 5000 and all(report.count <= 2500 for report in reports)
+    assert reports[0].added + reports[0].left_out == wanted[0]
+    assert reports[-1].count == 2500 and reports[-1].added == reports[-1].pruned == 0 < reports[-1].left_out
+    assert all(report.left_out == 0 for report in reports if report.count < 2500)
 
 
-def test_a_bound_leaves_seeds_out_and_drops_nothing(room_frames):
-    mapper = _mapper(max_gaussians=2000, iterations=0)
-    first = mapper.observe(room_frames[0])
-    kept = mapper.map.parameters[:, : first.count].copy()
-    second = mapper.observe(room_frames[6])  # the opposite wall
-    assert second.count == 2000 and second.added == 2000 - first.count and second.left_out > 0
-    assert np.array_equal(mapper.map.parameters[:, : first.count], kept)
-    alone = _mapper(max_gaussians=50).observe(room_frames[0])
-    assert alone.added == 50 == alone.count and alone.left_out == first.added - 50
+def test_refining_helps_views_that_were_not_taken_and_stays_on_the_surface(room_frames, held_out_frames):
+    """What is seen of the room: a point of a wall, the floor or the ceiling, for every pixel of the held-out views."""
+    mapper = _mapper()
+    for frame in room_frames:
+        mapper.observe(frame)
+
+    def psnr():
+        shown = [mapper.render(frame.camera, frame.world_from_camera).color for frame in held_out_frames]
+        return np.mean([_psnr(color, frame.rgb) for color, frame in zip(shown, held_out_frames)])
+
+    points = []
+    for frame in held_out_frames:
+        local = frame.camera.backproject(frame.depth).reshape(-1, 3)
+        points.append(local @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3])
+    points = np.concatenate(points)
+
+    def covered():
+        return (cKDTree(mapper.map.means).query(points)[0] <= 0.05).mean()
+
+    before, share, ids = psnr(), covered(), mapper.map.ids[: mapper.map.count].copy()
+    means = mapper.map.means.copy()
+    mapper.refine(100)
+    left = np.isin(ids, mapper.map.ids[: mapper.map.count])
+    moved = np.linalg.norm(mapper.map.means - means[left], axis=1)
+    assert psnr() > before + 0.3 and left.all()
+    # Measured: 29.5 to 30.2 dB, 99.98 to 99.96 % of the points (3 of 21600), 3 mm on average and 7 at most.
+    assert covered() > share - 0.001 and share > 0.999
+    assert 0 < moved.mean() < 0.01
 
 
 def test_a_frame_without_returns_is_no_error(room_frames):
@@ -215,27 +239,3 @@ def test_frames_whose_arrays_do_not_fit_their_camera_are_refused(room_frames):
     wrong = Frame(room_frames[0].rgb, np.ones((40, 80), np.float32), np.eye(4), room_frames[0].camera)
     with pytest.raises(ValueError, match="camera has"):
         _mapper().observe(wrong)
-
-
-def test_refining_keeps_what_was_seen_and_looks_better_from_elsewhere(room_frames, held_out_frames):
-    """Held-out views are the judge: a hundred steps over all keyframes may not fit those at the cost of all others."""
-    mapper = _mapper()
-    for frame in room_frames:
-        mapper.observe(frame)
-
-    def held_out() -> float:
-        views = [(mapper.render(frame.camera, frame.world_from_camera).color, frame.rgb) for frame in held_out_frames]
-        return float(np.mean([_psnr(shown, rgb) for shown, rgb in views]))
-
-    pixels = [frame.camera.backproject(frame.depth)[::3, ::3].reshape(-1, 3) for frame in room_frames]
-    seen = np.concatenate(
-        [p @ f.world_from_camera[:3, :3].T + f.world_from_camera[:3, 3] for p, f in zip(pixels, room_frames)]
-    )
-    ids, means, before = mapper.map.ids[: mapper.map.count].copy(), mapper.map.means, held_out()
-    near = (cKDTree(means[mapper.map.opacities >= 0.5]).query(seen)[0] < 0.05).mean()
-    assert near > 0.99
-    mapper.refine(100)
-    assert held_out() > before
-    assert np.array_equal(mapper.map.ids[: mapper.map.count], ids)
-    assert (cKDTree(mapper.map.means[mapper.map.opacities >= 0.5]).query(seen)[0] < 0.05).mean() >= near - 1e-3
-    assert np.linalg.norm(mapper.map.means - means, axis=1).mean() < 0.01

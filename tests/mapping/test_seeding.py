@@ -17,7 +17,9 @@ def _frame(depth, pose=None):
     return Frame(rgb, depth, np.eye(4) if pose is None else pose, CAMERA)
 
 
-def _disks(frame, rows, columns, sigma=0.6):
+def _disks(frame, rows, columns, sigma):
+    """A disk per pixel, all of one size."""
+    rows, columns = np.asarray(rows), np.asarray(columns)
     return seed_disks(frame, pixel_samples(frame, rows, columns), np.full(len(rows), sigma))
 
 
@@ -27,10 +29,10 @@ def _third_axes(block):  # [n, 3] the disks' normals
 
 def test_wall_facing_the_camera():
     """2 m in front; pixel (row 2, column 6) looks along ((6.5 - 4) / 4, (2.5 - 3) / 4, 1) = (.625, -.125, 1)."""
-    block = _disks(_frame(2.0), np.array([2]), np.array([6]))
+    block = _disks(_frame(2.0), [2], [6], 0.6)
     assert block.dtype == np.float32 and block.shape == (14, 1)
     assert block[:3, 0] == pytest.approx([1.25, -0.25, 2.0])
-    # .6 m in the plane, a tenth of it across
+    # A tenth of the size across.
     assert np.exp(block[7:10, 0]) == pytest.approx([0.6, 0.6, 0.06])
     assert np.abs(_third_axes(block)[0]) == pytest.approx([0, 0, 1])
     assert 1 / (1 + np.exp(-block[10, 0])) == pytest.approx(0.9)
@@ -40,7 +42,7 @@ def test_wall_facing_the_camera():
 def test_seeds_move_with_the_camera():
     """Looking along +y from (1, 2, 3): camera x, y, z are world +x, -z, +y."""
     pose = look_along(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]))
-    block = _disks(_frame(2.0, pose), np.array([2]), np.array([6]))
+    block = _disks(_frame(2.0, pose), [2], [6], 0.6)
     assert block[:3, 0] == pytest.approx([1 + 1.25, 2 + 2.0, 3 + 0.25])
     assert np.abs(_third_axes(block)[0]) == pytest.approx([0, 1, 0], abs=1e-6)
 
@@ -57,20 +59,36 @@ def test_disks_lie_in_a_slanted_plane(normal):
     assert defined.mean() > 0.9  # all but pixels at the border to no return
     assert np.abs(per_column @ normal)[defined].max() < 1e-5
     assert np.abs(per_row @ normal)[defined].max() < 1e-5
-    block = _disks(frame, rows, columns)
+    block = _disks(frame, rows, columns, 0.1)
     assert np.abs(_third_axes(block)[defined] @ normal).min() > 1 - 1e-6
     assert block[7:10, defined] - block[8, defined] == pytest.approx(np.tile([[0], [0], [np.log(0.1)]], defined.sum()))
 
 
-@pytest.mark.parametrize("slope", [1.0, 2.0])
-def test_the_first_axis_lies_along_the_slope(slope):
-    """Plane z = 2 + slope * x: a pixel moves on by (.5, 0, .5 slope) along a row, by (0, .5, 0) along a column."""
+@pytest.mark.parametrize("slope", [0.0, 1.0, 2.0])
+def test_disks_on_a_slope_are_round(slope):
+    """Plane z = 2 + slope * x: sigmas are given in the plane, and the first axis goes up the slope."""
     camera = PinholeCamera(9, 7, 400.0, 400.0, 4.5, 3.5)  # a narrow view: perspective changes nothing
     depth = (2.0 / (1.0 - slope * camera.rays()[..., 0])).astype(np.float32)
-    frame = Frame(np.zeros((7, 9, 3), np.uint8), depth, np.eye(4), camera)
-    block = _disks(frame, np.array([3]), np.array([4]))
+    block = _disks(Frame(np.zeros((7, 9, 3), np.uint8), depth, np.eye(4), camera), [3], [4], 0.02)
+    assert np.exp(block[7:10, 0]) == pytest.approx([0.02, 0.02, 0.002])
     long = Rotation.from_quat(block[3:7, 0], scalar_first=True).as_matrix()[:, 0]
-    assert np.abs(long @ [1, 0, slope]) / np.sqrt(1 + slope**2) == pytest.approx(1, abs=1e-3)
+    if slope:
+        assert np.abs(long @ [1, 0, slope]) / np.sqrt(1 + slope**2) == pytest.approx(1, abs=1e-3)
+
+
+def test_a_sample_between_pixels_lies_as_its_pixel_does():
+    """Of a wall and a floor: size, place and colour are the sample's own, the direction that of its pixel."""
+    frame = _frame(2.0)
+    pixel = pixel_samples(frame, np.array([2, 3]), np.array([6, 1]))
+    assert pixel.pixels.tolist() == [22, 25] and pixel.colors[1] * 255 == pytest.approx([75, 76, 77])
+    assert pixel.points == pytest.approx(np.array([[1.25, -0.25, 2.0], [-1.25, 0.25, 2.0]]))
+    between = pixel._replace(points=pixel.points + np.float32([0.1, 0.2, 0.0]), colors=pixel.colors / 2)
+    block = seed_disks(frame, between, np.array([0.6, 0.3]), thickness=0.2, opacity=0.75)
+    assert block[:3].T == pytest.approx(pixel.points + [0.1, 0.2, 0.0])
+    assert block[11:].T == pytest.approx(pixel.colors / 2)
+    assert np.exp(block[7:10].T) == pytest.approx(np.array([[0.6, 0.6, 0.12], [0.3, 0.3, 0.06]]))
+    assert 1 / (1 + np.exp(-block[10])) == pytest.approx([0.75] * 2)
+    assert np.abs(_third_axes(block)[:, 2]) == pytest.approx([1, 1])
 
 
 @pytest.mark.parametrize("direction", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.64, -0.48]]]))
@@ -81,7 +99,7 @@ def test_rotation_onto_any_normal(direction):
     right /= np.linalg.norm(right)
     pose = np.eye(4)  # a camera looking against the normal
     pose[:3, :3] = np.stack([right, np.cross(-direction, right), -direction], axis=1)
-    block = _disks(_frame(1.0, pose), np.array([3]), np.array([3]))
+    block = _disks(_frame(1.0, pose), [3], [3], 0.3)
     assert np.linalg.norm(block[3:7, 0]) == pytest.approx(1)
     assert np.abs(_third_axes(block)[0] @ direction) == pytest.approx(1)
 
@@ -105,7 +123,7 @@ def test_balls_where_the_direction_is_unknown():
     depth[0:2, [0, 2]] = 3.0
     camera = PinholeCamera(8, 6, 80.0, 80.0, 4.0, 3.0)
     frame = Frame(np.zeros((6, 8, 3), np.uint8), depth.astype(np.float32), np.eye(4), camera)
-    block = _disks(frame, np.array([2, 5, 0]), np.array([3, 6, 1]), 0.03)
+    block = _disks(frame, [2, 5, 0], [3, 6, 1], 0.03)
     assert np.exp(block[7:10]) == pytest.approx(np.full((3, 3), 0.03))
     assert block[3:7] == pytest.approx(np.array([[1, 0, 0, 0]] * 3).T)
 

@@ -110,7 +110,7 @@ def test_spacing_by_hand() -> None:
     rgb[2, 3, 1] = 110
     depth[4:, 6:] = 1.0
     frame = Frame(rgb, depth, np.eye(4), camera)
-    spacing, edges = wanted_spacing(frame, plain=0.9, pixels=1.0, contrast=10 / 255)
+    spacing, edges = wanted_spacing(frame, plain=0.9, pixels=1.0, contrast=9.5 / 255)
     expected = np.full((6, 8), 0.9, np.float32)
     expected[[2, 2, 2, 1, 3], [3, 2, 4, 3, 3]] = 0.5  # it and its four neighbours
     rim = np.zeros((6, 8), bool)
@@ -121,7 +121,7 @@ def test_spacing_by_hand() -> None:
     expected[4:, 6:] = 0.25
     assert edges.tolist() == rim.tolist()
     assert spacing == pytest.approx(expected) and spacing.dtype == np.float32
-    flat = wanted_spacing(frame, plain=0.9, pixels=1.0, contrast=11 / 255)[0]
+    flat = wanted_spacing(frame, plain=0.9, pixels=1.0, contrast=10 / 255)[0]
     assert flat[1:4, 2:5] == pytest.approx(np.full((3, 3), 0.9))
     assert wanted_spacing(frame, plain=0.2, pixels=1.0, contrast=0.04)[0] == pytest.approx(np.full((6, 8), 0.2))
 

@@ -61,7 +61,14 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "frame_budget": 100,
         "keyframe_every": 20,
         "sensor": {"width": 96, "height": 54, "supersample": 1},
-        "mapper": {"iterations": 0, "psnr_refresh": 0, "seed_stride": 4},
+        # Where Gaussians stand is a matter of depth alone, so that training can leave out the colours.
+        "mapper": {
+            "iterations": 0,
+            "psnr_refresh": 0,
+            "seed_spacing": 0.12,
+            "seed_pixels": 4.0,
+            "texture_contrast": 1.0,
+        },
         "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 0.25},
     },
     # What comparisons on a CPU use.

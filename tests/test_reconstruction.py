@@ -23,7 +23,7 @@ from activestructure_gym.volume import VoxelVolume
 # Keyframes and iterations as in the default preset's schedule, so that a short episode has enough of both.
 SMALL = {
     "sensor": {"width": 64, "height": 36}, "views": {"max_candidates": 24},
-    "keyframe_every": 5, "mapper.iterations": 2, "mapper.seed_stride": 2,
+    "keyframe_every": 5, "mapper.iterations": 2,
 }  # fmt: skip
 
 

@@ -31,10 +31,12 @@ def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 
 def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres
-    """Largest distance at which a frame replaces Gaussians of these sizes (`MapperConfig.coarse_ratio`)."""
+    """Largest distance at which a frame replaces Gaussians of these sizes (`MapperConfig.coarse_ratio`).
+
+    Where there is texture; plain surface is as fine as it gets.
+    """
     config, sensor = context.mapper.config, context.mapper.keyframes[-1].camera
     if config.coarse_ratio is None:
         return np.where(np.isinf(sizes), np.inf, 0.0)
-    ratio = np.where(sizes < config.wide_sigma, config.coarse_ratio, config.wide_ratio)
-    limit = ratio * config.seed_footprint * config.seed_stride  # pixels
+    limit = config.coarse_ratio * config.seed_footprint * config.seed_pixels  # pixels
     return sizes * 0.5 * (sensor.fx + sensor.fy) / limit

@@ -19,6 +19,9 @@ _STRIDE = 2
 # preset, where a seed stands for two pixels of 1 / 80 (docs/notebook/method.md has the measurement).
 REACH = 4.0
 
+# Metres and radians: what pose noise may make of one view (own choice).
+_SAME_PLACE, _SAME_DIRECTION = 0.05, np.radians(5.0)
+
 
 @FEATURES.register("hole_area", unit="share of the largest possible", low=0.0, high=1.0)
 def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
@@ -29,7 +32,8 @@ def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     where it leaves the workspace, at most at the sensor's range. A pixel whose ray is free all that way counts
     nothing. An open window, or a scan's missing ceiling, is transparent for ever: once it was looked through, the
     volume knows it to be free, and the view leaves the pool ("coupling pool dynamics to reconstruction state",
-    Sec. 3.4). GS-Planner's volume of the unobserved is the gain's ancestor.
+    Sec. 3.4). A view that was a keyframe counts nothing: what it shows is mapped, and a hole that is left in it has no
+    return. GS-Planner's volume of the unobserved is the gain's ancestor.
     """
     camera = context.camera
     alpha = context.alpha[:, ::_STRIDE, ::_STRIDE]
@@ -38,7 +42,19 @@ def hole_area(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     )
     angle = solid_angles(camera)[::_STRIDE, ::_STRIDE] * _STRIDE**2
     area = (1.0 - alpha) * angle * np.minimum(distance, REACH) ** 2
-    return np.minimum(area.sum(axis=(1, 2)) / largest_area(camera), 1.0)
+    keyframes = np.array([frame.world_from_camera for frame in context.mapper.keyframes]).reshape(-1, 4, 4)
+    new = np.logical_not(taken_before(context.world_from_camera, keyframes))
+    return np.minimum(area.sum(axis=(1, 2)) / largest_area(camera), 1.0) * new
+
+
+def taken_before(
+    views: np.ndarray,  # [K, 4, 4] world_from_camera
+    keyframes: np.ndarray,  # [T, 4, 4] world_from_camera
+) -> np.ndarray:  # [K] bool
+    """Views within 5 cm and 5 degrees of a keyframe."""
+    near = np.linalg.norm(views[:, None, :3, 3] - keyframes[None, :, :3, 3], axis=-1) < _SAME_PLACE
+    along = np.einsum("ki,ti->kt", views[:, :3, 2], keyframes[:, :3, 2]) > np.cos(_SAME_DIRECTION)
+    return np.asarray((near & along).any(axis=1))
 
 
 @lru_cache(maxsize=4)

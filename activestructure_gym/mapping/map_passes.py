@@ -59,43 +59,51 @@ def fit_to_stay(
 
 
 @kernel
-def larger_in_view(
+def shows_its_back(parameters: np.ndarray, i: int, x: float, y: float, z: float) -> bool:
+    """Whether Gaussian i is a disk that faces away from a point [metres, world]: its third axis is its normal."""
+    if not parameters[9, i] < parameters[8, i]:
+        return False
+    p, q, r, s = parameters[3, i], parameters[4, i], parameters[5, i], parameters[6, i]
+    towards = (
+        (q * s + p * r) * (x - parameters[0, i])
+        + (r * s - p * q) * (y - parameters[1, i])
+        + np.float32(0.5) * (p * p + s * s - q * q - r * r) * (z - parameters[2, i])
+    )
+    return towards <= np.float32(0.0)
+
+
+@kernel
+def too_wide(
     parameters: np.ndarray,  # [14, n] float32
     count: int,
+    unseen: np.ndarray,  # [chunks] bool, not looked at
     measured_depth: MeasuredDepth,
-    limit: float,  # pixels, largest sigma
-    wide: float,  # metres, middle sigma: from here on the second limit holds as well
-    limit_wide: float,  # pixels, middle sigma
-    spacing: float,  # distance of neighbouring seeds in sigmas
-) -> tuple[np.ndarray, np.ndarray]:  # [count] bool, [H, W] bool
-    """Which Gaussians on the measured surface in view, within one sigma, appear larger than their limit.
+    largest: np.ndarray,  # [H, W] float32 metres, middle sigma
+) -> np.ndarray:  # [count] bool
+    """Which Gaussians on the measured surface in view, within one sigma, are wider than their pixel allows.
 
-    Also the pixels that those were the seeds of: a square of the seeds' spacing around each, on the same surface.
+    A disk that shows its back belongs to the other side of something thin.
     """
-    depth, camera_from_world, intrinsics = measured_depth
-    found, pixels = np.empty(count, np.bool_), np.zeros(depth.shape, np.bool_)
-    m, height, width = camera_from_world, depth.shape[0], depth.shape[1]
-    focal = np.float32(0.5) * (intrinsics[0] + intrinsics[1])
-    for i in range(count):
-        found[i] = False
-        a, b, c = parameters[0, i], parameters[1, i], parameters[2, i]
-        z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-        if not z > 0.0:
+    depth, m, intrinsics = measured_depth
+    eye = np.zeros(3, np.float32)
+    for k in range(3):
+        eye[k] = -(m[0, k] * m[0, 3] + m[1, k] * m[1, 3] + m[2, k] * m[2, 3])
+    found, height, width = np.zeros(count, np.bool_), depth.shape[0], depth.shape[1]
+    for chunk in range(len(unseen)):
+        if unseen[chunk]:
             continue
-        u = intrinsics[0] * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]) / z + intrinsics[2]
-        v = intrinsics[1] * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]) / z + intrinsics[3]
-        if not (u >= 0.0 and v >= 0.0 and u < width and v < height):
-            continue
-        measured = depth[int(v), int(u)]
-        p, q, r = parameters[7, i], parameters[8, i], parameters[9, i]
-        sigma = np.exp(max(max(p, q), r))
-        middle = np.exp(max(min(p, q), min(max(p, q), r)))
-        coarse = sigma * focal > limit * z or (middle > wide and middle * focal > limit_wide * z)
-        found[i] = measured > 0.0 and coarse and abs(z - measured) <= sigma
-        if found[i]:
-            half = 0.5 * spacing * middle * focal / z
-            for row in range(max(0, int(v - half)), min(height, int(v + half) + 1)):
-                for column in range(max(0, int(u - half)), min(width, int(u + half) + 1)):
-                    if abs(depth[row, column] - measured) <= 2.0 * sigma and depth[row, column] > 0.0:
-                        pixels[row, column] = True
-    return found, pixels
+        for i in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
+            a, b, c = parameters[0, i], parameters[1, i], parameters[2, i]
+            z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+            if not z > 0.0:
+                continue
+            u = intrinsics[0] * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]) / z + intrinsics[2]
+            v = intrinsics[1] * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]) / z + intrinsics[3]
+            if not (u >= 0.0 and v >= 0.0 and u < width and v < height):
+                continue
+            measured = depth[int(v), int(u)]
+            p, q, r = parameters[7, i], parameters[8, i], parameters[9, i]
+            middle = np.exp(max(min(p, q), min(max(p, q), r)))
+            wide = measured > 0.0 and middle > largest[int(v), int(u)] and abs(z - measured) <= middle
+            found[i] = wide and not shows_its_back(parameters, i, eye[0], eye[1], eye[2])
+    return found

@@ -15,14 +15,24 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.config import MapperConfig
-from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, GaussianMap
+from activestructure_gym.mapping.density import (
+    HELD,
+    WANTED,
+    SurfaceSamples,
+    chunks_to_skip,
+    measured_depth,
+    states_of_samples,
+    surface_samples,
+    wanted_spacing,
+)
+from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, GaussianMap
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
-from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay
+from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay, too_wide
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reliability import DirectionalReliability
-from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_balls, seed_disks, too_coarse
+from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
 from activestructure_gym.splatting import cpu
 
 _NOTHING = np.empty((0, 0))
@@ -39,9 +49,8 @@ class MappingReport:
     added: int  # Gaussians seeded
     replaced: int  # Gaussians removed because the frame shows their surface from much closer
     pruned: int  # Gaussians removed: transparent, too large or not finite
-    dropped: int  # Gaussians removed to stay below the cap
+    left_out: int  # seeds that ``max_gaussians`` had no room for
     count: int  # Gaussians afterwards
-    seed_stride: int  # pixels; 0 for a refinement
     new_share: float  # share of the image's pixels that the map lacked, replaced Gaussians counted as lacking
     views: tuple[int, ...]  # keyframe of every iteration
     color_loss: float  # mean over the iterations; nan without any
@@ -53,10 +62,9 @@ class MappingReport:
 class Mapper:
     """Online mapping with known poses. Deterministic: same configuration, generator and frames, same parameters.
 
-    **The cap.** A frame's seeds should take at most ``room_share`` of the room left below ``max_gaussians``. The frame
-    is seeded at the smallest stride from ``seed_stride`` to ``max_seed_stride`` pixels that keeps to this: new parts
-    of the map get coarser as it fills, and nothing is lost. If even the coarsest does not, the frame may take all the
-    room that is left, and what is still missing is made by dropping the Gaussians with the smallest opacity.
+    The map grows with the surface that was seen (`activestructure_gym.mapping.density`). ``max_gaussians`` bounds it
+    for those who must: a frame then gets an even choice of the seeds it asks for, and nothing that is mapped goes
+    unless there is room for all that is to replace it.
 
     Parameters
     ----------
@@ -109,10 +117,11 @@ class Mapper:
         iterations = self.config.iterations if iterations is None else iterations
         self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
-        replaced, bared = self._remove_coarse(frame)
         boxes = MapParts(self.map, **self._slack(iterations))
-        stride, added, dropped, new_share = self._seed(frame, boxes, bared)
-        parts = None if dropped else boxes.extended(added)
+        unseen = boxes.unseen(frame.camera, frame.world_from_camera)
+        replaced, added, left_out, new_share = self._seed(frame, unseen)
+        # Whoever goes is replaced by the last of the map, and the boxes no longer know who is where.
+        parts = None if replaced else boxes.extended(added)
         index = self._store.append(frame, new_share=new_share)
         views: list[int] = []
         if iterations:  # choosing them costs as much as drawing one
@@ -127,8 +136,7 @@ class Mapper:
             pruned,
             added=added,
             replaced=replaced,
-            dropped=dropped,
-            seed_stride=stride,
+            left_out=left_out,
             new_share=new_share,
             psnr=self._store.psnr[index],
         )
@@ -195,15 +203,51 @@ class Mapper:
             self._reliability = DirectionalReliability(self.map)
         return self._reliability.update(self.keyframes)
 
-    def _seed(self, frame: Frame, parts: MapParts, bared: np.ndarray | None = None) -> tuple[int, int, int, float]:
-        """Insert Gaussians where the map lacks them, and in the pixels ``bared`` [H, W] bool.
+    def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
+        """Insert Gaussians where the map lacks them; what is coarser than they would be makes way.
 
-        Returns seed stride, added, dropped, share of new pixels.
+        ``unseen``: chunks of the map that the frame cannot show. Returns how many were replaced, were added and found
+        no room, and the share of new pixels.
         """
-        config = self.config
+        config, replaced = self.config, 0
+        if config.seed_spacing is None:
+            seeds, sigma, new_share = self._seeds_by_rendering(frame, unseen)
+        else:
+            spacing, edges = wanted_spacing(
+                frame,
+                plain=config.seed_spacing,
+                pixels=config.seed_pixels,
+                contrast=config.texture_contrast,
+            )
+            coarse = self._coarse(frame, spacing, unseen)
+            seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
+            if coarse.any() and not self._room_for(len(sigma) - int(coarse.sum())):
+                coarse[:] = False  # the finer ones would not close the gap that these leave
+                seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
+            sigma[edges.ravel()[seeds.pixels]] *= config.edge_footprint
+            replaced = self.map.keep(~coarse)
+        count = len(sigma)
+        room = count if config.max_gaussians is None else max(0, config.max_gaussians - self.map.count)
+        if room < count:
+            chosen = np.linspace(0, count, room, endpoint=False, dtype=int)
+            seeds, sigma = SurfaceSamples(*(array[chosen] for array in seeds)), sigma[chosen]
+        if len(sigma):
+            self._largest_seed = max(self._largest_seed, float(sigma.max()))
+            self.map.append(self._new_gaussians(frame, seeds, sigma))
+        return replaced, len(sigma), count - len(sigma), new_share
+
+    def _room_for(self, more: int) -> bool:
+        """Whether the bound, if there is one, lets the map grow by so many."""
+        bound = self.config.max_gaussians
+        return bound is None or self.map.count + more <= bound
+
+    def _seeds_by_rendering(
+        self, frame: Frame, unseen: np.ndarray | None
+    ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n samples, [n] metres, share of new pixels
+        """SplaTAM's rule: pixels of a grid where the rendered map is transparent or lies behind what is measured."""
+        config, camera, pose = self.config, frame.camera, frame.world_from_camera
         if self.map.count:
-            camera, pose = frame.camera, frame.world_from_camera
-            rendering = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=parts.unseen(camera, pose))
+            rendering = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen)
             missing = missing_pixels(
                 frame.depth,
                 rendering.depth,
@@ -215,79 +259,44 @@ class Mapper:
             )
         else:
             missing = frame.depth > 0
-        if bared is not None:
-            missing |= bared
-        new_share = float(np.count_nonzero(missing)) / missing.size
-        stride, rows, columns = self._grid_within_room(missing)
-        dropped = 0
-        excess = self.map.count + len(rows) - config.max_gaussians
-        if excess > 0:
-            dropped = self._drop_weakest(min(excess, self.map.count))
-            if len(rows) > config.max_gaussians:  # one frame alone exceeds the cap: an even choice of its seeds
-                chosen = np.linspace(0, len(rows), config.max_gaussians, endpoint=False, dtype=int)
-                rows, columns = rows[chosen], columns[chosen]
-        block = self._new_gaussians(frame, rows, columns, stride)
-        if len(rows):
-            self._largest_seed = max(self._largest_seed, float(np.exp(block[LOG_SCALE].max())))
-            self.map.append(block)
-        return stride, len(rows), dropped, new_share
+        rows, columns = grid_pixels(missing, config.seed_stride)
+        footprint = config.seed_footprint * config.seed_stride / (0.5 * (camera.fx + camera.fy))
+        sigma = footprint * frame.depth[rows, columns]
+        return pixel_samples(frame, rows, columns), sigma, float(np.count_nonzero(missing)) / missing.size
 
-    def _new_gaussians(self, frame: Frame, rows: np.ndarray, columns: np.ndarray, stride: int) -> np.ndarray:
+    def _seeds_by_spacing(
+        self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None, leaving: np.ndarray
+    ) -> tuple[SurfaceSamples, np.ndarray, float]:  # n samples, [n] metres, share of new pixels
+        """Samples of the surface that have no mean within the spacing [H, W] wanted there."""
+        samples = surface_samples(frame, spacing)
+        states = states_of_samples(
+            samples, spacing, self.map.parameters, self.map.count, frame, unseen=unseen, leaving=leaving
+        )
+        wanted = np.flatnonzero(states == WANTED)
+        seeds = SurfaceSamples(*(array[wanted] for array in samples))
+        new = np.count_nonzero(states[: np.count_nonzero(frame.depth > 0)] != HELD)  # the pixels' own come first
+        return seeds, self.config.seed_footprint * spacing.ravel()[seeds.pixels], float(new) / frame.depth.size
+
+    def _new_gaussians(self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray) -> np.ndarray:
         config = self.config
         if config.isotropic:
-            return seed_balls(
-                frame, rows, columns, stride=stride, footprint=config.seed_footprint, opacity=config.seed_opacity
-            )
+            return seed_balls(frame, seeds, sigma, opacity=config.seed_opacity)
         return seed_disks(
             frame,
-            rows,
-            columns,
-            stride=stride,
-            footprint=config.seed_footprint,
+            seeds,
+            sigma,
             thickness=config.seed_thickness,
-            elongation=config.seed_elongation,
             opacity=config.seed_opacity,
             min_cosine=config.min_incidence_cosine,
         )
 
-    def _remove_coarse(self, frame: Frame) -> tuple[int, np.ndarray | None]:  # number, [H, W] bool
-        """Remove Gaussians that are too coarse in this frame; returns how many, and the pixels to seed instead."""
-        config = self.config
-        whole_frame = frame.depth.size / config.seed_stride**2
-        if config.coarse_ratio is None or whole_frame > config.room_share * (config.max_gaussians - self.map.count):
-            return 0, None  # Near the cap the new ones might be coarser still.
-        seed = config.seed_footprint * config.seed_stride  # pixels, sigma
-        coarse, bared = too_coarse(
-            self.map.parameters,
-            frame,
-            limit=config.coarse_ratio * seed,
-            wide=config.wide_sigma,
-            limit_wide=config.wide_ratio * seed,
-            spacing=1.0 / config.seed_footprint,
-            count=self.map.count,
-        )
-        return self.map.keep(~coarse), bared
-
-    def _grid_within_room(self, missing: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-        """Stride and seed pixels (rows, columns) as the cap allows them (see the class)."""
-        config = self.config
-        allowed = config.room_share * (config.max_gaussians - self.map.count)
-        for stride in range(config.seed_stride, config.max_seed_stride + 1):
-            rows, columns = grid_pixels(missing, stride)
-            if len(rows) <= allowed:
-                break
-        return stride, rows, columns
-
-    def _drop_weakest(self, number: int) -> int:
-        """Remove the ``number`` Gaussians with the smallest opacity (of equal ones those that stand first)."""
-        if number < 1:
-            return 0
-        logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
-        strongest = np.partition(logits, number - 1)[number - 1]  # of those that go
-        mask = ~(logits <= strongest)
-        equal = np.flatnonzero(logits == strongest)
-        mask[equal[number - np.count_nonzero(logits < strongest) :]] = True
-        return self.map.keep(mask)
+    def _coarse(self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None) -> np.ndarray:  # [count] bool
+        """Gaussians on the surface in view that are wider than the seeds this frame would put there."""
+        ratio, count = self.config.coarse_ratio, self.map.count
+        if ratio is None or not count:
+            return np.zeros(count, dtype=bool)
+        largest = np.float32(ratio * self.config.seed_footprint) * spacing
+        return too_wide(self.map.parameters, count, chunks_to_skip(unseen, count), measured_depth(frame), largest)
 
     def _local_views(self, index: int) -> list[int]:
         """The current keyframe, the one before it, and keyframes that overlap with the current one."""
@@ -306,7 +315,7 @@ class Mapper:
         """Upper bounds of a Gaussian's movement and growth in so many steps of the optimiser."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
-        farthest = step * iterations * config.learning_rates(self.scene_radius)
+        farthest = step * iterations * config.learning_rates()
         return {"shift": float(farthest[MEAN].max()), "growth": float(np.exp(farthest[LOG_SCALE].max()))}
 
     def _optimize(self, views: Sequence[int], parts: MapParts | None = None) -> tuple[np.ndarray, int]:
@@ -322,7 +331,7 @@ class Mapper:
             self._movement.begin()
         if config.adam_reset:
             self.map.reset_moments()
-        rates, epsilon = config.learning_rates(self.scene_radius), config.adam_epsilon
+        rates, epsilon = config.learning_rates(), config.adam_epsilon
         pruned = 0
         changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; at first nobody knows
         fresh = True
@@ -338,7 +347,7 @@ class Mapper:
             if config.adam_reset:
                 # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
-                rates = config.learning_rates(self.scene_radius) * (root / (1.0 - config.adam_beta1 ** (step + 1)))
+                rates = config.learning_rates() * (root / (1.0 - config.adam_beta1 ** (step + 1)))
                 epsilon = config.adam_epsilon * root
             frame = self._store.frames[view]
             unseen = parts.unseen(frame.camera, frame.world_from_camera)
@@ -409,8 +418,7 @@ def _report(
     *,
     added: int = 0,
     replaced: int = 0,
-    dropped: int = 0,
-    seed_stride: int = 0,
+    left_out: int = 0,
     new_share: float = 0.0,
     psnr: float = float("nan"),
 ) -> MappingReport:
@@ -419,9 +427,8 @@ def _report(
         added=added,
         replaced=replaced,
         pruned=pruned,
-        dropped=dropped,
+        left_out=left_out,
         count=count,
-        seed_stride=seed_stride,
         new_share=new_share,
         views=tuple(views),
         color_loss=float(means[0]),

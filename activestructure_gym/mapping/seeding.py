@@ -1,21 +1,19 @@
-"""New Gaussians from one RGB-D frame: where the map lacks them, and how they lie.
+"""New Gaussians from one RGB-D frame: how they lie, and SplaTAM's rule of where the map lacks them.
 
-A seed is a flat disk in the surface's tangent plane, one per cell of a pixel grid. Against one isotropic ball per pixel
-this needs a quarter of the Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe").
-Two things are added to that recipe, which was measured with all views at one distance: disks on slanted surfaces are
-stretched, so that their rows leave no gaps, and Gaussians that turn out too coarse when the camera comes closer make
-way for finer ones (numbers: `MapperConfig`). SplaTAM's balls are here for the recipe that follows it.
+A seed is a flat disk in the surface's tangent plane. Against one isotropic ball per pixel this needs a quarter of the
+Gaussians for the same image error (docs/notebook/groundwork.md, "The mapper's recipe"). Where seeds go by default is
+`activestructure_gym.mapping.density`; SplaTAM's rule and its balls are here for the recipe that follows it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.geometry import invert_rigid, transform_points
+from activestructure_gym.geometry import transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
+from activestructure_gym.mapping.density import SurfaceSamples
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
-from activestructure_gym.mapping.map_passes import MeasuredDepth, larger_in_view
 
 
 def missing_pixels(
@@ -51,38 +49,6 @@ def _median(values: np.ndarray) -> float:
     low, high = (values.size - 1) // 2, values.size // 2
     ordered = np.partition(values, (low, high), axis=None)
     return float((ordered[low] + ordered[high]) / 2.0)
-
-
-def too_coarse(
-    parameters: np.ndarray,  # [14, capacity] Gaussians
-    frame: Frame,
-    *,
-    limit: float,  # pixels, largest sigma
-    wide: float = np.inf,  # metres, middle sigma: from here on ``limit_wide`` holds as well
-    limit_wide: float = np.inf,  # pixels, middle sigma
-    spacing: float = 1.0,  # distance of neighbouring seeds in sigmas
-    count: int | None = None,  # of the columns, the live ones; None = all
-) -> tuple[np.ndarray, np.ndarray]:  # [count] bool, [H, W] bool
-    """The Gaussians on the surface in view that appear larger than the limit, and the pixels to seed in their place.
-
-    On the surface means that the depth of the centre agrees with what is measured at its pixel within one sigma. What
-    is hidden, outside the image, or without a return stays. The pixels are those that the Gaussians were seeds of: what
-    else covers them may be their neighbours' rims.
-    """
-    camera = frame.camera
-    return larger_in_view(
-        np.ascontiguousarray(parameters, dtype=np.float32),
-        parameters.shape[1] if count is None else count,
-        MeasuredDepth(
-            np.ascontiguousarray(frame.depth, dtype=np.float32),
-            invert_rigid(frame.world_from_camera)[:3].astype(np.float32),
-            np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float32),
-        ),
-        float(limit),
-        float(wide),
-        float(limit_wide),
-        float(spacing),
-    )
 
 
 def grid_pixels(
@@ -137,89 +103,67 @@ def _one_sided_difference(
 
 def seed_disks(
     frame: Frame,
-    rows: np.ndarray,  # [n]
-    columns: np.ndarray,  # [n]
+    seeds: SurfaceSamples,
+    sigma: np.ndarray,  # [n] metres, in the plane
     *,
-    stride: int,  # pixels between neighbouring seeds
-    footprint: float = 0.6,  # in-plane sigma in units of the seeds' spacing on a wall facing the camera
     thickness: float = 0.1,  # sigma along the normal, as a share of the in-plane sigma
-    elongation: float = 1.0,  # largest ratio of the in-plane axes, 1 = circles
     opacity: float = 0.9,
     min_cosine: float = 0.05,
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """One disk per pixel, lying on the surface; a ball where the surface's direction is unknown.
-
-    On a slanted surface neighbouring seeds are further apart along the slope than across it; the disks are stretched
-    by the same ratio, up to ``elongation``.
-    """
-    camera = frame.camera
-    points = camera.backproject(frame.depth)
+    """One disk per sample, lying on the surface; a ball where the surface's direction is unknown."""
+    block = seed_balls(frame, seeds, sigma, opacity=opacity)
+    rows, columns = np.divmod(seeds.pixels, frame.camera.width)
+    points = frame.camera.backproject(frame.depth)
     per_column, per_row, defined = surface_steps(points, rows, columns, min_cosine=min_cosine)
-    axes, stretch = _disk_axes(per_column[defined], per_row[defined])
-    center = points[rows, columns]
-    sigma = footprint * stride * center[:, 2] / (0.5 * (camera.fx + camera.fy))
-
-    block = _balls(frame, rows, columns, center, sigma, opacity)
     if defined.any():
-        world_axes = frame.world_from_camera[:3, :3] @ axes
-        block[QUATERNION, defined] = quaternions(world_axes).T
-    block[7, defined] += np.log(np.minimum(stretch, elongation))
+        axes = frame.world_from_camera[:3, :3] @ disk_axes(per_column[defined], per_row[defined])
+        block[QUATERNION, defined] = quaternions(axes).T
     block[9, defined] += np.log(thickness)
     return block
 
 
 def seed_balls(
     frame: Frame,
-    rows: np.ndarray,  # [n]
-    columns: np.ndarray,  # [n]
-    *,
-    stride: int,  # pixels between neighbouring seeds
-    footprint: float = 1.0,  # sigma in units of the seeds' spacing on a wall facing the camera
-    opacity: float = 0.5,
-) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """One ball per pixel, as SplaTAM seeds them: at stride 1 and footprint 1 its sigma is one pixel, z / f."""
-    camera = frame.camera
-    center = camera.backproject(frame.depth)[rows, columns]
-    sigma = footprint * stride * center[:, 2] / (0.5 * (camera.fx + camera.fy))
-    return _balls(frame, rows, columns, center, sigma, opacity)
-
-
-def _balls(
-    frame: Frame,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    center: np.ndarray,  # [n, 3] metres, camera
+    seeds: SurfaceSamples,
     sigma: np.ndarray,  # [n] metres
-    opacity: float,
+    *,
+    opacity: float = 0.5,
 ) -> np.ndarray:  # [14, n] float32
-    block = np.empty((ROWS, len(rows)), dtype=np.float32)
-    block[MEAN] = transform_points(frame.world_from_camera, center.astype(np.float64)).T
+    """One ball per sample, of the colour that was seen there."""
+    block = np.empty((ROWS, len(seeds.pixels)), dtype=np.float32)
+    block[MEAN] = transform_points(frame.world_from_camera, seeds.points.astype(np.float64)).T
     block[QUATERNION] = [[1.0], [0.0], [0.0], [0.0]]
     block[LOG_SCALE] = np.log(sigma)
     block[OPACITY_LOGIT] = np.log(opacity / (1.0 - opacity))
-    block[COLOR] = frame.rgb[rows, columns].T / 255.0
+    block[COLOR] = seeds.colors.T
     return block
 
 
-def _disk_axes(
+def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> SurfaceSamples:
+    """The surface at some pixels of a frame."""
+    points = frame.camera.backproject(frame.depth)[rows, columns]
+    pixels = rows * frame.camera.width + columns
+    return SurfaceSamples(
+        points.astype(np.float32), pixels, frame.rgb[rows, columns].astype(np.float32) / np.float32(255)
+    )
+
+
+def disk_axes(
     per_column: np.ndarray,  # [n, 3]
     per_row: np.ndarray,  # [n, 3], not parallel to it
-) -> tuple[np.ndarray, np.ndarray]:  # axes [n, 3, 3] as columns: long, short, normal; ratio long / short [n]
+) -> np.ndarray:  # [n, 3, 3] as columns: long, short, normal
     """Axes of the ellipse that a circle of pixels becomes on the surface."""
     per_column, per_row = per_column.astype(np.float64), per_row.astype(np.float64)
     # Eigenvalues and first eigenvector of the 2 x 2 matrix of inner products, in closed form.
     a = np.einsum("ij,ij->i", per_column, per_column)
     b = np.einsum("ij,ij->i", per_column, per_row)
     d = np.einsum("ij,ij->i", per_row, per_row)
-    mean, spread = 0.5 * (a + d), np.hypot(0.5 * (a - d), b)
     angle = 0.5 * np.arctan2(2.0 * b, a - d)
     long = np.cos(angle)[:, None] * per_column + np.sin(angle)[:, None] * per_row
     long /= np.linalg.norm(long, axis=1, keepdims=True)
     normal = _cross(per_row, per_column)  # y x x = -z: towards the camera
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # mean - spread written as determinant / (mean + spread): no cancellation for long ellipses.
-    ratio = (mean + spread) / np.sqrt(np.maximum(a * d - b * b, 1e-30))
-    return np.stack([long, _cross(normal, long), normal], axis=-1), ratio
+    return np.stack([long, _cross(normal, long), normal], axis=-1)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 3]

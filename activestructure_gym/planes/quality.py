@@ -64,7 +64,7 @@ class QualityConfig:
     hole_tile: int = 10  # viii: cells; a larger hole gets one centre per tile (0.5 m)
     min_hole_cells: int = 4  # viii: smaller holes get no centre (they still lower the score)
     min_sparse_cells: int = 20  # viii: seen cells of a tile without a fine Gaussian near, for it to get a centre
-    coarse_size: float = 0.8  # viii: of a cell; a larger Gaussian stands for more than one (its sigma: 0.6 of a cell)
+    coarse_size: float = 1.0  # viii: of a cell; a larger Gaussian stands for more than one (plain surface: sigma .81)
     min_hole_radius: float = 1.5  # viii: cells; a thin slit gets no centre either
     # True is Eq. 6 to the letter. False leaves out holes that no view can fill: cells that were looked through
     # (a window, a doorway) or that something lies on (a picture, a cupboard's back).

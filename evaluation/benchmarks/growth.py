@@ -39,7 +39,6 @@ SCORED = 256  # candidate views at half the size, as in the default preset
 CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 9 thousand Gaussians
 PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
 PLACE_KEYFRAMES = 20  # before the walk goes on at the next place; after 16 starts at the first one's again
-MAX_GAUSSIANS = 400_000  # 300 keyframes of the default recipe make about 330 thousand, 400 reach it
 _RADIUS = 1.8  # metres of way: how far a place reaches
 _STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
 

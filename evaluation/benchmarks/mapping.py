@@ -33,7 +33,7 @@ PROCEDURAL_SCENES = ("apartment?seed=0", "apartment?seed=1&rooms=4")
 
 @dataclass(frozen=True)
 class Recipe:
-    """A mapper by name, how many iterations it takes per frame, and how many pixels its seeds are apart."""
+    """A mapper by name, how many iterations it takes per frame, and by SplaTAM's rule the pixels between its seeds."""
 
     mapper: str
     iterations: int

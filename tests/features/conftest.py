@@ -30,7 +30,9 @@ class TwoWalls:
     """What a gain asks for, around one real mapper that never takes a step."""
 
     def __init__(self) -> None:
-        self.mapper = Mapper(MapperConfig(seed_stride=1), np.random.default_rng(0))
+        # One Gaussian per pixel of a wall 2 m ahead, where they are 12.5 cm apart.
+        config = MapperConfig(seed_spacing=0.12, seed_pixels=1.0, seed_footprint=0.6, seed_opacity=0.9)
+        self.mapper = Mapper(config, np.random.default_rng(0))
         self.volume = VoxelVolume(np.array([[-3.0] * 3, [3.0] * 3]), VolumeConfig())
 
     def see(self, frame: Frame) -> None:

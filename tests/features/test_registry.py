@@ -24,7 +24,7 @@ def context(alpha: np.ndarray, state: np.ndarray | None = None, **changes: Any) 
     poses = np.tile(look_along(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.0, 0.0])), (count, 1, 1))
     state = np.full((40, 40, 40), UNKNOWN, np.uint8) if state is None else state
     options: dict[str, Any] = {
-        "mapper": SimpleNamespace(render_depth_alpha=lambda camera, poses: (np.zeros_like(alpha), alpha)),
+        "mapper": SimpleNamespace(render_depth_alpha=lambda camera, poses: (np.zeros_like(alpha), alpha), keyframes=[]),
         "volume": SimpleNamespace(state=state, origin=np.zeros(3), config=SimpleNamespace(voxel_size=0.1)),
         "planes": None,
         "camera": CAMERA,
@@ -126,7 +126,7 @@ def test_the_map_is_rendered_once_for_all_gains() -> None:
         calls.append(len(poses))
         return np.zeros((2, 24, 40), np.float32), np.zeros((2, 24, 40), np.float32)
 
-    ctx = context(np.zeros((2, 24, 40), np.float32), mapper=SimpleNamespace(render_depth_alpha=render))
+    ctx = context(np.zeros((2, 24, 40), np.float32), mapper=SimpleNamespace(render_depth_alpha=render, keyframes=[]))
     evaluate_features(("pixel", "hole_area"), ctx)
     assert calls == [2]
 

@@ -10,7 +10,7 @@ import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.features.deficiency import refining_distance
-from activestructure_gym.features.hole_area import REACH, largest_area, solid_angles
+from activestructure_gym.features.hole_area import REACH, largest_area, solid_angles, taken_before
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.planes import Deficiencies
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
@@ -21,6 +21,7 @@ BOUNDS = np.array([[0.0, 0, 0], [4.0, 4, 4]])
 HERE = np.array([1.0, 2.0, 2.0])
 AHEAD = look_along(HERE, np.array([1.0, 0.0, 0.0]))
 BACK = look_along(HERE, np.array([-1.0, 0.0, 0.0]))
+ELSEWHERE = look_along(np.array([3.9, 3.9, 3.9]), np.array([0.0, 0.0, 1.0]))  # where the keyframe was taken
 
 
 def holes(
@@ -48,10 +49,8 @@ def context(
     images = np.broadcast_to(np.asarray(alpha, np.float32), (len(poses), CAMERA.height, CAMERA.width)).copy()
     mapper = SimpleNamespace(
         render_depth_alpha=lambda camera, poses: (np.zeros_like(images), images),
-        config=SimpleNamespace(
-            coarse_ratio=coarse_ratio, wide_sigma=0.1, wide_ratio=1.5, seed_footprint=0.6, seed_stride=2
-        ),
-        keyframes=[SimpleNamespace(camera=SENSOR)],
+        config=SimpleNamespace(coarse_ratio=coarse_ratio, seed_footprint=0.6, seed_pixels=2.0),
+        keyframes=[SimpleNamespace(camera=SENSOR, world_from_camera=ELSEWHERE)],
     )
     options: dict[str, Any] = {
         "mapper": mapper,
@@ -121,17 +120,16 @@ def test_deficiency_is_zero_behind_what_is_occupied() -> None:
 
 
 def test_a_coarse_patch_counts_from_where_its_gaussians_would_be_replaced() -> None:
-    # Gaussians of s metres fill s f / z pixels; the limit is 3 x 0.6 x 2 = 3.6 pixels, and half that from 10 cm on.
+    # Gaussians of s metres fill s f / z pixels; the limit is 3 x 0.6 x 2 = 3.6 pixels.
     focal = 0.5 * (SENSOR.fx + SENSOR.fy)
     for size, counts in ((2.01 * 3.6 / focal, True), (1.99 * 3.6 / focal, False)):
         found = holes([[3.0, 2.0, 2.0]], sizes=size)
-        assert size < 0.1
         assert (column("deficiency", context([AHEAD], found))[0] > 0) == counts
         nearer = look_along(HERE + [0.5, 0, 0], np.array([1.0, 0.0, 0.0]))
         assert column("deficiency", context([nearer], found))[0] > 0
         assert column("deficiency", context([nearer], found, coarse_ratio=None))[0] == 0.0  # nothing is ever replaced
-    distances = refining_distance(context([AHEAD]), np.array([0.099, 0.1, np.inf]))
-    np.testing.assert_allclose(distances, [0.099 * focal / 3.6, 0.1 * focal / 1.8, np.inf])
+    distances = refining_distance(context([AHEAD]), np.array([0.1, 0.2, np.inf]))
+    np.testing.assert_allclose(distances, [0.1 * focal / 3.6, 0.2 * focal / 3.6, np.inf])
     assert column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]]), coarse_ratio=None))[0] > 0
 
 
@@ -144,6 +142,21 @@ def test_space_known_to_be_free_to_the_end_hides_nothing() -> None:
     gain = column("hole_area", ahead)
     assert gain[0] > 0.2
     assert gain[1] == 0.0
+
+
+def test_a_view_that_was_a_keyframe_hides_nothing() -> None:
+    ahead, degree = np.array([1.0, 0.0, 0.0]), np.radians(1.0)
+    turned = [look_along(HERE, np.array([np.cos(a), np.sin(a), 0.0])) for a in (4.9 * degree, 5.1 * degree)]
+    moved = [look_along(HERE + [0.0, step, 0.0], ahead) for step in (0.049, 0.051)]
+    poses = np.stack([AHEAD, *turned, *moved, BACK])
+    known = [True, True, False, True, False, False]
+    assert taken_before(poses, np.stack([ELSEWHERE, AHEAD])).tolist() == known
+    assert not taken_before(poses, np.empty((0, 4, 4))).any()
+    views = context(list(poses), state=UNKNOWN)
+    assert (column("hole_area", views) > 0).all()
+    views = context(list(poses), state=UNKNOWN)
+    views.mapper.keyframes.append(SimpleNamespace(camera=SENSOR, world_from_camera=AHEAD))
+    assert (column("hole_area", views) == 0).tolist() == known
 
 
 def test_a_surface_without_gaussians_is_a_hole_and_ends_the_search() -> None:

@@ -1,5 +1,6 @@
-"""Wrong settings are refused by name; the learning rates follow the scene's size."""
+"""Wrong settings are refused by name; what the recipes say about rates."""
 
+import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
@@ -14,15 +15,16 @@ from activestructure_gym.mapping import MAPPERS, MapperConfig
         {"max_gaussians": 0},
         {"seed_opacity": 1.0},
         {"covered_alpha": 1.5},
-        {"color_rate": 0.0},
+        {"color_rate": -1e-9},
         {"depth_weight": float("nan")},
         {"scene_radius": 0.0},
-        {"max_seed_stride": 1},
-        {"seed_elongation": 0.5},
+        {"seed_spacing": 0.0},
+        {"seed_pixels": 0.0},
+        {"edge_footprint": -0.1},
+        {"texture_contrast": 1.1},
         {"coarse_ratio": float("nan")},
-        {"wide_ratio": 0.9},
-        {"wide_sigma": 0.0},
-        {"mean_rate_radius": 0.0},
+        {"mean_rate": -1e-5},
+        {"opacity_rate": float("inf")},
         {"prune_steps": (0, -2)},
         {"prune_steps": (1.5,)},
     ],
@@ -32,11 +34,14 @@ def test_wrong_values_are_refused_by_name(change):
         MapperConfig(**change)
 
 
-def test_only_the_means_rate_grows_with_the_scene():
-    small, large = MapperConfig().learning_rates(2.0), MapperConfig().learning_rates(6.0)
-    assert small[:3] == pytest.approx([2e-4] * 3) and large[:3] == pytest.approx([6e-4] * 3)
-    assert (small[3:] == large[3:]).all()
-    assert small[3:] == pytest.approx([2e-3] * 4 + [6e-3] * 3 + [0.1] + [2.5e-3] * 3)
+def test_a_rate_stands_in_every_row_of_its_parameter():
+    config = MapperConfig(mean_rate=1.0, quaternion_rate=2.0, log_scale_rate=3.0, opacity_rate=4.0, color_rate=5.0)
+    assert config.learning_rates().tolist() == [1] * 3 + [2] * 4 + [3] * 3 + [4] + [5] * 3
+
+
+def test_the_default_does_not_learn_opacity():
+    rates = MapperConfig().learning_rates()
+    assert rates[10] == 0.0 and (np.delete(rates, 10) > 0).all()
 
 
 def test_recipes_carry_their_name_and_the_default_is_the_defaults():
@@ -46,6 +51,6 @@ def test_recipes_carry_their_name_and_the_default_is_the_defaults():
         MapperConfig(name="splatem")
 
 
-def test_splatam_rates_are_the_original_ones_in_every_scene():
-    rates = MAPPERS["splatam"].learning_rates(7.0)
+def test_splatam_rates_are_the_original_ones():
+    rates = MAPPERS["splatam"].learning_rates()
     assert rates == pytest.approx([1e-4] * 3 + [1e-3] * 4 + [1e-3] * 3 + [5e-2] + [2.5e-3] * 3)

@@ -18,7 +18,8 @@ def frame(colour, depth=2.0):
 
 
 def mapped(colour):
-    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
+    """A Gaussian every two pixels of the wall: those are 12.5 cm apart."""
+    mapper = Mapper(MapperConfig(seed_spacing=0.24, seed_footprint=0.6), np.random.default_rng(0))
     mapper.observe(frame(colour), iterations=0)
     return mapper
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, seed_disks, surface_steps, too_coarse
+from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_disks, surface_steps
 
 CAMERA = PinholeCamera.from_size(8, 6)  # f = 4, centre (4, 3)
 
@@ -17,16 +17,22 @@ def _frame(depth, pose=None):
     return Frame(rgb, depth, np.eye(4) if pose is None else pose, CAMERA)
 
 
+def _disks(frame, rows, columns, sigma):
+    """A disk per pixel, all of one size."""
+    rows, columns = np.asarray(rows), np.asarray(columns)
+    return seed_disks(frame, pixel_samples(frame, rows, columns), np.full(len(rows), sigma))
+
+
 def _third_axes(block):  # [n, 3] the disks' normals
     return Rotation.from_quat(block[3:7].T, scalar_first=True).as_matrix()[:, :, 2]
 
 
 def test_wall_facing_the_camera():
     """2 m in front; pixel (row 2, column 6) looks along ((6.5 - 4) / 4, (2.5 - 3) / 4, 1) = (.625, -.125, 1)."""
-    block = seed_disks(_frame(2.0), np.array([2]), np.array([6]), stride=2)
+    block = _disks(_frame(2.0), [2], [6], 0.6)
     assert block.dtype == np.float32 and block.shape == (14, 1)
     assert block[:3, 0] == pytest.approx([1.25, -0.25, 2.0])
-    # .6 * 2 pixels * 2 m / 4 pixels = .6 m in the plane, a tenth of it across
+    # A tenth of the size across.
     assert np.exp(block[7:10, 0]) == pytest.approx([0.6, 0.6, 0.06])
     assert np.abs(_third_axes(block)[0]) == pytest.approx([0, 0, 1])
     assert 1 / (1 + np.exp(-block[10, 0])) == pytest.approx(0.9)
@@ -36,7 +42,7 @@ def test_wall_facing_the_camera():
 def test_seeds_move_with_the_camera():
     """Looking along +y from (1, 2, 3): camera x, y, z are world +x, -z, +y."""
     pose = look_along(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]))
-    block = seed_disks(_frame(2.0, pose), np.array([2]), np.array([6]), stride=2)
+    block = _disks(_frame(2.0, pose), [2], [6], 0.6)
     assert block[:3, 0] == pytest.approx([1 + 1.25, 2 + 2.0, 3 + 0.25])
     assert np.abs(_third_axes(block)[0]) == pytest.approx([0, 1, 0], abs=1e-6)
 
@@ -53,27 +59,36 @@ def test_disks_lie_in_a_slanted_plane(normal):
     assert defined.mean() > 0.9  # all but pixels at the border to no return
     assert np.abs(per_column @ normal)[defined].max() < 1e-5
     assert np.abs(per_row @ normal)[defined].max() < 1e-5
-    block = seed_disks(frame, rows, columns, stride=1)
+    block = _disks(frame, rows, columns, 0.1)
     assert np.abs(_third_axes(block)[defined] @ normal).min() > 1 - 1e-6
     assert block[7:10, defined] - block[8, defined] == pytest.approx(np.tile([[0], [0], [np.log(0.1)]], defined.sum()))
 
 
 @pytest.mark.parametrize("slope", [0.0, 1.0, 2.0])
-def test_disks_stretch_along_the_slope_as_far_as_the_seeds_are_apart(slope):
-    """Plane z = 2 + slope * x around the optical axis: a pixel moves on by (.5, 0, .5 slope) along a row of the image,
-    by (0, .5, 0) along a column: the disk is sqrt(1 + slope^2) as long as wide, but at most twice."""
+def test_disks_on_a_slope_are_round(slope):
+    """Plane z = 2 + slope * x: sigmas are given in the plane, and the first axis goes up the slope."""
     camera = PinholeCamera(9, 7, 400.0, 400.0, 4.5, 3.5)  # a narrow view: perspective changes nothing
-    rays = camera.rays()
-    depth = (2.0 / (1.0 - slope * rays[..., 0])).astype(np.float32)
-    frame = Frame(np.zeros((7, 9, 3), np.uint8), depth, np.eye(4), camera)
-    block = seed_disks(frame, np.array([3]), np.array([4]), stride=2, elongation=2.0)
-    sigma = 0.6 * 2 * 2 / 400
-    assert np.exp(block[7:10, 0]) == pytest.approx(
-        [sigma * min(np.sqrt(1 + slope**2), 2.0), sigma, 0.1 * sigma], rel=0.02
-    )
+    depth = (2.0 / (1.0 - slope * camera.rays()[..., 0])).astype(np.float32)
+    block = _disks(Frame(np.zeros((7, 9, 3), np.uint8), depth, np.eye(4), camera), [3], [4], 0.02)
+    assert np.exp(block[7:10, 0]) == pytest.approx([0.02, 0.02, 0.002])
     long = Rotation.from_quat(block[3:7, 0], scalar_first=True).as_matrix()[:, 0]
     if slope:
         assert np.abs(long @ [1, 0, slope]) / np.sqrt(1 + slope**2) == pytest.approx(1, abs=1e-3)
+
+
+def test_a_sample_between_pixels_lies_as_its_pixel_does():
+    """Of a wall and a floor: size, place and colour are the sample's own, the direction that of its pixel."""
+    frame = _frame(2.0)
+    pixel = pixel_samples(frame, np.array([2, 3]), np.array([6, 1]))
+    assert pixel.pixels.tolist() == [22, 25] and pixel.colors[1] * 255 == pytest.approx([75, 76, 77])
+    assert pixel.points == pytest.approx(np.array([[1.25, -0.25, 2.0], [-1.25, 0.25, 2.0]]))
+    between = pixel._replace(points=pixel.points + np.float32([0.1, 0.2, 0.0]), colors=pixel.colors / 2)
+    block = seed_disks(frame, between, np.array([0.6, 0.3]), thickness=0.2, opacity=0.75)
+    assert block[:3].T == pytest.approx(pixel.points + [0.1, 0.2, 0.0])
+    assert block[11:].T == pytest.approx(pixel.colors / 2)
+    assert np.exp(block[7:10].T) == pytest.approx(np.array([[0.6, 0.6, 0.12], [0.3, 0.3, 0.06]]))
+    assert 1 / (1 + np.exp(-block[10])) == pytest.approx([0.75] * 2)
+    assert np.abs(_third_axes(block)[:, 2]) == pytest.approx([1, 1])
 
 
 @pytest.mark.parametrize("direction", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.64, -0.48]]]))
@@ -84,7 +99,7 @@ def test_rotation_onto_any_normal(direction):
     right /= np.linalg.norm(right)
     pose = np.eye(4)  # a camera looking against the normal
     pose[:3, :3] = np.stack([right, np.cross(-direction, right), -direction], axis=1)
-    block = seed_disks(_frame(1.0, pose), np.array([3]), np.array([3]), stride=2)
+    block = _disks(_frame(1.0, pose), [3], [3], 0.3)
     assert np.linalg.norm(block[3:7, 0]) == pytest.approx(1)
     assert np.abs(_third_axes(block)[0] @ direction) == pytest.approx(1)
 
@@ -108,8 +123,8 @@ def test_balls_where_the_direction_is_unknown():
     depth[0:2, [0, 2]] = 3.0
     camera = PinholeCamera(8, 6, 80.0, 80.0, 4.0, 3.0)
     frame = Frame(np.zeros((6, 8, 3), np.uint8), depth.astype(np.float32), np.eye(4), camera)
-    block = seed_disks(frame, np.array([2, 5, 0]), np.array([3, 6, 1]), stride=2)
-    assert np.exp(block[7:10]) == pytest.approx(np.full((3, 3), 0.6 * 2 * 2 / 80))
+    block = _disks(frame, [2, 5, 0], [3, 6, 1], 0.03)
+    assert np.exp(block[7:10]) == pytest.approx(np.full((3, 3), 0.03))
     assert block[3:7] == pytest.approx(np.array([[1, 0, 0, 0]] * 3).T)
 
 
@@ -154,60 +169,3 @@ def test_tolerance_grows_with_the_median_error():
     shown[1, :2] = 2.0 + np.array([0.04, 0.06])
     alpha = np.ones((6, 8))
     assert np.argwhere(missing_pixels(depth, shown, alpha)).tolist() == [[1, 1]]
-
-
-def _balls(positions, sigma):
-    block = np.zeros((14, len(positions)), np.float32)
-    block[:3] = np.array(positions).T
-    block[3] = 1.0
-    block[7:10] = np.log(sigma)
-    return block
-
-
-def test_coarse_ones_on_the_surface_in_view():
-    """Wall at 2 m, f = 4: a sigma of .6 m appears as 1.2 pixels."""
-    frame = _frame(2.0)
-    frame.depth[0, 0] = 0.0  # looks along (-.875, -.625, 1)
-    positions = [
-        (0.1, 0.1, 2.0),  # on the wall
-        (0.1, 0.1, 2.5),  # half a metre behind it: within one sigma
-        (0.1, 0.1, 2.7),  # behind it
-        (0.1, 0.1, 1.3),  # in front of it
-        (2.1, 0.1, 2.0),  # right of the image, which ends at x = 2
-        (0.1, 0.1, -2.0),  # behind the camera
-        (-1.75, -1.25, 2.0),  # where there is no return
-    ]
-    assert too_coarse(_balls(positions, 0.6), frame, limit=0.9)[0].tolist() == [True, True, *[False] * 5]
-    assert not too_coarse(_balls(positions, 0.6), frame, limit=1.21)[0].any()
-    assert too_coarse(_balls(positions, 0.6)[:, :0], frame, limit=1.0)[0].shape == (0,)
-
-
-def test_wide_ones_have_a_limit_of_their_own():
-    """Wall at 2 m, f = 4: sigmas of .3 and .6 m appear as .6 and 1.2 pixels."""
-    both = np.concatenate([_balls([(0.1, 0.1, 2.0)], sigma) for sigma in (0.3, 0.6)], axis=1)
-    for wide, expected in ((0.7, [False, False]), (0.5, [False, True]), (0.2, [True, True])):
-        assert too_coarse(both, _frame(2.0), limit=3.0, wide=wide, limit_wide=0.5)[0].tolist() == expected
-    # The middle one of the three sigmas decides: a disk along a slope is no wider than its short axis.
-    needle = _balls([(0.1, 0.1, 2.0)], 0.01)
-    needle[8] = np.log(0.6)
-    assert not too_coarse(needle, _frame(2.0), limit=3.0, wide=0.2, limit_wide=0.5)[0].any()
-
-
-def test_the_pixels_to_seed_are_those_around_what_goes():
-    """A seed every 2 pixels has a sigma of 1.2 pixels here, so its square is 2 pixels wide; a foreground stays out."""
-    frame = _frame(2.0)
-    u, v = (frame.camera.fx * 0.1 / 2.0 + frame.camera.cx, frame.camera.fy * 0.1 / 2.0 + frame.camera.cy)
-    _, pixels = too_coarse(_balls([(0.1, 0.1, 2.0)], 0.6), frame, limit=0.9, spacing=2.0 / 1.2)
-    rows, columns = np.nonzero(pixels)
-    assert (int(v - 1), int(v + 1)) == (rows.min(), rows.max())
-    assert (int(u - 1), int(u + 1)) == (columns.min(), columns.max())
-    frame.depth[int(v - 1)] = 0.5
-    _, fewer = too_coarse(_balls([(0.1, 0.1, 2.0)], 0.6), frame, limit=0.9, spacing=2.0 / 1.2)
-    assert not fewer[int(v - 1)].any() and fewer.sum() < pixels.sum()
-    assert not too_coarse(_balls([(0.1, 0.1, 2.0)], 0.6), frame, limit=1.21)[1].any()
-
-
-def test_the_largest_axis_counts():
-    needle = _balls([(0.1, 0.1, 2.0)], 0.01)
-    needle[8] = np.log(0.6)
-    assert too_coarse(needle, _frame(2.0), limit=1.19)[0].all()

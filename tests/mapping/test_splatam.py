@@ -1,4 +1,4 @@
-"""The recipe ``splatam``: seeding by hand, one event against SplaTAM's loop in plain torch, schedule and cap."""
+"""The recipe ``splatam``: seeding by hand, one event against SplaTAM's loop in plain torch, schedule and bound."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from torch.nn.functional import conv2d
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping import MAPPERS, Mapper
-from activestructure_gym.mapping.seeding import missing_pixels, seed_balls
+from activestructure_gym.mapping.seeding import missing_pixels, pixel_samples, seed_balls
 from activestructure_gym.splatting import cpu
 from activestructure_gym.splatting.reference import rasterize_reference
 
@@ -25,15 +25,23 @@ def _frame(depth=2.0):
     return Frame(rgb, depth, np.eye(4), PinholeCamera.from_size(8, 6))  # f = 4, centre (4, 3)
 
 
-def test_a_ball_is_as_large_as_its_pixels():
-    """Pixel (row 2, column 6) looks along (.625, -.125, 1); one pixel is 2 m / 4 = .5 m wide there, two are 1 m."""
-    for stride in (1, 2):
-        block = seed_balls(_frame(), np.array([2]), np.array([6]), stride=stride)
-        assert block[:3, 0] == pytest.approx([1.25, -0.25, 2.0])
-        assert block[3:7, 0].tolist() == [1, 0, 0, 0]
-        assert np.exp(block[7:10, 0]) == pytest.approx([0.5 * stride] * 3)
-        assert block[10, 0] == 0.0  # opacity one half
-        assert block[11:, 0] * 255 == pytest.approx(3 * (2 * 8 + 6) + np.arange(3))
+def test_a_ball_by_hand():
+    """Pixel (row 2, column 6) looks along (.625, -.125, 1)."""
+    frame = _frame()
+    block = seed_balls(frame, pixel_samples(frame, np.array([2]), np.array([6])), np.array([0.5]))
+    assert block[:3, 0] == pytest.approx([1.25, -0.25, 2.0])
+    assert block[3:7, 0].tolist() == [1, 0, 0, 0]
+    assert np.exp(block[7:10, 0]) == pytest.approx([0.5] * 3)
+    assert block[10, 0] == 0.0  # opacity one half
+    assert block[11:, 0] * 255 == pytest.approx(3 * (2 * 8 + 6) + np.arange(3))
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_a_ball_is_as_large_as_its_pixels(stride):
+    """One pixel is 2 m / 4 = .5 m wide, two are 1 m."""
+    mapper = _mapper(iterations=0, seed_stride=stride)
+    mapper.observe(_frame())
+    assert np.exp(mapper.map.parameters[7:10, : mapper.map.count]) == pytest.approx(0.5 * stride)
 
 
 def test_seeds_are_the_grid_row_by_row():
@@ -172,12 +180,12 @@ def test_first_half_local_second_half_global(room_frames):
     assert report.views[0] == 4 and set(report.views[:4]) <= {0, 1, 2, 3, 4}
 
 
-def test_the_cap_is_the_default_mapper_s(room_frames):
-    mapper = _mapper(max_gaussians=2500, iterations=1)
-    reports = [mapper.observe(frame) for frame in room_frames]
-    assert all(report.count <= 2500 for report in reports)
-    assert max(report.seed_stride for report in reports) > 2
-    assert all(report.added <= 0.25 * 2500 for report in reports if not report.dropped)
+def test_the_bound_is_the_default_mapper_s(room_frames):
+    mapper = _mapper(max_gaussians=1000, iterations=0)
+    reports = [mapper.observe(frame) for frame in room_frames[:3]]
+    assert (reports[0].added, reports[0].left_out) == (22 * 40, 0)
+    assert (reports[1].added, reports[2].added) == (120, 0)
+    assert reports[1].left_out > 0 and reports[2].left_out > 0 and reports[2].count == 1000
 
 
 def test_a_room_is_mapped(room_frames, held_out_frames):

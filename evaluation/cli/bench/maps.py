@@ -99,7 +99,7 @@ def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None)
     size, scored, probes = ((96, 54), 8, 2) if quick else (growth.SIZE, growth.SCORED, 15)
     with console.status("loading the scene"):
         scene = load_scene(spec or ("box" if quick else growth.SCENE))
-    mapper = Mapper(MapperConfig(max_gaussians=growth.MAX_GAUSSIANS), np.random.default_rng(0))
+    mapper = Mapper(MapperConfig(), np.random.default_rng(0))
     with _progress(console, growth.growth_steps(checkpoints)) as advance:
         measured, compared = growth.run_growth_benchmark(
             scene, mapper, checkpoints=checkpoints, size=size, scored=scored, probes=probes, pair=pair, advance=advance

@@ -15,8 +15,8 @@ from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 # Only every second pixel in both directions is marched: neighbours see the same hole.
 _STRIDE = 2
 
-# Metres. A surface farther away gets its Gaussians too far apart to count as reconstructed: 10 cm at the default
-# preset, where a seed stands for two pixels of 1 / 80 (docs/notebook/method.md has the measurement).
+# Metres. Measured (docs/notebook/method.md) with a map in which surfaces seen from farther away were too sparse to
+# count as reconstructed; not measured again with one that is as dense from afar (docs/notebook/map.md).
 REACH = 4.0
 
 # Metres and radians: what pose noise may make of one view (own choice).

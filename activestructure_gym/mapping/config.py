@@ -15,7 +15,9 @@ from activestructure_gym.ranges import check_ranges
 
 _RANGES = {
     "seed_stride": "[1, 1024]",
-    **dict.fromkeys(("seed_spacing", "seed_pixels", "seed_footprint", "seed_thickness"), "(0, 1000]"),
+    "seed_spacing": "[0.01, 1]",  # finer ones fill gaps between pixels with thousands of samples each
+    "seed_pixels": "[0.5, 1000]",
+    **dict.fromkeys(("seed_footprint", "edge_footprint", "seed_thickness"), "(0, 1000]"),
     "coarse_ratio": "[1, 1e6]",
     **dict.fromkeys(("seed_opacity", "adam_beta1", "adam_beta2"), "(0, 1)"),
     **dict.fromkeys(("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
@@ -23,7 +25,7 @@ _RANGES = {
     "in_front_factor": "[0, 1e9]",
     "in_front_floor": "[0, 1000]",
     **dict.fromkeys(("iterations", "psnr_refresh"), "[0, 100000]"),
-    **dict.fromkeys(("edge_footprint", "image_weight", "depth_weight", "alpha_weight"), "[0, 1e6]"),
+    **dict.fromkeys(("image_weight", "depth_weight", "alpha_weight"), "[0, 1e6]"),
     **dict.fromkeys(("mean_rate", "quaternion_rate", "log_scale_rate", "opacity_rate", "color_rate"), "[0, 1000]"),
     "scene_radius": "(0, 100000]",
     "adam_epsilon": "(0, 1]",

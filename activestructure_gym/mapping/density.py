@@ -20,6 +20,7 @@ from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, shows_i
 # the second by less than this share of its depth: 8 cm at 4 m, about three sigmas of a Kinect's noise there.
 _SAME_SURFACE = 0.02
 _LONGEST_GAP = 0.5  # metres between neighbouring pixels that are filled
+_MOST_PARTS = 32  # of a gap, so that no frame asks for more than a thousand samples per pixel
 _LEVELS = 255.0
 
 
@@ -176,7 +177,7 @@ def _parts(points, row, column, i, j, spacing):  # type: ignore[no-untyped-def]
     gap = np.sqrt(gap)
     if gap > _LONGEST_GAP:
         return 1
-    parts = max(1, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3))))
+    parts = max(1, min(_MOST_PARTS, int(np.ceil(gap / (np.float32(1.25) * spacing) - np.float32(1e-3)))))
     # Of parts within the spacing every other end is spared, so of an odd number two neighbours would be.
     return parts + 1 if parts % 2 == 1 and parts > 1 and gap <= parts * spacing else parts
 

@@ -116,7 +116,7 @@ def seed_disks(
     points = frame.camera.backproject(frame.depth)
     per_column, per_row, defined = surface_steps(points, rows, columns, min_cosine=min_cosine)
     if defined.any():
-        axes = frame.world_from_camera[:3, :3] @ disk_axes(per_column[defined], per_row[defined])
+        axes = frame.world_from_camera[:3, :3] @ _disk_axes(per_column[defined], per_row[defined])
         block[QUATERNION, defined] = quaternions(axes).T
     block[9, defined] += np.log(thickness)
     return block
@@ -148,7 +148,7 @@ def pixel_samples(frame: Frame, rows: np.ndarray, columns: np.ndarray) -> Surfac
     )
 
 
-def disk_axes(
+def _disk_axes(
     per_column: np.ndarray,  # [n, 3]
     per_row: np.ndarray,  # [n, 3], not parallel to it
 ) -> np.ndarray:  # [n, 3, 3] as columns: long, short, normal

@@ -49,7 +49,7 @@ def context(
     images = np.broadcast_to(np.asarray(alpha, np.float32), (len(poses), CAMERA.height, CAMERA.width)).copy()
     mapper = SimpleNamespace(
         render_depth_alpha=lambda camera, poses: (np.zeros_like(images), images),
-        config=SimpleNamespace(coarse_ratio=coarse_ratio, seed_footprint=0.6, seed_pixels=2.0),
+        config=SimpleNamespace(coarse_ratio=coarse_ratio, seed_spacing=0.05, seed_footprint=0.6, seed_pixels=2.0),
         keyframes=[SimpleNamespace(camera=SENSOR, world_from_camera=ELSEWHERE)],
     )
     options: dict[str, Any] = {

@@ -76,7 +76,10 @@ def run_ray(
                 )
                 running[task.remote(order, board)] = job, attempt
             ready, _ = ray.wait(list(running), timeout=_TICK)
-            _pass_on(news.lines(), {job.name: job for job, _ in running.values()}, listener)
+            lines = news.lines()
+            if ready:  # what these said is on the board, and may have come after the first question
+                lines += news.lines(_PATIENCE)
+            _pass_on(lines, {job.name: job for job, _ in running.values()}, listener)
             for reference in ready:
                 job, attempt = running.pop(reference)
                 ended = _result(ray, reference, job, directory)
@@ -132,6 +135,7 @@ def _attempt(order: _Order, board: Any) -> Ended:
     if is_done(run_directory(directory, job), job):
         return Ended()
     messages: Messages = queue.SimpleQueue()
+    told: list[Any] = []
     worker = WorkerProcess(
         job, directory, messages, environment=capped_environment(order.threads) | dict(order.variables),
         command=order.command, minutes=order.minutes, attempt=order.attempt,
@@ -140,12 +144,22 @@ def _attempt(order: _Order, board: Any) -> Ended:
         while True:
             name, line = next_message(messages, [worker])
             if line is None:
-                return worker.finish()
-            board.tell.remote(name, line)
+                ended = worker.finish()
+                _await_all(told)
+                return ended
+            told = [board.tell.remote(name, line)]  # an actor hears what one caller says in order: the last is enough
     except BaseException:
         worker.ask_to_stop()
         worker.stop()
         raise
+
+
+def _await_all(told: list[Any]) -> None:
+    """Wait until the board has heard this; without a board nobody listens."""
+    import ray
+
+    if told:
+        ray.wait(told, timeout=_PATIENCE)
 
 
 def _result(ray: Any, reference: Any, job: Job, directory: Path) -> Ended:
@@ -172,11 +186,11 @@ class _News:
         self._ray, self._board = ray, board
         self._asked: Any = None
 
-    def lines(self) -> list[tuple[str, str]]:
-        """The lines since the last answer; none while the answer is on its way, or without the board."""
+    def lines(self, patience: float = 10 * _TICK) -> list[tuple[str, str]]:
+        """The lines since the last answer; none where it takes longer than ``patience`` seconds or there is no board."""
         if self._asked is None:
             self._asked = self._board.take.remote()
-        if not self._ray.wait([self._asked], timeout=10 * _TICK)[0]:
+        if not self._ray.wait([self._asked], timeout=patience)[0]:
             return []
         asked, self._asked = self._asked, None
         try:

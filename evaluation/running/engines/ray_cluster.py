@@ -187,7 +187,7 @@ class _News:
         self._asked: Any = None
 
     def lines(self, patience: float = 10 * _TICK) -> list[tuple[str, str]]:
-        """The lines since the last answer; none where it takes longer than ``patience`` seconds or there is no board."""
+        """The lines since the last answer; none if it takes longer than ``patience`` seconds or there is no board."""
         if self._asked is None:
             self._asked = self._board.take.remote()
         if not self._ray.wait([self._asked], timeout=patience)[0]:

@@ -26,6 +26,7 @@ from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, 
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
+from activestructure_gym.splatting.rasterizers import rasterizer
 from activestructure_gym.views import CandidatePool, CandidateTable
 from activestructure_gym.volume import VoxelVolume
 
@@ -69,6 +70,7 @@ class Reconstruction:
     visible: np.ndarray  # [n, N] bool, which planes of the graph each candidate would see
 
     def __init__(self, config: ReconstructionConfig) -> None:
+        rasterizer(config.mapper.backend)  # which refuses what cannot run here
         self.config = config
         self.scoring_camera = config.sensor.camera.resized(
             max(1, round(config.sensor.width * config.views.scoring_scale)),

@@ -53,6 +53,8 @@ INSIDE = (
 # What inside of those rooms looks at a machine, a file or a whole scene, which is the user's.
 USERS_INSIDE = {
     "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
+    "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
+    "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},
     "activestructure_gym/sensors/pyrender_backend.py": {"_import_gl_scene", "_context_of"},
     "activestructure_gym/sensors/renderer.py": {"make_renderer"},
     "activestructure_gym/volume/voxel_volume.py": {"grid_shape"},

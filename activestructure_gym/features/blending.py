@@ -9,7 +9,6 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.mapping.gaussian_map import COLOR
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.splatting import cpu
 
 
 def blended(
@@ -24,6 +23,7 @@ def blended(
     [N] before the picture of each candidate ``pose`` [4, 4] is drawn, for numbers that depend on the view.
     """
     gaussians, camera, poses = context.mapper.map, context.camera, context.world_from_camera
+    render = context.mapper.rasterizer.render
     parameters = gaussians.parameters.copy()
     row = parameters[COLOR.start, : gaussians.count]
     if values is not None:
@@ -33,6 +33,6 @@ def blended(
     for k, pose in enumerate(poses):
         if repaint is not None:
             repaint(row, pose)
-        shown = cpu.render(parameters, gaussians.count, camera, pose, unseen=parts.unseen(camera, pose))
+        shown = render(parameters, gaussians.count, camera, pose, unseen=parts.unseen(camera, pose))
         pictures[k] = shown.color[..., 0]
     return pictures

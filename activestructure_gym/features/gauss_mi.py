@@ -9,7 +9,6 @@ from activestructure_gym.features.information import register_both
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.mapping.gaussian_map import COLOR
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.splatting.cpu import render
 
 # A view this near to one of the last so many poses gains less, the less the more recent that one is.
 NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 5, 0.95
@@ -23,7 +22,7 @@ def gauss_mi(context: FeatureContext) -> np.ndarray:  # [K]
     of +x, +y, -x, -y, and r_dir how reliable it is there (`activestructure_gym.mapping.reliability`). What is blended
     is one number per Gaussian, so a view costs one rendering: it takes the place of a colour.
     """
-    gaussians, camera = context.mapper.map, context.camera
+    gaussians, camera, render = context.mapper.map, context.camera, context.mapper.rasterizer.render
     # -log r: [4, N]. Single precision, row by row: this is done for every Gaussian and candidate.
     surprise = np.ascontiguousarray(np.logaddexp(0.0, -context.mapper.reliability()).T, dtype=np.float32)
     parts = MapParts(gaussians)

@@ -15,7 +15,6 @@ from scipy import ndimage
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.splatting import cpu
 from activestructure_gym.volume import FREE, VoxelVolume
 
 PERTURBATIONS = 20  # M
@@ -104,7 +103,7 @@ def _perturbed(context: FeatureContext, *, everything: bool) -> Surface:
             for rows in (QUATERNION, LOG_SCALE, slice(OPACITY_LOGIT, OPACITY_LOGIT + 1)):
                 noise = rng.standard_normal(moved[rows, :count].shape, np.float32)
                 moved[rows, :count] += np.float32(RELATIVE_STEP) * noise
-        shown, opaque = cpu.render_depth_alpha(moved, count, camera, poses)
+        shown, opaque = context.mapper.rasterizer.render_depth_alpha(moved, count, camera, poses)
         change += np.abs(shown[covered] / np.maximum(opaque[covered], 1e-6) - depth[covered])
     points = _in_world(camera.rays()[None] * depth[..., None], poses)[covered]
     inside = volume.contains(points)

@@ -12,6 +12,7 @@ from activestructure_gym.errors import unknown_name
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.mapping.tracking import TrackingConfig
 from activestructure_gym.ranges import check_ranges
+from activestructure_gym.splatting.backends import BACKENDS, Backend
 
 _RANGES = {
     "seed_stride": "[1, 1024]",
@@ -75,6 +76,7 @@ class MapperConfig:
     """
 
     name: str = "default"  # of the recipe these values started from, a key of `MAPPERS`
+    backend: Backend = "cpu"  # who draws the map and steps it: the kernels, or torch by gsplat on CUDA or the reference
 
     # Shape
     isotropic: bool = False  # balls, and one scale per Gaussian, instead of disks on the surface (True: SplaTAM)
@@ -135,6 +137,8 @@ class MapperConfig:
     def __post_init__(self) -> None:
         if self.name not in _RECIPES:
             raise unknown_name("mapper", self.name, _RECIPES)
+        if self.backend not in BACKENDS:
+            raise unknown_name("mapper backend", self.backend, BACKENDS)
         check_ranges(self, _RANGES)
 
     def learning_rates(self) -> np.ndarray:  # [14] float32

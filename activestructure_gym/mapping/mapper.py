@@ -1,8 +1,8 @@
 """The mapper: seed where the map is empty, take a few sparse Adam steps, prune.
 
 Posed RGB-D frames in, Gaussians out. Which recipe it follows (ours, SplaTAM's) is a matter of `MapperConfig`; the
-numbers behind them: docs/notebook/groundwork.md. Rendering and the fused optimisation step are
-`activestructure_gym.splatting.cpu`.
+numbers behind them: docs/notebook/groundwork.md. Rendering and the optimisation step are those of
+`MapperConfig.backend` (`activestructure_gym.splatting.rasterizers`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
-from activestructure_gym.splatting import cpu
+from activestructure_gym.splatting import LossWeights, Rendering
+from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 
 _NOTHING = np.empty((0, 0))
 
@@ -75,6 +76,7 @@ class Mapper:
     """
 
     def __init__(self, config: MapperConfig, rng: np.random.Generator) -> None:
+        rasterizer(config.backend)  # which refuses what cannot run here
         self.config = config
         self.map = GaussianMap()
         self._rng = rng
@@ -86,13 +88,18 @@ class Mapper:
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
         self._movement: Movement | None = None
-        self._weights = cpu.LossWeights(
+        self._weights = LossWeights(
             image=config.image_weight,
             l1_share=config.l1_share,
             depth=config.depth_weight,
             alpha=config.alpha_weight,
             normalised_depth=config.normalised_depth,
         )
+
+    @property
+    def rasterizer(self) -> Rasterizer:
+        """Draws the map and steps it, for whoever needs other pictures than `render` and `render_depth_alpha` give."""
+        return rasterizer(self.config.backend)
 
     @property
     def keyframes(self) -> list[Frame]:
@@ -154,10 +161,10 @@ class Mapper:
         losses, pruned = self._optimize(views)
         return _report(self.map.count, views, losses, pruned)
 
-    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> cpu.Rendering:
+    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
         """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
         unseen = MapParts(self.map).unseen(camera, world_from_camera)
-        return cpu.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
+        return self.rasterizer.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
 
     def render_depth_alpha(
         self,
@@ -166,7 +173,7 @@ class Mapper:
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
         """Depth and alpha from many poses at once, for scoring candidate views."""
         parameters, count = MapParts(self.map).in_view(camera, world_from_camera)
-        return cpu.render_depth_alpha(parameters, count, camera, world_from_camera)
+        return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
 
     def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
         """PSNR of every keyframe, as it was last measured; the ``renders`` oldest values are measured anew first.
@@ -200,7 +207,7 @@ class Mapper:
         Keyframes vote when somebody asks for the first time after them.
         """
         if self._reliability is None:
-            self._reliability = DirectionalReliability(self.map)
+            self._reliability = DirectionalReliability(self.map, self.rasterizer)
         return self._reliability.update(self.keyframes)
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
@@ -247,7 +254,7 @@ class Mapper:
         """SplaTAM's rule: pixels of a grid where the rendered map is transparent or lies behind what is measured."""
         config, camera, pose = self.config, frame.camera, frame.world_from_camera
         if self.map.count:
-            rendering = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen)
+            rendering = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen)
             missing = missing_pixels(
                 frame.depth,
                 rendering.depth,
@@ -352,7 +359,7 @@ class Mapper:
             frame = self._store.frames[view]
             unseen = parts.unseen(frame.camera, frame.world_from_camera)
             changed |= True if unseen is None else ~unseen
-            result = cpu.mapping_step(
+            result = self.rasterizer.mapping_step(
                 self.map.parameters,
                 self.map.first_moment,
                 self.map.second_moment,
@@ -396,7 +403,7 @@ class Mapper:
             frame = self._store.frames[index]
             camera, pose = frame.camera, frame.world_from_camera
             unseen = parts.unseen(camera, pose) if parts else None
-            shown = cpu.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
+            shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
             error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - _unit_rgb(frame)), dtype=np.float64))
             self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
 

@@ -24,8 +24,9 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.rows_by_id import RowsById
-from activestructure_gym.splatting import cpu
+from activestructure_gym.splatting import Rendering
 from activestructure_gym.splatting.fisher import view_information
+from activestructure_gym.splatting.rasterizers import Rasterizer
 
 COLOR_SHARE, DEPTH_SHARE = 0.95, 0.05  # of the loss; colours 0..1, depth in metres
 LOSS_FACTOR, LEAST_LOSS = 1.7, 1e-4
@@ -39,8 +40,8 @@ LIMIT = 10.0  # of the log-odds
 class DirectionalReliability:
     """Log-odds of every Gaussian for the directions +x, +y, -x, -y; 0, that is one half, for new ones."""
 
-    def __init__(self, gaussians: GaussianMap) -> None:
-        self._map = gaussians
+    def __init__(self, gaussians: GaussianMap, rasterizer: Rasterizer) -> None:
+        self._map, self._rasterizer = gaussians, rasterizer
         self._log_odds = RowsById(gaussians, 4)
         self._known = 0  # keyframes that have voted
 
@@ -57,7 +58,7 @@ class DirectionalReliability:
     def _vote(self, frame: Frame, log_odds: np.ndarray) -> None:
         gaussians, camera, pose = self._map, frame.camera, frame.world_from_camera
         unseen = MapParts(gaussians).unseen(camera, pose)
-        shown = cpu.render(gaussians.parameters, gaussians.count, camera, pose, unseen=unseen)
+        shown = self._rasterizer.render(gaussians.parameters, gaussians.count, camera, pose, unseen=unseen)
         (seen,) = view_information(
             gaussians.parameters, gaussians.count, camera, pose,
             pixel_values=pixel_votes(frame, shown), touch_transmittance=CLEAR, unseen=unseen,
@@ -69,7 +70,7 @@ class DirectionalReliability:
         log_odds[seen.indices] = np.clip(log_odds[seen.indices] + votes, -LIMIT, LIMIT)
 
 
-def pixel_votes(frame: Frame, shown: cpu.Rendering) -> np.ndarray:  # [H, W] float32
+def pixel_votes(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] float32
     """-log of the loss, above 0 where the map shows what the keyframe saw; its depth is that over alpha."""
     loss = COLOR_SHARE * np.abs(shown.color - frame.rgb * np.float32(1.0 / 255.0)).mean(axis=2)
     depth = shown.depth / np.maximum(shown.alpha, 1e-6)

@@ -1,7 +1,8 @@
 """Differentiable rendering of 3D Gaussians on plain CPUs, on CUDA through gsplat, and in plain torch as the oracle.
 
-``cpu`` (numpy in, numpy out) is what the mapper uses; ``rasterize`` (torch, autograd) is for any other loss. Its names
-load when they are first asked for, so that the mapper does not load torch.
+The mapper and the features take what `rasterizers` gives by name: ``cpu`` (numpy in, numpy out), or the others behind
+the same protocol. ``rasterize`` (torch, autograd) is for any other loss. Its names load when they are first asked for,
+so that a mapper on the CPU does not load torch.
 """
 
 from typing import TYPE_CHECKING

@@ -108,7 +108,7 @@ def render(
 
     ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
     """
-    _check(parameters, count)
+    check_map(parameters, count)
     pooled = PooledWorkspace()
     pooled.workspace.render(
         fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha, threads=threads,
@@ -126,7 +126,7 @@ def render_depth_alpha(
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
     """Depth and alpha of many cameras, for scoring candidates."""
-    _check(parameters, count)
+    check_map(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
     views = np.repeat(make_view(camera, np.eye(4))[None], len(poses), axis=0)
@@ -166,15 +166,11 @@ def mapping_step(
     Raises:
         ValueError: arrays of another shape or type, or isotropic with different learning rates for the log-scales.
     """
-    _check(parameters, count)
-    for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
-        if array.shape != parameters.shape or array.dtype != np.float32:
-            raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")
+    check_map(parameters, count)
+    check_step(parameters, first_moment, second_moment, learning_rates, isotropic=isotropic)
     rates = np.empty(layout.RATES, np.float32)
     rates[: layout.ROWS] = learning_rates
     rates[layout.ROWS :] = beta1, beta2, epsilon, layout.TO_ADAM, isotropic
-    if isotropic and not rates[7] == rates[8] == rates[9]:
-        raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")
     state = (parameters, first_moment, second_moment)
     used = tuple(fitted(array) for array in state)
     pooled = PooledWorkspace()
@@ -215,7 +211,7 @@ def pose_gradient(
 
     The step of a gradient descent is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
     """
-    _check(parameters, count)
+    check_map(parameters, count)
     pose = inverse_of_pose(world_from_camera)
     pooled = PooledWorkspace()
     workspace, used = pooled.workspace, fitted(parameters)
@@ -235,8 +231,26 @@ def pose_gradient(
     return PoseGradient(weights.color * color + weights.depth * depth, gradient, color, depth, pixels)
 
 
-def _check(parameters: np.ndarray, count: int) -> None:
+def check_map(parameters: np.ndarray, count: int) -> None:
+    """Raise `ValueError` unless the first ``count`` columns of ``parameters`` can be a map."""
     if parameters.ndim != 2 or parameters.shape[0] != PARAMETER_ROWS or parameters.dtype != np.float32:
         raise ValueError(f"parameters must be float32 [14, capacity], got {parameters.dtype} {parameters.shape}")
     if not 0 <= count <= parameters.shape[1]:
         raise ValueError(f"count must lie in 0..{parameters.shape[1]}, got {count}")
+
+
+def check_step(
+    parameters: np.ndarray,
+    first_moment: np.ndarray,
+    second_moment: np.ndarray,
+    learning_rates: np.ndarray,
+    *,
+    isotropic: bool,
+) -> None:
+    """Raise `ValueError` unless moments and rates fit the parameters."""
+    for name, array in (("first_moment", first_moment), ("second_moment", second_moment)):
+        if array.shape != parameters.shape or array.dtype != np.float32:
+            raise ValueError(f"{name} must be float32 {parameters.shape}, got {array.dtype} {array.shape}")
+    rates = np.broadcast_to(learning_rates, PARAMETER_ROWS)
+    if isotropic and not rates[7] == rates[8] == rates[9]:
+        raise ValueError(f"isotropic Gaussians need one learning rate for their log-scales, got {rates[7:10]}")

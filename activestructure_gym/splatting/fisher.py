@@ -15,7 +15,7 @@ import numpy as np
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.arguments import Pictures
-from activestructure_gym.splatting.cpu import _check
+from activestructure_gym.splatting.cpu import check_map
 from activestructure_gym.splatting.simd import LANES
 from activestructure_gym.splatting.workspace import MAX_ALPHA, PooledWorkspace, Workspace, fitted, flat, inverse_of_pose
 
@@ -88,7 +88,7 @@ def view_information(
     Raises:
         ValueError: arrays of another shape or type than said here.
     """
-    _check(parameters, count)
+    check_map(parameters, count)
     poses = np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4)
     if channels is None:
         channels = np.empty((count, 0), np.float32)

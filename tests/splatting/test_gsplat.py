@@ -2,11 +2,13 @@
 pictures 2e-4 but for a thousandth of the pixels (decisions at 1/255 and 1e-4), gradients 1e-3 relative.
 """
 
+import numpy as np
 import pytest
 import torch
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.splatting import backend_status, rasterize
+from activestructure_gym.splatting import LossWeights, backend_status, cpu, rasterize
+from activestructure_gym.splatting.rasterizers import rasterizer
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large")
 
@@ -105,3 +107,29 @@ def test_what_gsplat_cannot_do_is_said(alpha_limit, splats_of):
         rasterize(*own[:5], camera_from_world=own[5], camera=splats.camera, max_alpha=alpha_limit, median_depth=True)
     with pytest.raises(InputError, match="compiled in"):
         rasterize(*own[:5], camera_from_world=own[5], camera=splats.camera, max_alpha=0.5)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("normalised", [True, False])
+def test_a_mapping_step_is_the_kernels(normalised, alpha_limit, splats_of):
+    splats = splats_of("random", seed=3)  # no opacity reaches the limit of any version
+    count, camera, pose = len(splats.means), splats.camera, splats.world_from_camera
+    rng = np.random.default_rng(0)
+    target = rng.random((camera.height, camera.width, 3), dtype=np.float32)
+    depth = rng.uniform(0.5, 4.0, (camera.height, camera.width)).astype(np.float32)
+    weights = LossWeights(alpha=0.3, normalised_depth=normalised)
+    states, losses = [], []
+    for one in (cpu, rasterizer("gsplat")):
+        state = [splats.parameters(), *(np.zeros((14, count), np.float32) for _ in range(2))]
+        rates = np.full(14, 1e-3, np.float32)
+        losses.append(
+            one.mapping_step(*state, count, camera, pose, target, depth, weights=weights, learning_rates=rates)
+        )
+        states.append(state)
+    kernels, gsplat = losses
+    assert (gsplat.color, gsplat.depth, gsplat.ssim) == pytest.approx(
+        (kernels.color, kernels.depth, kernels.ssim), rel=1e-3
+    )
+    for row in range(14):
+        by_kernels, by_gsplat = states[0][1][row], states[1][1][row]
+        assert np.linalg.norm(by_gsplat - by_kernels) <= 1e-3 * np.linalg.norm(by_kernels), row

@@ -71,13 +71,14 @@ CONFIG: Check = table(
 )  # fmt: skip
 
 _MEASURED = (
-    "accuracy_cm", "completion_cm", "precision", "f_score", "ssim", "ms_ssim", "lpips", "depth_l1_cm",
+    "accuracy_cm", "completion_cm", "precision", "f_score", "observed", "ssim", "ms_ssim", "lpips", "depth_l1_cm",
     *(f"tsdf_{name}" for name in ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "f_score")),
 )  # fmt: skip
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {
     "decision": _count, "frames": _size, "metres": _size, "completion_ratio": number(), "psnr": number()
 }  # fmt: skip
+_POINT_SURFACE = dict.fromkeys(("observed", "tsdf_completion_ratio"), maybe(number()))
 METRICS: Check = table(
     {
         "format": number(whole=True),
@@ -88,7 +89,7 @@ METRICS: Check = table(
             },
             dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number())),
         ),
-        "curve": each(table(_POINT), least=1),
+        "curve": each(table(_POINT, _POINT_SURFACE), least=1),
         "curve_views": _count,
     },
     {"protocol": PROTOCOL, "scene": text},
@@ -136,6 +137,7 @@ _TRAJECTORY = {
     "intrinsics": Array("f", (4,)),
     "image_size": Array("iu", (2,), low=1, high=_WIDEST_IMAGE),
 }
+_RANGE = {"max_range": Array("f", (), low=0, high=_FARTHEST)}  # of the sensor, metres; not every path says it
 _PICTURES = {
     "rendered": Array("u", ("views", "height", "width", 3), high=255, least=1),
     "true": Array("u", ("views", "height", "width", 3), high=255, least=1),
@@ -172,7 +174,7 @@ _GRAPH = {
 
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
-    sizes = check_arrays(arrays, _TRAJECTORY)
+    sizes = check_arrays(arrays, _TRAJECTORY | (_RANGE if "max_range" in arrays else {}))
     if sizes["T"] > _MOST_POSES:
         raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
     poses = arrays["world_from_camera"]

@@ -40,6 +40,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
         CHECKPOINT_SAMPLES,
         CHECKPOINT_VIEWS,
         CHECKPOINTS,
+        SURFACE_CHECKPOINTS,
         run_job,
     )
     from activestructure_gym.evaluation.running.remeasure import read_path
@@ -65,14 +66,20 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     points = protocol.on_surface(surface)
     _, cost = _timed(lambda: geometry_scores(points, truth.surface, threshold_m=threshold, to_samples=False))
     yield {**name, "stage": "distances of the surface", **cost}
+    _, cost = _timed(lambda: protocol.observed(truth, path))
+    yield {**name, "stage": "observed", **cost}
     _, cost = _timed(lambda: protocol.looks(gaussians, truth, {}))
     yield {**name, "stage": f"{len(truth.views)} views", **cost}
     fresh = protocol.truth(ground_truth_of(scene))
     _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))
     yield {**name, "stage": "finished map, all of it", **whole}
     views, samples = CHECKPOINT_VIEWS, CHECKPOINT_SAMPLES
-    _, point = _timed(lambda: protocol.checkpoint(gaussians, truth, views=views, samples=samples))
-    curve = {key: (CHECKPOINTS + 1) * value for key, value in point.items()}
+    _, point = _timed(lambda: protocol.checkpoint(gaussians, truth, path, views=views, samples=samples))
+    _, fused = _timed(lambda: protocol.checkpoint(gaussians, truth, path, views=views, samples=samples, surface=True))
+    curve = {
+        key: (CHECKPOINTS - SURFACE_CHECKPOINTS) * value + (SURFACE_CHECKPOINTS + 1) * fused[key]
+        for key, value in point.items()
+    }
     yield {**name, "stage": f"curve of {CHECKPOINTS + 1} points (at most)", **curve}
     yield {**name, "stage": "episode", **{key: whole[key] + curve[key] for key in whole}}
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
 
 _SHOWN = (
-    "accuracy_cm", "completion_cm", "completion_ratio", "precision", "psnr", "ssim", "ms_ssim", "lpips", "depth_l1_cm"
+    "accuracy_cm", "completion_cm", "completion_ratio", "tsdf_completion_ratio", "observed", "precision", "psnr",
+    "ssim", "ms_ssim", "lpips", "depth_l1_cm",
 )  # fmt: skip
 
 

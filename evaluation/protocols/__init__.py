@@ -8,12 +8,14 @@ from typing import Any
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
 from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
-from activestructure_gym.evaluation.protocols.standard import StandardProtocol, Truth
+from activestructure_gym.evaluation.protocols.standard import StandardProtocol, StandardProtocol2, Truth
 
 # By name; the first is the one every run is measured by, others come on top of it.
 PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
     protocol.name: protocol for protocol in (StandardProtocol, ActiveGamerProtocol)
 }
+# Versions that runs on disk may name and no new run is measured by.
+_EARLIER: tuple[type[StandardProtocol], ...] = (StandardProtocol2,)
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
@@ -37,7 +39,7 @@ def get_protocol(name: str) -> EvaluationProtocol:
     Examples
     --------
     >>> get_protocol("standard").version
-    2
+    3
     """
     if name not in PROTOCOLS:
         raise unknown_name("protocol", name, PROTOCOLS)
@@ -45,12 +47,16 @@ def get_protocol(name: str) -> EvaluationProtocol:
 
 
 def protocol_from(parameters: Mapping[str, Any]) -> EvaluationProtocol:
-    """The protocol that `parameters()` described; raises `InputError` if this version measures something else."""
+    """The protocol that `parameters()` described, `InputError` if there is none that measures it.
+
+    Earlier versions of `standard` are read too; they measure as they did.
+    """
     values: dict[str, Any] = dict(parameters)
     name, version = values.pop("name", None), values.pop("version", None)
-    known = PROTOCOLS.get(str(name))
-    if known is None or version != known.version:
-        have = ", ".join(f"'{entry.name}' version {entry.version}" for entry in PROTOCOLS.values())
+    entries = (*PROTOCOLS.values(), *_EARLIER)
+    known = next((entry for entry in entries if (entry.name, entry.version) == (name, version)), None)
+    if known is None:
+        have = ", ".join(f"'{entry.name}' version {entry.version}" for entry in entries)
         raise InputError(
             f"the run was made with protocol '{name}' version {version}, this version knows {have}; run it again"
         )

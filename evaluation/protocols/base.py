@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.ground_truth.observable import VIEW_RANGE
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
@@ -22,6 +23,7 @@ class CameraPath:
     camera: PinholeCamera
     start: np.ndarray  # [4, 4] world_from_camera of the first frame
     keyframes: np.ndarray  # [K, 4, 4] world_from_camera of those the map was made from
+    max_range: float = VIEW_RANGE  # metres along the optical axis that the camera measures
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> CameraPath:
@@ -32,6 +34,7 @@ class CameraPath:
             camera=PinholeCamera(width, height, *(float(value) for value in arrays["intrinsics"])),
             start=poses[0],
             keyframes=poses[arrays["keyframes"]],
+            max_range=float(arrays.get("max_range", VIEW_RANGE)),
         )
 
 

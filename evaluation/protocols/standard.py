@@ -22,7 +22,9 @@ from activestructure_gym.evaluation.metrics.fusion import fused_surface, triangl
 from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarities
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
+from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
 from activestructure_gym.ground_truth.surface_samples import samples_by_area
 from activestructure_gym.ranges import check_ranges
 
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
     from activestructure_gym.ground_truth import GroundTruth
     from activestructure_gym.mapping import GaussianMap
+    from activestructure_gym.scenes import Scene
     from activestructure_gym.splatting.cpu import Rendering
 
 PointsSource = Literal["both", "means"]
@@ -43,6 +46,7 @@ class Truth:
 
     surface: SurfaceSamples
     views: HeldOutViews
+    scene: Scene | None = None  # whose mesh stands in lines of sight; None: what was observed cannot be told
 
 
 # Samples and views are held in memory; SSIM needs 11 x 11 pixels.
@@ -57,6 +61,7 @@ _RANGES = {
     "coverage_alpha": "[0, 1]",
     **dict.fromkeys(("tsdf_voxel_m", "tsdf_truncation_m"), "[0.001, 100]"),
     "tsdf_image_width": "[16, 4096]",
+    "sight_margin_m": "[0, 1]",
 }
 
 
@@ -65,7 +70,7 @@ class StandardProtocol:
     """Geometry of the solid Gaussians against the surface that can be seen; images from views nobody planned for."""
 
     name: ClassVar[str] = "standard"
-    version: ClassVar[int] = 2  # moves whenever the same map would get another number
+    version: ClassVar[int] = 3  # moves whenever the same map would get another number
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
@@ -82,6 +87,7 @@ class StandardProtocol:
     tsdf_voxel_m: float = 0.03  # metres
     tsdf_truncation_m: float = 0.1  # metres
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
+    sight_margin_m: float = SIGHT_MARGIN  # metres before a sample that a keyframe's line of sight spares
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -113,15 +119,16 @@ class StandardProtocol:
         seen = observable_surface_of(known.scene, known.free_space, self.surface_samples)
         surface = SurfaceSamples(seen.points, seen.normals, seen.area)
         if self.view_source == "recorded":
-            return Truth(surface, recorded_views(known.scene, count=self.views))
+            return Truth(surface, recorded_views(known.scene, count=self.views), known.scene)
         views = free_space_views(known, count=self.views, camera=self.camera, supersample=self.view_supersample)
-        return Truth(surface, views)
+        return Truth(surface, views, known.scene)
 
     def evaluate(self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None = None) -> dict[str, Any]:
         """All numbers of a finished map. ``views`` lists those of every view; the rest are their means.
 
         Numbers that begin with ``tsdf_`` are those of the surface, which needs the ``path``; the others those of the
-        means. What is not defined is None, and ``notes`` says why.
+        means. ``observed`` is the share of the surface that a keyframe saw, % of the samples, whatever became of it in
+        the map; it needs the ``path``, too. What is not defined is None, and ``notes`` says why.
         """
         notes: dict[str, str] = {}
         means = geometry_scores(self.points(gaussians), truth.surface, threshold_m=self.threshold_m)
@@ -130,6 +137,7 @@ class StandardProtocol:
         return {
             **dataclasses.asdict(means),
             **fused,
+            **self._observed_score(truth, path, notes),
             "true_area_m2": truth.surface.area,
             "true_samples": len(truth.surface.points),
             **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ssim", "ms_ssim", "lpips")},
@@ -139,6 +147,19 @@ class StandardProtocol:
             "views": views,
             "notes": notes,
         }
+
+    def _observed_score(self, truth: Truth, path: CameraPath | None, notes: dict[str, str]) -> dict[str, float | None]:
+        share = self.observed(truth, path)
+        if share is None:
+            missing = "poses of keyframes" if path is None else "mesh"
+            notes["observed"] = f"no {missing} came with the {'map' if path is None else 'truth'}"
+        return {"observed": share}
+
+    def observed(self, truth: Truth, path: CameraPath | None) -> float | None:
+        """The share of the surface that any keyframe saw, %; None without poses or without a mesh."""
+        if path is None or truth.scene is None:
+            return None
+        return 100.0 * float(np.mean(seen_by_keyframes(truth.surface.points, path, truth.scene, self.sight_margin_m)))
 
     def _fused_scores(
         self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None, notes: dict[str, str]
@@ -189,18 +210,39 @@ class StandardProtocol:
         with lpips.measuring(notes) as distance:
             return every_view(lambda index: self._view(gaussians, truth, index, distance), len(truth.views))
 
-    def checkpoint(self, gaussians: GaussianMap, truth: Truth, *, views: int, samples: int) -> dict[str, float]:
-        """C.R. and PSNR of an unfinished map on about ``samples`` surface points and the first ``views`` views."""
+    def checkpoint(
+        self,
+        gaussians: GaussianMap,
+        truth: Truth,
+        path: CameraPath | None = None,
+        *,
+        views: int,
+        samples: int,
+        surface: bool = False,
+    ) -> dict[str, float]:
+        """C.R. and PSNR of an unfinished map on about ``samples`` surface points and the first ``views`` views.
+
+        With the ``path`` so far also ``observed`` on the same points, and with ``surface`` the C.R. of the TSDF
+        surface, fused anew from the depth of the map as it is.
+        """
         every = slice(None, None, max(1, len(truth.surface.points) // samples))
         part = dataclasses.replace(
             truth.surface, points=truth.surface.points[every], normals=truth.surface.normals[every]
         )
-        distances = completion_distances(part, self.points(gaussians))
         count = min(views, len(truth.views))
-        return {
-            "completion_ratio": 100.0 * float(np.mean(distances < self.threshold_m)),
+        found = {
+            "completion_ratio": self._ratio(part, self.points(gaussians)),
             "psnr": _mean(psnr(self.picture(gaussians, truth, i), _unit(truth.views.rgb[i])) for i in range(count)),
         }
+        observed = self.observed(dataclasses.replace(truth, surface=part), path)
+        if observed is not None:
+            found["observed"] = observed
+        if surface and path is not None and self.points_source == "both":
+            found["tsdf_completion_ratio"] = self._ratio(part, self.on_surface(self.surface(gaussians, path)))
+        return found
+
+    def _ratio(self, surface: SurfaceSamples, points: np.ndarray) -> float:
+        return 100.0 * float(np.mean(completion_distances(surface, points) < self.threshold_m))
 
     def points(self, gaussians: GaussianMap) -> np.ndarray:  # [P, 3]
         """The reconstructed points: the means of the solid Gaussians."""
@@ -233,6 +275,23 @@ class StandardProtocol:
             "depth_l1_cm": None if error is None else 100.0 * error,
             "coverage": float(covered.mean()),
         }
+
+
+class StandardProtocol2(StandardProtocol):
+    """Version 2, so that what was measured by it can be read and measured again: the same without ``observed``."""
+
+    version: ClassVar[int] = 2
+
+    def parameters(self) -> dict[str, Any]:
+        """Name, version and every constant that version had."""
+        return {name: value for name, value in super().parameters().items() if name != "sight_margin_m"}
+
+    def observed(self, truth: Truth, path: CameraPath | None) -> float | None:
+        """None: nobody asked."""
+        return None
+
+    def _observed_score(self, truth: Truth, path: CameraPath | None, notes: dict[str, str]) -> dict[str, float | None]:
+        return {}
 
 
 def _unit(rgb: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.report import style, verdicts
 from activestructure_gym.evaluation.report.charts import key_mark, panel_chart
-from activestructure_gym.evaluation.report.curves import COSTS, MEASURES, chart_rows, convergence
+from activestructure_gym.evaluation.report.curves import COSTS, chart_rows, convergence, measures_of
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import Statistic, interquartile_mean, mean
@@ -29,13 +29,13 @@ def convergence_section(results: Results) -> Markup:
 
 
 def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Markup:
-    """C.R. and PSNR over frames, metres and seconds."""
+    """All measures over frames, metres and seconds."""
     charts = [chart for row in chart_rows(results, scene, statistic) for chart in row]
     return render("chart_grid.html.j2", charts=charts)
 
 
 def policy_panels(results: Results) -> list[Markup]:
-    """C.R. and PSNR over the frames with a panel for each policy; none while colours tell all policies apart."""
+    """All measures over the frames with a panel for each policy; none while colours tell all policies apart."""
     if len(results.policies) <= len(style.COLOURS):
         return []
     frames = COSTS[0]
@@ -46,5 +46,5 @@ def policy_panels(results: Results) -> list[Markup]:
             x_label=frames.label,
             y_label=measure.label,
         )
-        for measure in MEASURES
+        for measure in measures_of(results)
     ]

@@ -1,4 +1,4 @@
-"""Convergence curves: completion ratio and PSNR over frames, metres and seconds."""
+"""Convergence curves: completion ratios, what was observed, and PSNR over frames, metres and seconds."""
 
 from __future__ import annotations
 
@@ -40,18 +40,22 @@ class Cost:
 
 MEASURES = (
     Measure("completion_ratio", "C.R.", "%", 1, "C.R. at 5 cm [%]"),
+    Measure("tsdf_completion_ratio", "C.R. surface", "%", 1, "C.R. of the TSDF surface [%]"),
+    Measure("observed", "observed", "%", 1, "surface observed [%]"),
     Measure("psnr", "PSNR", "dB", 2, "PSNR of held-out views [dB]"),
 )
 COSTS = (Cost("frames", "frames"), Cost("metres", "path length [m]"), Cost("seconds", "wall clock [s]"))
 
 
 def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points of one run's curve, cost rising strictly (of equal costs the last counts).
+    """Points of one run's curve at which the measure was taken, cost rising strictly (of equal costs the last counts).
 
     Seconds are those at the end of a decision, without the evaluation; the point before the first decision has none.
     """
     points: dict[float, float] = {}
     for point in run.metrics["curve"]:
+        if point.get(measure) is None:
+            continue
         if cost == "seconds":
             ended = run.timing.get("decisions", [])
             if not 0 < point["decision"] <= len(ended):
@@ -61,6 +65,11 @@ def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]
             points[point[cost]] = point[measure]
     places = sorted(points)
     return np.array(places, dtype=np.float64), np.array([points[place] for place in places], dtype=np.float64)
+
+
+def measures_of(results: Results) -> list[Measure]:
+    """The measures that some run has a curve of."""
+    return [m for m in MEASURES if any(p.get(m.key) is not None for run in results.runs for p in run.metrics["curve"])]
 
 
 def convergence(
@@ -94,7 +103,7 @@ def convergence(
 def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
     """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
     rows = []
-    for measure in MEASURES:
+    for measure in measures_of(results):
         curves = [_telling(results, cost, measure, scene, statistic) for cost in COSTS]
         holds = span([line for lines in curves for line in lines])
         rows.append([

@@ -8,6 +8,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.canvas import to_image
+from activestructure_gym.evaluation.report.columns import ratios_text
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.layout import decimal
@@ -42,6 +43,7 @@ def _tile(run: Run, index: int, number: int) -> dict[str, Any]:
     return {
         "index": number,
         "policy": run.policy,
+        "ratios": ratios_text(run),
         "metrics": run.metrics["metrics"],
         "view": picture(view, f"the same view in the map of {run.policy}"),
         "psnr": decimal(float(run.pictures["psnr"][index]), 1),

@@ -11,7 +11,7 @@ from PIL import Image
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
-from activestructure_gym.evaluation.report.columns import COLUMNS
+from activestructure_gym.evaluation.report.columns import COLUMNS, ratios_text
 from activestructure_gym.evaluation.report.curve_section import chart_grid
 from activestructure_gym.evaluation.report.embedding import picture
 from activestructure_gym.evaluation.report.html import html_table, render
@@ -150,5 +150,5 @@ def _result(run: Run) -> str:
     metrics = run.metrics["metrics"]
     return (
         f"seed {run.job.seed}, {metrics['frames']} frames, {metrics['metres']:.1f} m, "
-        f"C.R. {metrics['completion_ratio']:.1f} %, {metrics['psnr']:.2f} dB"
+        f"{ratios_text(run)}, {metrics['psnr']:.2f} dB"
     )

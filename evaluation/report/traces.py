@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.report.columns import ratios_text, value_of
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
 from activestructure_gym.evaluation.report.phases import bands, chosen_terms
@@ -19,9 +19,9 @@ _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "d
 
 def run_trace(run: Run) -> Markup:
     """Folded: identity and result in one line; behind it phases, decisions and where the run's files are."""
-    numbers = {key: value_of(run, key) for key in ("completion_ratio", "psnr", "metres", "collisions", "seconds")}
-    parts = [f"{run.policy}, seed {run.job.seed}"]
-    for key, form in (("completion_ratio", "C.R. {:.1f} %"), ("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
+    numbers = {key: value_of(run, key) for key in ("psnr", "metres", "collisions", "seconds")}
+    parts = [f"{run.policy}, seed {run.job.seed}", ratios_text(run)]
+    for key, form in (("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
         if (value := numbers[key]) is not None:
             parts.append(form.format(value))
     parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
@@ -54,12 +54,15 @@ def trace_table(run: Run) -> Table:
     steps, terms = run.steps, chosen_terms(run.steps)
     phased = any((step.get("trace") or {}).get("phase") for step in steps)
     second = any((step.get("trace") or {}).get("runner_up") for step in steps)
+    surface = any("observed" in (step.get("checkpoint") or {}) for step in steps)
     headings = [Heading("#"), Heading("frames"), Heading("path (m)"), Heading("s")]
     headings += [Heading("phase", numeric=False)] if phased else []
     headings += [Heading("to x, y, z (m)", numeric=False), Heading("way (m)"), Heading("candidates")]
     headings += [Heading(name) for name in terms]
     headings += [Heading("runner-up")] if second else []
-    headings += [*(Heading(name) for name, _, _ in _GRAPH), Heading("Gaussians"), Heading("C.R. (%)"), Heading("PSNR")]
+    headings += [*(Heading(name) for name, _, _ in _GRAPH), Heading("Gaussians"), Heading("C.R. (%)")]
+    headings += [Heading("C.R. surface (%)"), Heading("observed (%)")] if surface else []
+    headings.append(Heading("PSNR"))
     ended = run.timing.get("decisions", [])
     rows = []
     for k, step in enumerate(steps):
@@ -78,7 +81,10 @@ def trace_table(run: Run) -> Table:
         for _, key, digits in _GRAPH:
             row.append(number(planes if key is None else graph.get(key), digits, ""))
         row.append(number(step.get("gaussians"), 0, ""))
-        row += [number(check.get("completion_ratio"), 1, ""), number(check.get("psnr"), 2, "")]
+        row.append(number(check.get("completion_ratio"), 1, ""))
+        if surface:
+            row += [number(check.get("tsdf_completion_ratio"), 1, ""), number(check.get("observed"), 1, "")]
+        row.append(number(check.get("psnr"), 2, ""))
         rows.append(row)
     title = f"Decisions of {run.policy} on {run.scene}, seed {run.job.seed}"
     return Table(f"trace-{run.job.name}", title, headings, rows)

@@ -9,7 +9,7 @@ import numpy as np
 
 from activestructure_gym.evaluation.report.columns import COSTS, MAIN, QUALITY, Column, measured
 from activestructure_gym.evaluation.report.curves import COSTS as AXES
-from activestructure_gym.evaluation.report.curves import MEASURES, areas
+from activestructure_gym.evaluation.report.curves import areas, measures_of
 from activestructure_gym.evaluation.report.layout import (
     MISSING,
     Cell,
@@ -202,7 +202,7 @@ def aggregate_table(results: Results) -> Table:
 def area_table(results: Results) -> Table:
     """Area under the convergence curves, normalised by the budget, for every measure and cost."""
     columns = []
-    for measure in MEASURES:
+    for measure in measures_of(results):
         column = Column(measure.key, measure.header, measure.unit, measure.digits, "highest")
         for cost in AXES:
             strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 CHECKPOINTS = 20  # points of the convergence curve, besides the first
 CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
+# How often on the way the TSDF surface is fused anew out of the depth at all keyframes: each time as dear as at the end
+# in proportion to the keyframes so far, so together about three times.
+SURFACE_CHECKPOINTS = 5
 
 
 Stage = Literal["loading", "exploring", "measuring", "done"]
@@ -201,6 +204,7 @@ class _Episode:
         self.decision_seconds: list[float] = []  # total seconds at the end of each decision
         self._policy_seconds = 0.0
         self._next_checkpoint = 0
+        self._next_surface = 0
 
     def run(self) -> None:
         """Play the episode from the first frame to the end of the budget."""
@@ -222,7 +226,7 @@ class _Episode:
             step["graph"] = graph_summary(env.reconstruction.planes)
             self.decision_seconds.append(time.perf_counter() - self._began - self.evaluation_seconds)
             if ended or truncated or info["frames"] >= self._next_checkpoint:
-                step["checkpoint"] = self._checkpoint()
+                step["checkpoint"] = self._checkpoint(last=ended or truncated)
             self.steps.append(step)
             self.tell(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
         self.ended = "frame budget used up" if truncated else "no candidate left"
@@ -254,19 +258,33 @@ class _Episode:
             step["gains"] = dict(zip(self.env.config.gains, observation["candidate_gains"][action]))
         return step | {"trace": self.policy.trace()}
 
-    def _checkpoint(self) -> dict[str, float]:
+    def _checkpoint(self, *, last: bool = False) -> dict[str, float]:
         """A point of the convergence curve; its time is not the planner's."""
         began = time.perf_counter()
         reconstruction = self.env.reconstruction
+        frames, budget = reconstruction.frames, reconstruction.frame_budget
+        surface = last or frames >= self._next_surface
+        if surface:
+            self._next_surface = _following(frames, budget // SURFACE_CHECKPOINTS)
         scores = self.job.protocol.checkpoint(
-            reconstruction.mapper.map, self.truth, views=CHECKPOINT_VIEWS, samples=CHECKPOINT_SAMPLES
+            reconstruction.mapper.map,
+            self.truth,
+            CameraPath.from_arrays(_path_arrays(reconstruction)),
+            views=CHECKPOINT_VIEWS,
+            samples=CHECKPOINT_SAMPLES,
+            surface=surface,
         )
-        point = {"decision": reconstruction.decisions, "frames": reconstruction.frames, "metres": reconstruction.metres}
+        point = {"decision": reconstruction.decisions, "frames": frames, "metres": reconstruction.metres}
         self.curve.append(point | scores)
-        spacing = max(1, reconstruction.frame_budget // CHECKPOINTS)
-        self._next_checkpoint = (reconstruction.frames // spacing + 1) * spacing
+        self._next_checkpoint = _following(frames, budget // CHECKPOINTS)
         self.evaluation_seconds += time.perf_counter() - began
         return scores
+
+
+def _following(frames: int, spacing: int) -> int:
+    """The next multiple of the spacing, which is at least 1."""
+    spacing = max(1, spacing)
+    return (frames // spacing + 1) * spacing
 
 
 def _is_logged(name: str, value: Any) -> bool:
@@ -320,13 +338,14 @@ def _write_record(
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """Every executed pose [T, 4, 4], which of them were keyframes [K], and the camera; see `Run.trajectory`."""
+    """Every executed pose [T, 4, 4], which of them were keyframes [K], camera and range; see `Run.trajectory`."""
     camera = reconstruction.config.sensor.camera
     return {
         "world_from_camera": np.stack(reconstruction.trajectory),
         "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),
         "intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         "image_size": np.array([camera.width, camera.height], dtype=np.int64),
+        "max_range": np.array(reconstruction.config.sensor.max_range, dtype=np.float64),
     }
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import SurfaceSamples
-from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol, Truth, protocol_from
 from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import GaussianMap
@@ -100,7 +100,7 @@ def test_the_same_map_gives_the_same_bits(wall, rng):
 
 def test_every_parameter_is_written_down():
     parameters = PROTOCOL.parameters()
-    assert parameters["name"] == "standard" and parameters["version"] == 2
+    assert parameters["name"] == "standard" and parameters["version"] == 3
     assert {field.name for field in dataclasses.fields(PROTOCOL)} <= parameters.keys()
 
 
@@ -117,3 +117,33 @@ def test_every_parameter_is_written_down():
 def test_parameters_that_mean_nothing_are_refused(change):
     with pytest.raises(InputError):
         StandardProtocol(**change)
+
+
+def test_without_poses_or_a_mesh_nobody_knows_what_was_observed(wall):
+    scores = PROTOCOL.evaluate(GaussianMap(), wall)
+    assert scores["observed"] is None and "poses" in scores["notes"]["observed"]
+    path = CameraPath(wall.views.camera, np.eye(4), np.eye(4)[None])
+    assert "mesh" in PROTOCOL.evaluate(GaussianMap(), wall, path)["notes"]["observed"]
+    assert "observed" not in PROTOCOL.checkpoint(GaussianMap(), wall, path, views=1, samples=10)
+
+
+def test_the_surface_of_a_checkpoint_is_that_of_the_full_measurement(wall):
+    solid = GaussianMap()
+    solid.append(gaussians(wall.surface.points, opacity=0.95))
+    path = CameraPath(wall.views.camera, np.eye(4), np.eye(4)[None])
+    full = PROTOCOL.evaluate(solid, wall, path)["tsdf_completion_ratio"]
+    point = PROTOCOL.checkpoint(solid, wall, path, views=1, samples=10**6, surface=True)
+    assert 0.0 < point["tsdf_completion_ratio"] == full < 100.0  # the image is narrower than the wall
+    assert "tsdf_completion_ratio" not in PROTOCOL.checkpoint(solid, wall, path, views=1, samples=10**6)
+
+
+def test_version_2_is_read_and_measures_as_it_did(wall):
+    known = {key: value for key, value in PROTOCOL.parameters().items() if key != "sight_margin_m"}
+    second = protocol_from(known | {"version": 2})
+    assert isinstance(second, StandardProtocol) and second.version == 2
+    assert second.parameters() == known | {"version": 2} and second != PROTOCOL
+    assert protocol_from(PROTOCOL.parameters()) == PROTOCOL
+    scores, full = second.evaluate(GaussianMap(), wall), PROTOCOL.evaluate(GaussianMap(), wall)
+    assert full.keys() - scores.keys() == {"observed"}
+    with pytest.raises(InputError, match="version 1"):
+        protocol_from(known | {"version": 1})

@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.report.curves import areas, chart_rows, convergence, curve_of
+from activestructure_gym.evaluation.report.curves import areas, chart_rows, convergence, curve_of, measures_of
 from activestructure_gym.evaluation.report.results import Results
 
 
@@ -69,3 +69,20 @@ def test_areas_end_at_the_budget_or_with_the_cheapest_run(make_run):
     # Over metres both end at 6: the cheap one has its mean there, the dear one half of its way.
     assert areas(results, "a", "metres", "completion_ratio")[0] == pytest.approx(50.0)
     assert areas(results, "b", "metres", "completion_ratio")[0] == pytest.approx((20 + 40) / 2 * 4 / 6 + 45 * 2 / 6)
+
+
+def test_a_measure_has_points_where_it_was_taken_and_charts_where_any_run_has_it(make_run):
+    run, old = make_run(policy="a"), make_run(policy="b")
+    for point, observed in zip(run.metrics["curve"], (10.0, 40.0, 60.0, 70.0)):
+        point["observed"] = observed
+    run.metrics["curve"][0]["tsdf_completion_ratio"] = 5.0
+    run.metrics["curve"][-1]["tsdf_completion_ratio"] = 65.0
+    np.testing.assert_array_equal(curve_of(run, "frames", "observed"), [[1, 34, 67, 100], [10, 40, 60, 70]])
+    np.testing.assert_array_equal(curve_of(run, "frames", "tsdf_completion_ratio"), [[1, 100], [5, 65]])
+    assert len(curve_of(old, "frames", "observed")[0]) == 0
+    both = Results([run, old], [])
+    assert [m.key for m in measures_of(both)] == ["completion_ratio", "tsdf_completion_ratio", "observed", "psnr"]
+    assert [m.key for m in measures_of(Results([old], []))] == ["completion_ratio", "psnr"]
+    assert [line.name for line in convergence(both, "frames", "observed")] == ["a"]
+    assert len(chart_rows(both)) == 4
+    assert areas(both, "b", "frames", "observed") is None

@@ -5,6 +5,9 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.protocols import protocol_from
+from activestructure_gym.evaluation.report.columns import aspects, ratios_text
+from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.results import Results, gather, source_of
 
 
@@ -58,6 +61,23 @@ def test_like_is_compared_with_like(make_run):
         Results([one, changed], [])
     with pytest.raises(InputError, match="at least one finished run"):
         Results([], [])
+
+
+def test_runs_of_two_versions_of_the_protocol_are_not_mixed_and_each_is_reported(make_run):
+    new = make_run(policy="b", tsdf_completion_ratio=85.0, observed=91.25)
+    old = make_run()
+    second = {k: v for k, v in old.job.protocol.parameters().items() if k != "sight_margin_m"} | {"version": 2}
+    old.__dict__["job"] = dataclasses.replace(old.job, protocol=protocol_from(second))
+    with pytest.raises(InputError, match="protocol version: 3, 2"):
+        Results([new, old], [])
+    assert ratios_text(new) == "C.R. 80.0 %, of the surface 85.0 %, observed 91.2 %"
+    assert ratios_text(old) == "C.R. 80.0 %, of the surface –, observed –"
+    shown = {run.policy: [column.header for column in aspects([run])[0].columns] for run in (new, old)}
+    assert shown["b"][2:5] == ["C.R.", "C.R. surface", "observed"]
+    assert shown["random"][2:4] == ["C.R.", "Prec."]
+    for run in (new, old):
+        page = html_page(Results([run], []))
+        assert ratios_text(run) in page and (">C.R. surface (%)" in page) == (run is new)
 
 
 def test_what_was_asked_for_and_has_no_run_is_missing(make_run, tmp_path):

@@ -63,7 +63,7 @@ def test_the_overview_marks_ranks_within_a_scene(make_run):
     runs = [make_run(scene, policy, psnr=20.0 + (policy == "c")) for scene, policy in cells]
     one = markdown(overview(table_rows(runs[:2])))
     header, rule, first, second = one.splitlines()
-    assert header.startswith("| policy | Acc (cm) ↓ | Com. (cm) ↓ | C.R. (%) ↑ | Prec. (%) ↑ | PSNR (dB) ↑ |")
+    assert header.startswith("| policy | Acc (cm) ↓ | Com. (cm) ↓ | C.R. (%) ↑ | C.R. surface (%) ↑ | observed (%) ↑ |")
     assert rule.count("|") == header.count("|")
     assert "a\\|b" in first and "**21.00** ¹" in second and "20.00 ²" in first
     table = overview(table_rows(runs))

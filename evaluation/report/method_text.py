@@ -18,8 +18,8 @@ def meanings(results: Results) -> dict[str, str]:
         "completion_ratio": f"completion ratio, the share of the true surface with a point nearer than {near}",
         "tsdf_completion_ratio": "the same of the surface that is fused from the map's own depth at the keyframes; it "
         "hardly depends on how densely Gaussians stand",
-        "observed": "share of the true surface that any keyframe saw, mapped or not: exploring raises it; high with a low "
-        "C.R. is seen and not mapped. C.R. may exceed it, since it reaches a little beyond what was seen",
+        "observed": "share of the true surface that any keyframe saw, mapped or not: exploring raises it; high with "
+        "a low C.R. is seen and not mapped. C.R. may exceed it, since it reaches a little beyond what was seen",
         "precision": f"share of the reconstructed points nearer than {near} to the true surface",
         "f_score": "harmonic mean of completion ratio and precision",
         "psnr": "how closely rendered views that no policy has chosen match the true ones; 1 dB more is a fifth less "

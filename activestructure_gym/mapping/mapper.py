@@ -125,7 +125,7 @@ class Mapper:
         self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
         boxes = MapParts(self.map, **self._slack(iterations))
-        unseen = boxes.unseen(frame.camera, frame.world_from_camera)
+        unseen = boxes.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
         replaced, added, left_out, new_share = self._seed(frame, unseen)
         # Whoever goes is replaced by the last of the map, and the boxes no longer know who is where.
         parts = None if replaced else boxes.extended(added)
@@ -243,6 +243,10 @@ class Mapper:
             self.map.append(self._new_gaussians(frame, seeds, sigma))
         return replaced, len(sigma), count - len(sigma), new_share
 
+    def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres
+        """The depth behind which nothing takes part in a keyframe, where seeds stand for the surface from the start."""
+        return None if self.config.seed_spacing is None else frame.depth
+
     def _room_for(self, more: int) -> bool:
         """Whether the bound, if there is one, lets the map grow by so many."""
         bound = self.config.max_gaussians
@@ -357,7 +361,7 @@ class Mapper:
                 rates = config.learning_rates() * (root / (1.0 - config.adam_beta1 ** (step + 1)))
                 epsilon = config.adam_epsilon * root
             frame = self._store.frames[view]
-            unseen = parts.unseen(frame.camera, frame.world_from_camera)
+            unseen = parts.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
             changed |= True if unseen is None else ~unseen
             result = self.rasterizer.mapping_step(
                 self.map.parameters,
@@ -397,12 +401,11 @@ class Mapper:
         return self.map.keep(keep)
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
-        # For a few pictures making the boxes costs more than they save.
-        parts = MapParts(self.map) if len(indices) > 3 else None
+        parts = MapParts(self.map) if len(indices) else None
         for index in indices:
             frame = self._store.frames[index]
             camera, pose = frame.camera, frame.world_from_camera
-            unseen = parts.unseen(camera, pose) if parts else None
+            unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
             shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
             error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - _unit_rgb(frame)), dtype=np.float64))
             self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))

@@ -2,7 +2,8 @@
 
 Gaussians stand in the map in the order in which they were seeded, so a thousand neighbours in the arrays mostly lie
 near each other. Each such block has a box; blocks whose box cannot reach the image are left out, and the others are
-copied together. The bound is that of the rasteriser, so the pictures are the same to the last bit.
+copied together. The bound is that of the rasteriser, so the pictures are the same to the last bit. Where a depth was
+measured, what lies well behind it can be left out, too (`activestructure_gym.mapping.hidden`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.mapping.gaussian_map import ROWS, GaussianMap
+from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
 from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.workspace import aligned_zeros, make_view
 
@@ -50,11 +52,23 @@ class MapParts:
             self._boxes = np.concatenate([self._boxes[:first], self._made(first)])
         return self
 
-    def unseen(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> np.ndarray | None:  # [chunks] bool
-        """The rasteriser's chunks without a block that the camera could see; None for a small map."""
+    def unseen(
+        self,
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,  # [4, 4]
+        depth: np.ndarray | None = None,  # [H, W] float32 metres, measured there; 0 = no return
+    ) -> np.ndarray | None:  # [chunks] bool
+        """The rasteriser's chunks without a block that the camera could see; None for a small map.
+
+        With a measured ``depth`` also those that lie behind it (`hidden`), which a picture may show a trace of.
+        """
         if self._boxes is None:
             return None
         seen = may_be_seen(self._boxes, camera, world_from_camera)
+        if depth is not None:
+            candidates = np.flatnonzero(seen)
+            tiles = depth_tiles(depth, camera, world_from_camera)
+            seen[candidates] = ~behind_the_measured(self._boxes[candidates], tiles)
         per_chunk = layout.CHUNK // BLOCK
         padded = np.zeros(-(-len(seen) // per_chunk) * per_chunk, dtype=bool)
         padded[: len(seen)] = seen

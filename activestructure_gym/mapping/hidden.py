@@ -1,0 +1,87 @@
+"""Blocks of the map that a keyframe cannot show because something nearer was measured all over them.
+
+What stands behind a wall is inside the view of many keyframes and is seen by none. Where every pixel that a block could
+reach has a return nearer than the block's nearest point by more than `MARGIN`, its Gaussians take no part in that
+keyframe. Pixels without a return hide nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.geometry import PinholeCamera, invert_rigid
+
+MARGIN = 0.5  # metres behind the measured surface: more than noise and the fit of the map move anything (own choice)
+_TILE = 8  # pixels
+_REACH = 3.35  # sigma (the rasteriser stops at 3.34)
+_BORDER = 2.0  # pixels by which the rasteriser's blur widens everything
+_NEAREST = 0.05  # metres; a box that comes nearer to the camera's plane is never called hidden
+
+
+class DepthTiles(NamedTuple):
+    """How far a depth image sees at most, tile by tile, and the camera that took it."""
+
+    farthest: np.ndarray  # [h, w] float32 metres; inf where a pixel of the tile has no return
+    camera_from_world: np.ndarray  # [3, 4] float64
+    intrinsics: np.ndarray  # [4] float64 pixels: fx, fy, cx, cy
+    size: tuple[int, int]  # width, height in pixels
+
+
+def depth_tiles(
+    depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [4, 4]
+) -> DepthTiles:
+    """The largest depth of every tile of a depth image."""
+    height, width = depth.shape
+    far = np.where(depth > 0, depth, np.inf).astype(np.float32)
+    padded = np.pad(far, ((0, -height % _TILE), (0, -width % _TILE)))
+    farthest = padded.reshape(padded.shape[0] // _TILE, _TILE, -1, _TILE).max(axis=(1, 3))
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    pose = np.ascontiguousarray(invert_rigid(world_from_camera)[:3])
+    return DepthTiles(np.ascontiguousarray(farthest), pose, intrinsics, (width, height))
+
+
+@kernel
+def behind_the_measured(
+    boxes: np.ndarray,  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
+    tiles: DepthTiles,
+) -> np.ndarray:  # [B] bool
+    """Boxes of which the image shows nothing nearer than `MARGIN` behind the measured surface."""
+    farthest, m, intrinsics, (width, height) = tiles
+    hidden = np.zeros(len(boxes), np.bool_)
+    for block in range(len(boxes)):
+        wider = _REACH * boxes[block, 6]
+        nearest = np.inf
+        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
+        for corner in range(8):
+            x = boxes[block, 3] + wider if corner & 1 else boxes[block, 0] - wider
+            y = boxes[block, 4] + wider if corner & 2 else boxes[block, 1] - wider
+            z = boxes[block, 5] + wider if corner & 4 else boxes[block, 2] - wider
+            depth = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            nearest = min(nearest, depth)
+            if not depth > _NEAREST:
+                continue
+            u = intrinsics[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / depth + intrinsics[2]
+            v = intrinsics[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / depth + intrinsics[3]
+            left, right = min(left, u), max(right, u)
+            top, bottom = min(top, v), max(bottom, v)
+        if not nearest > _NEAREST:
+            continue
+        first_column = int(max(0.0, min(left - _BORDER, width - 1.0))) // _TILE
+        last_column = int(max(0.0, min(right + _BORDER, width - 1.0))) // _TILE
+        first_row = int(max(0.0, min(top - _BORDER, height - 1.0))) // _TILE
+        last_row = int(max(0.0, min(bottom + _BORDER, height - 1.0))) // _TILE
+        covered = True
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                if not farthest[row, column] + MARGIN < nearest:
+                    covered = False
+                    break
+            if not covered:
+                break
+        hidden[block] = covered
+    return hidden

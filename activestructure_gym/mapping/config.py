@@ -18,7 +18,8 @@ _RANGES = {
     "seed_stride": "[1, 1024]",
     "seed_spacing": "[0.01, 1]",  # finer ones fill gaps between pixels with thousands of samples each
     "seed_pixels": "[0.5, 1000]",
-    **dict.fromkeys(("seed_footprint", "edge_footprint", "seed_thickness"), "(0, 1000]"),
+    **dict.fromkeys(("seed_footprint", "seed_thickness"), "(0, 1000]"),
+    "border_sigmas": "(0, 100]",
     "coarse_ratio": "[1, 1e6]",
     **dict.fromkeys(("seed_opacity", "adam_beta1", "adam_beta2"), "(0, 1)"),
     **dict.fromkeys(("covered_alpha", "min_incidence_cosine", "overlap_border", "global_new_share", "l1_share",
@@ -86,7 +87,7 @@ class MapperConfig:
     seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
     texture_contrast: float = 0.02  # 0..1, between neighbouring pixels, above which is texture (measured)
     seed_footprint: float = 0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * z / f) (measured)
-    edge_footprint: float = 0.7  # share of that sigma where the surface ends (measured)
+    border_sigmas: float | None = 1.6  # sigmas between a mean and where its surface ends; None = any (measured)
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: irrelevant in .02 .. .3)
     seed_opacity: float = 0.99  # 0..1 (measured: .9 lets 3 % of every wall through, which gains of holes add up)
     min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)

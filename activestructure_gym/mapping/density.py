@@ -38,12 +38,11 @@ def wanted_spacing(
     plain: float,  # metres, where nothing of the surface is seen but its place
     pixels: float,  # where there is texture or an edge: pixels between neighbours
     contrast: float,  # 0..1, difference of a channel between neighbouring pixels above which there is texture
-) -> tuple[np.ndarray, np.ndarray]:  # [H, W] float32 metres, [H, W] bool
-    """Distance within which every point of the surface should have a mean, and where the surface ends."""
+) -> np.ndarray:  # [H, W] float32 metres
+    """Distance within which every point of the surface should have a mean."""
     resolved = pixels * frame.depth / np.float32(0.5 * (frame.camera.fx + frame.camera.fy))
-    textured, edges = _textured(frame.rgb, frame.depth, contrast)
-    spacing = np.where(textured | edges, np.minimum(resolved, plain), plain)
-    return np.ascontiguousarray(spacing, dtype=np.float32), edges
+    spacing = np.where(_textured(frame.rgb, frame.depth, contrast), np.minimum(resolved, plain), plain)
+    return np.ascontiguousarray(spacing, dtype=np.float32)
 
 
 @kernel
@@ -51,29 +50,29 @@ def _textured(
     rgb: np.ndarray,  # [H, W, 3] uint8
     depth: np.ndarray,  # [H, W] float32 metres; 0 = no return
     contrast: float,
-) -> tuple[np.ndarray, np.ndarray]:  # [H, W] bool, [H, W] bool
-    """Pixels that differ from one of their four neighbours in colour, and such that lie on another surface."""
+) -> np.ndarray:  # [H, W] bool
+    """Pixels that differ from one of their four neighbours in colour, or show another surface."""
     height, width = depth.shape
     least = contrast * _LEVELS
-    textured, edges = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
+    textured = np.zeros((height, width), np.bool_)
     for row in range(height):
         for column in range(width):
             for down, right in ((0, 1), (1, 0)):
                 i, j = row + down, column + right
                 if i >= height or j >= width:
                     continue
-                if not _joined(depth, row, column, down, right):
-                    edges[row, column] = edges[i, j] = True
+                if not joined(depth, row, column, down, right):
+                    textured[row, column] = textured[i, j] = True
                 for channel in range(3):
                     # Not int(): compiled, that of a uint8 is unsigned, and so would be their difference.
                     step = np.int64(rgb[row, column, channel]) - np.int64(rgb[i, j, channel])
                     if abs(step) > least:
                         textured[row, column] = textured[i, j] = True
-    return textured, edges
+    return textured
 
 
 @kernel
-def _joined(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
+def joined(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
     """Whether a pixel and the one below or to the right of it show one surface: 1 / z is linear along a plane."""
     height, width = depth.shape
     here, there = depth[row, column], depth[row + down, column + right]
@@ -125,13 +124,13 @@ def _sample(points, rgb, depth, spacing, into):  # type: ignore[no-untyped-def]
         for column in range(width):
             if not depth[row, column] > 0.0:
                 continue
-            rightwards = column + 1 < width and _joined(depth, row, column, 0, 1)
-            downwards = row + 1 < height and _joined(depth, row, column, 1, 0)
+            rightwards = column + 1 < width and joined(depth, row, column, 0, 1)
+            downwards = row + 1 < height and joined(depth, row, column, 1, 0)
             whole = (
                 rightwards
                 and downwards
-                and _joined(depth, row + 1, column, 0, 1)
-                and _joined(depth, row, column + 1, 1, 0)
+                and joined(depth, row + 1, column, 0, 1)
+                and joined(depth, row, column + 1, 1, 0)
             )
             across, along = 1, 1
             if rightwards:

@@ -220,7 +220,7 @@ class Mapper:
         if config.seed_spacing is None:
             seeds, sigma, new_share = self._seeds_by_rendering(frame, unseen)
         else:
-            spacing, edges = wanted_spacing(
+            spacing = wanted_spacing(
                 frame,
                 plain=config.seed_spacing,
                 pixels=config.seed_pixels,
@@ -231,7 +231,6 @@ class Mapper:
             if coarse.any() and not self._room_for(len(sigma) - int(coarse.sum())):
                 coarse[:] = False  # the finer ones would not close the gap that these leave
                 seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
-            sigma[edges.ravel()[seeds.pixels]] *= config.edge_footprint
             replaced = self.map.keep(~coarse)
         count = len(sigma)
         room = count if config.max_gaussians is None else max(0, config.max_gaussians - self.map.count)
@@ -299,6 +298,7 @@ class Mapper:
             thickness=config.seed_thickness,
             opacity=config.seed_opacity,
             min_cosine=config.min_incidence_cosine,
+            border_sigmas=config.border_sigmas,
         )
 
     def _coarse(self, frame: Frame, spacing: np.ndarray, unseen: np.ndarray | None) -> np.ndarray:  # [count] bool

@@ -12,6 +12,7 @@ import numpy as np
 from activestructure_gym.geometry import transform_points
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.geometry.rotations import quaternions
+from activestructure_gym.mapping.borders import nearest_borders
 from activestructure_gym.mapping.density import SurfaceSamples
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 
@@ -109,15 +110,28 @@ def seed_disks(
     thickness: float = 0.1,  # sigma along the normal, as a share of the in-plane sigma
     opacity: float = 0.9,
     min_cosine: float = 0.05,
+    border_sigmas: float | None = None,  # sigmas that fit between a disk's middle and the border of its surface
 ) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
-    """One disk per sample, lying on the surface; a ball where the surface's direction is unknown."""
+    """One disk per sample, lying on the surface; a ball where the surface's direction is unknown.
+
+    Beside a border of the surface it becomes an ellipse, narrow towards the border (`nearest_borders`).
+    """
     block = seed_balls(frame, seeds, sigma, opacity=opacity)
     rows, columns = np.divmod(seeds.pixels, frame.camera.width)
     points = frame.camera.backproject(frame.depth)
     per_column, per_row, defined = surface_steps(points, rows, columns, min_cosine=min_cosine)
     if defined.any():
-        axes = frame.world_from_camera[:3, :3] @ _disk_axes(per_column[defined], per_row[defined])
-        block[QUATERNION, defined] = quaternions(axes).T
+        axes = _disk_axes(per_column[defined], per_row[defined])
+        if border_sigmas is not None:
+            borders = nearest_borders(frame, seeds.pixels, border_sigmas * sigma)
+            beside = defined & np.isfinite(borders.distance)
+            directed, distance = _border_axes(
+                frame, seeds.pixels[beside], borders.direction[beside], axes[beside[defined], :, 2]
+            )
+            axes[beside[defined]] = directed
+            narrow = borders.distance[beside] * distance / border_sigmas
+            block[7, beside] = np.log(np.clip(narrow, thickness * sigma[beside], sigma[beside]))
+        block[QUATERNION, defined] = quaternions(frame.world_from_camera[:3, :3] @ axes).T
     block[9, defined] += np.log(thickness)
     return block
 
@@ -164,6 +178,29 @@ def _disk_axes(
     normal = _cross(per_row, per_column)  # y x x = -z: towards the camera
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.stack([long, _cross(normal, long), normal], axis=-1)
+
+
+def _border_axes(
+    frame: Frame,
+    pixels: np.ndarray,  # [n] flat index
+    direction: np.ndarray,  # [n, 2] unit vectors in the image, towards the border
+    normals: np.ndarray,  # [n, 3] of the surface, camera frame
+) -> tuple[np.ndarray, np.ndarray]:  # [n, 3, 3] as columns: across the border, along it, normal; [n] metres per pixel
+    """Axes of disks beside a border, and how far on the surface a pixel towards it is."""
+    camera = frame.camera
+    rows, columns = np.divmod(pixels, camera.width)
+    ray = np.stack(
+        [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(pixels))], axis=-1
+    )
+    # The border's line in the image and the eye span a plane; where that cuts the surface, the border runs.
+    line = np.stack([-direction[:, 1] / camera.fx, direction[:, 0] / camera.fy, np.zeros(len(pixels))], axis=-1)
+    along = _cross(normals, _cross(ray, line))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = _cross(along, normals)
+    moved = across[:, :2] - ray[:, :2] * across[:, 2:]  # times the focal length over depth: pixels per metre
+    pixels_per_metre = np.abs(moved[:, 0] * direction[:, 0] * camera.fx + moved[:, 1] * direction[:, 1] * camera.fy)
+    metres_per_pixel = frame.depth.ravel()[pixels] / np.maximum(pixels_per_metre, 1e-6)
+    return np.stack([across, along, normals], axis=-1), metres_per_pixel
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # [n, 3], [n, 3] -> [n, 3]

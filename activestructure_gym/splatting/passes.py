@@ -26,20 +26,27 @@ _AT_ONCE = 3  # channels a rendering carries
 
 def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
     """Depth of the Gaussian with which the transmittance first falls to 0.5 or below; 0 where none does."""
+    gaussian = median_gaussian(workspace)
+    depths = workspace.records[layout.DEPTH :: layout.RECORD]
+    return np.where(gaussian >= 0, depths[gaussian], np.float32(0.0))
+
+
+def median_gaussian(workspace: Workspace) -> np.ndarray:  # [H, W] int64
+    """Column of the Gaussian with which the transmittance first falls to 0.5 or below; -1 where none does."""
     camera = workspace.camera
-    picture = np.empty((camera.height, camera.width), np.float32)
+    picture = np.empty((camera.height, camera.width), np.float32)  # exact up to 16 million
     workspace.tickets[:] = 0
     workspace._run(_median, workspace.lists, picture.reshape(-1))
-    return picture
+    return picture.astype(np.int64)
 
 
 @kernel
 def _median(tickets, lists, picture):
     view, grid, records, entries = lists.camera, lists.grid, lists.records, lists.entries
     tile_start, tile_order = lists.tile_start, lists.tile_order
-    width = 2 * LANES  # floats of state per block: transmittance, median depth
+    width = 2 * LANES  # floats of state per block: transmittance, who crosses one half
     state = scratch_of(64 * width)
-    half, zero = np.float32(0.5), spread(np.float32(0.0))
+    half, nobody = np.float32(0.5), spread(np.float32(-1.0))
     room, tiles_x = entries.shape[1], grid[layout.TILES_X]
     while True:
         ticket = take_ticket(tickets, 0)
@@ -49,14 +56,15 @@ def _median(tickets, lists, picture):
         x, y = layout.TILE * (tile % tiles_x), layout.TILE * (tile // tiles_x)
         alive = blending.open_tile(tile, grid, state, width)
         for block in range(64):
-            store(state, width * block + LANES, zero)
+            store(state, width * block + LANES, nobody)
         for entry in range(tile_start[tile], tile_start[tile + 1]):
             if alive == 0:
                 break
             reach = np.int64(peek(entries, layout.SORTED_REACH * room + entry)) & alive
             if reach == 0:
                 continue
-            base = layout.RECORD * np.int64(peek(entries, layout.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
+            column_of = np.int64(peek(entries, layout.SORTED_SPLAT * room + entry) & np.uint64(0xFFFFFFFF))
+            base = layout.RECORD * column_of
             dx = lane_x() - (peek(records, base + layout.U) - np.float32(x))
             dy = lane_y() - (peek(records, base + layout.V) - np.float32(y))
             along = fma(dx, peek(records, base + layout.L00), dy * peek(records, base + layout.L01))
@@ -70,7 +78,7 @@ def _median(tickets, lists, picture):
                 after = fma(neg(opaque), before, before)
                 goes_on = after > peek(view, layout.LEAST_LEFT)  # else this Gaussian is not part of the pixel
                 crosses = goes_on & (after <= half)
-                found = sel(crosses, spread(peek(records, base + layout.DEPTH)), load(state, at + LANES))
+                found = sel(crosses, spread(np.float32(column_of)), load(state, at + LANES))
                 store(state, at + LANES, found)
                 searching = goes_on & (after > half)
                 store(state, at, sel(searching, after, blending.stopped(before)))

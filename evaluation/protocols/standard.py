@@ -84,8 +84,8 @@ class StandardProtocol:
     view_source: ViewSource = "free_space"  # or "recorded": the views that came with the scene
     coverage_alpha: float = 0.5  # a rendered pixel shows the map where its alpha is above this
     points_source: PointsSource = "both"  # "means" leaves the TSDF surface out
-    tsdf_voxel_m: float = 0.03  # metres
-    tsdf_truncation_m: float = 0.1  # metres
+    tsdf_voxel_m: float = 0.015  # metres
+    tsdf_truncation_m: float = 0.05  # metres
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
     sight_margin_m: float = SIGHT_MARGIN  # metres before a sample that a keyframe's line of sight spares
 
@@ -180,16 +180,13 @@ class StandardProtocol:
         return {f"tsdf_{name}": value for name, value in found.items()} | {"tsdf_area_m2": area}
 
     def surface(self, gaussians: GaussianMap, path: CameraPath) -> np.ndarray:  # [T, 3, 3] metres
-        """The triangles of the TSDF surface: the map's own depth at the keyframes, fused."""
-        from activestructure_gym.splatting import cpu
+        """The triangles of the TSDF surface: the surface that the map shows at the keyframes, fused."""
+        from activestructure_gym.splatting.surface_depth import surface_depth
 
         size = (self.tsdf_image_width, round(self.tsdf_image_width * path.camera.height / path.camera.width))
         camera = path.camera.resized(*size)
         poses = path.keyframes
-        depth, alpha = cpu.render_depth_alpha(gaussians.parameters, gaussians.count, camera, poses)
-        covered = alpha > self.coverage_alpha
-        np.divide(depth, alpha, out=depth, where=covered)
-        depth[~covered] = 0.0
+        depth = surface_depth(gaussians.parameters, gaussians.count, camera, poses)
         return fused_surface(depth, camera, poses, voxel=self.tsdf_voxel_m, truncation=self.tsdf_truncation_m)
 
     def on_surface(

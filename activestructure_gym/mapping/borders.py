@@ -1,7 +1,7 @@
 """How far a disk may reach: where the surface in a frame ends, and which way.
 
-A disk that hangs over the border of its surface paints what is behind it in the colour and depth of what is in front. So
-towards a border disks are narrow, and along it as wide as elsewhere.
+A disk that hangs over the border of its surface paints what is behind it in the colour and depth of what is in front.
+So towards a border disks are narrow, and along it as wide as elsewhere.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.density import joined
 
-# A neighbour that lies deeper than the plane of the pixels before it by more than this share bends away: the border of a
-# surface for who looks from the other side. Half of what still counts as one surface.
+# A neighbour that lies deeper than the plane of the pixels before it by more than this share bends away: there the
+# surface ends for who looks from the other side. Half of what still counts as one surface.
 _BENT = 0.01
 _FARTHEST = 64  # pixels that are looked at in each direction
 
@@ -59,23 +59,26 @@ def _ends(depth: np.ndarray, pixels: np.ndarray, steps: np.ndarray) -> np.ndarra
                     if not (i >= 0 and j >= 0 and i < height and j < width):
                         break
                     on_it = joined(depth, min(row, i), min(column, j), abs(down), abs(right))
-                    if on_it and not _bends_away(depth, row, column, down, right):
-                        row, column = i, j
-                        continue
-                    # Before a nearer surface this one goes on, unseen.
-                    ends_here = on_it or not depth[i, j] > 0.0 or depth[i, j] > depth[row, column]
-                    if ends_here and step + 0.5 < abs(found[n, axis]):
-                        found[n, axis] = sign * (step + 0.5)
-                    break
+                    if _lies_behind(depth, row, column, down, right, on_it):
+                        if step + 0.5 < abs(found[n, axis]):
+                            found[n, axis] = sign * (step + 0.5)
+                        break
+                    if not on_it:  # before a nearer surface this one goes on, unseen
+                        break
+                    row, column = i, j
     return found
 
 
 @kernel
-def _bends_away(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
-    """Whether the next pixel lies behind the plane of this one and the one before: 1 / z is linear along a plane."""
+def _lies_behind(depth: np.ndarray, row: int, column: int, down: int, right: int, on_it: bool) -> bool:
+    """Whether the next pixel lies behind the surface of this one, or nowhere: 1 / z is linear along a plane."""
     height, width = depth.shape
+    there = depth[row + down, column + right]
+    if not there > 0.0:
+        return True
     i, j = row - down, column - right
-    if not (i >= 0 and j >= 0 and i < height and j < width) or not depth[i, j] > 0.0:
-        return False
-    inverse = 2.0 / depth[row, column] - 1.0 / depth[i, j]
-    return inverse > 0.0 and depth[row + down, column + right] * inverse > 1.0 + _BENT
+    if i >= 0 and j >= 0 and i < height and j < width:
+        if joined(depth, min(row, i), min(column, j), abs(down), abs(right)):
+            inverse = 2.0 / depth[row, column] - 1.0 / depth[i, j]
+            return inverse > 0.0 and there * inverse > 1.0 + _BENT
+    return not on_it and there > depth[row, column]

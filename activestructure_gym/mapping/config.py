@@ -56,6 +56,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "iterations": 15,
         "alpha_weight": 0.0,
         "adam_reset": True,
+        "refine_shapes": True,
         "mean_rate": 1e-4,
         "quaternion_rate": 1e-3,
         "log_scale_rate": 1e-3,
@@ -87,7 +88,7 @@ class MapperConfig:
     seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
     texture_contrast: float = 0.02  # 0..1, between neighbouring pixels, above which is texture (measured)
     seed_footprint: float = 0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * z / f) (measured)
-    border_sigmas: float | None = 1.6  # sigmas between a mean and where its surface ends; None = any (measured)
+    border_sigmas: float | None = 1.0  # sigmas between a mean and where its surface ends; None = any (measured)
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: irrelevant in .02 .. .3)
     seed_opacity: float = 0.99  # 0..1 (measured: .9 lets 3 % of every wall through, which gains of holes add up)
     min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)
@@ -113,6 +114,7 @@ class MapperConfig:
     log_scale_rate: float = 6e-4  # per step
     opacity_rate: float = 0.0  # logit per step
     color_rate: float = 3e-4  # of the 0..1 range per step
+    refine_shapes: bool = False  # refining learns more than colours (measured: held-out views of scans get worse)
     adam_beta1: float = 0.9  # [adam]
     adam_beta2: float = 0.999  # [adam]
     adam_epsilon: float = 1e-15  # [kerbl2023, code]
@@ -142,14 +144,16 @@ class MapperConfig:
             raise unknown_name("mapper backend", self.backend, BACKENDS)
         check_ranges(self, _RANGES)
 
-    def learning_rates(self) -> np.ndarray:  # [14] float32
-        """Step size of every parameter row."""
-        rates = np.empty(ROWS, dtype=np.float32)
+    def learning_rates(self, *, refining: bool = False) -> np.ndarray:  # [14] float32
+        """Step size of every parameter row, in a mapping event or when only refining."""
+        rates = np.zeros(ROWS, dtype=np.float32)
+        rates[COLOR] = self.color_rate
+        if refining and not self.refine_shapes:
+            return rates
         rates[MEAN] = self.mean_rate
         rates[QUATERNION] = self.quaternion_rate
         rates[LOG_SCALE] = self.log_scale_rate
         rates[OPACITY_LOGIT] = self.opacity_rate
-        rates[COLOR] = self.color_rate
         return rates
 
 

@@ -149,7 +149,10 @@ class Mapper:
         )
 
     def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
-        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; then prune."""
+        """Optimise over all keyframes (or the given ones), in shuffled rounds, without seeding; then prune.
+
+        Learns colours alone, unless ``config.refine_shapes``.
+        """
         indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
         if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
             raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
@@ -158,7 +161,7 @@ class Mapper:
         while len(indices) and len(views) < iterations:
             views += self._rng.permutation(indices).tolist()
         del views[iterations:]
-        losses, pruned = self._optimize(views)
+        losses, pruned = self._optimize(views, refining=True)
         return _report(self.map.count, views, losses, pruned)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
@@ -329,7 +332,9 @@ class Mapper:
         farthest = step * iterations * config.learning_rates()
         return {"shift": float(farthest[MEAN].max()), "growth": float(np.exp(farthest[LOG_SCALE].max()))}
 
-    def _optimize(self, views: Sequence[int], parts: MapParts | None = None) -> tuple[np.ndarray, int]:
+    def _optimize(
+        self, views: Sequence[int], parts: MapParts | None = None, *, refining: bool = False
+    ) -> tuple[np.ndarray, int]:
         """One event: a step for every entry of ``views`` and the pruning that goes with it.
 
         ``parts`` are boxes that stay valid for so many steps, if there are any yet.
@@ -342,7 +347,8 @@ class Mapper:
             self._movement.begin()
         if config.adam_reset:
             self.map.reset_moments()
-        rates, epsilon = config.learning_rates(), config.adam_epsilon
+        own_rates, epsilon = config.learning_rates(refining=refining), config.adam_epsilon
+        rates = own_rates
         pruned = 0
         changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; at first nobody knows
         fresh = True
@@ -358,7 +364,7 @@ class Mapper:
             if config.adam_reset:
                 # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
-                rates = config.learning_rates() * (root / (1.0 - config.adam_beta1 ** (step + 1)))
+                rates = own_rates * (root / (1.0 - config.adam_beta1 ** (step + 1)))
                 epsilon = config.adam_epsilon * root
             frame = self._store.frames[view]
             unseen = parts.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))

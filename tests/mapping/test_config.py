@@ -21,9 +21,9 @@ from activestructure_gym.mapping import MAPPERS, MapperConfig
         {"seed_spacing": 0.009},
         {"seed_spacing": 1.1},
         {"seed_pixels": 0.4},
-        {"edge_footprint": 0.0},
+        {"border_sigmas": 0.0},
         {"seed_pixels": 0.0},
-        {"edge_footprint": -0.1},
+        {"border_sigmas": -0.1},
         {"texture_contrast": 1.1},
         {"coarse_ratio": float("nan")},
         {"mean_rate": -1e-5},
@@ -40,6 +40,13 @@ def test_wrong_values_are_refused_by_name(change):
 def test_a_rate_stands_in_every_row_of_its_parameter():
     config = MapperConfig(mean_rate=1.0, quaternion_rate=2.0, log_scale_rate=3.0, opacity_rate=4.0, color_rate=5.0)
     assert config.learning_rates().tolist() == [1] * 3 + [2] * 4 + [3] * 3 + [4] + [5] * 3
+
+
+def test_refining_learns_colours_and_splatams_everything():
+    config = MapperConfig()
+    assert config.learning_rates(refining=True).tolist() == [0] * 11 + config.learning_rates()[11:].tolist()
+    splatam = MAPPERS["splatam"]
+    assert np.array_equal(splatam.learning_rates(refining=True), splatam.learning_rates())
 
 
 def test_the_default_does_not_learn_opacity():

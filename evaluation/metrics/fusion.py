@@ -30,12 +30,12 @@ def fused_surface(
     *,
     voxel: float,  # metres
     truncation: float,  # metres
-) -> np.ndarray:  # [T, 3, 3] metres, the corners of triangles
+) -> np.ndarray:  # [T, 3, 3] float32 metres, the corners of triangles
     """The zero surface of the fused distances, where all corners of a voxel cell have been seen.
 
     Raises `InputError` where the images span more than memory can hold.
     """
-    empty = np.zeros((0, 3, 3))
+    empty = np.zeros((0, 3, 3), np.float32)
     depth = np.ascontiguousarray(depth, np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     poses = np.ascontiguousarray(world_from_camera, np.float64)
@@ -57,6 +57,7 @@ def fused_surface(
     slots = np.full(shape, -1, np.int32)
     slots[tuple(blocks.T)] = np.arange(len(blocks))
     camera_from_world = np.ascontiguousarray(invert_rigid(poses)[:, :3])
+    tiles = _range_of_tiles(depth)
     distance = np.zeros((len(blocks), _SIDE, _SIDE, _SIDE), np.float32)
     weight = np.zeros(distance.shape, np.float32)
     origin = first * block
@@ -64,14 +65,14 @@ def fused_surface(
     def integrate(start: int) -> None:
         part = slice(start, start + _CHUNK)
         own = _Blocks(blocks[part], distance[part], weight[part])
-        _integrate(depth, intrinsics, camera_from_world, origin, voxel, truncation, own)
+        _integrate(depth, tiles, intrinsics, camera_from_world, origin, voxel, truncation, own)
 
     def extract(start: int) -> np.ndarray:
         part = blocks[start : start + _CHUNK]
-        corners = np.empty((_ROOM * len(part), 3, 3))
+        corners = np.empty((_ROOM * len(part), 3, 3), np.float32)
         count = _triangles(distance, weight, slots, part, origin, voxel, corners)
         if count > len(corners):
-            corners = np.empty((count, 3, 3))
+            corners = np.empty((count, 3, 3), np.float32)
             _triangles(distance, weight, slots, part, origin, voxel, corners)
         return corners[:count]
 
@@ -156,9 +157,29 @@ class _Blocks(NamedTuple):
     weight: np.ndarray  # [B, 8, 8, 8] how many
 
 
+_TILE = 8  # pixels
+
+
+@kernel
+def _range_of_tiles(depth: np.ndarray) -> np.ndarray:  # [K, H / 8, W / 8, 2] metres
+    """Least and largest depth in every tile of every image; (0, 0) where some pixel has none and nothing is deeper."""
+    images, height, width = depth.shape
+    tiles = np.empty((images, (height + _TILE - 1) // _TILE, (width + _TILE - 1) // _TILE, 2), np.float32)
+    tiles[..., 0], tiles[..., 1] = np.inf, 0.0
+    for image in range(images):
+        for v in range(height):
+            for u in range(width):
+                here = depth[image, v, u]
+                here = here if here > 0.0 else np.float32(0.0)
+                tile = tiles[image, v // _TILE, u // _TILE]
+                tile[0], tile[1] = min(tile[0], here), max(tile[1], here)
+    return tiles
+
+
 @kernel
 def _integrate(
     depth: np.ndarray,  # [K, H, W]
+    tiles: np.ndarray,  # [K, H / 8, W / 8, 2] least and largest depth
     intrinsics: np.ndarray,
     camera_from_world: np.ndarray,  # [K, 3, 4]
     origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
@@ -190,6 +211,22 @@ def _integrate(
                 continue
             if y < -cy / fy * z - radius * slack_y or y > (height - cy) / fy * z + radius * slack_y:
                 continue
+            if z > 2.0 * radius:  # else it may reach around the camera
+                reach = radius / (z - radius)
+                spread_x, spread_y = reach * (fx + abs(x) / z * fx), reach * (fy + abs(y) / z * fy)
+                low_u, high_u = fx * x / z + cx - spread_x, fx * x / z + cx + spread_x
+                low_v, high_v = fy * y / z + cy - spread_y, fy * y / z + cy + spread_y
+                least, most = np.float32(np.inf), np.float32(0.0)
+                for row in range(max(0, int(low_v) // _TILE), min(height - 1, int(high_v)) // _TILE + 1):
+                    for column in range(max(0, int(low_u) // _TILE), min(width - 1, int(high_u)) // _TILE + 1):
+                        least = min(least, tiles[image, row, column, 0])
+                        most = max(most, tiles[image, row, column, 1])
+                if most - (z - radius) < -truncation:  # all of it behind what is seen
+                    continue
+                inside = low_u >= 0.0 and low_v >= 0.0 and high_u < width and high_v < height
+                if inside and least - (z + radius) >= truncation:  # all of it in free space
+                    _add_free_space(distance[b], weight[b], truncation)
+                    continue
             for i in range(8):
                 for j in range(8):
                     px, py = corner_x + (i + 0.5) * voxel, corner_y + (j + 0.5) * voxel
@@ -210,6 +247,17 @@ def _integrate(
                         ahead = min(ahead, truncation)
                         distance[b, i, j, k] = (distance[b, i, j, k] * count + ahead) / (count + 1.0)
                         weight[b, i, j, k] = count + 1.0
+
+
+@kernel
+def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float) -> None:
+    """One more image that sees through every voxel of a block."""
+    for i in range(8):
+        for j in range(8):
+            for k in range(8):
+                count = weight[i, j, k]
+                distance[i, j, k] = (distance[i, j, k] * count + truncation) / (count + 1.0)
+                weight[i, j, k] = count + 1.0
 
 
 # The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell; corner n lies at the bits (x, y, z) of n.

@@ -84,8 +84,8 @@ class StandardProtocol:
     view_source: ViewSource = "free_space"  # or "recorded": the views that came with the scene
     coverage_alpha: float = 0.5  # a rendered pixel shows the map where its alpha is above this
     points_source: PointsSource = "both"  # "means" leaves the TSDF surface out
-    tsdf_voxel_m: float = 0.015  # metres
-    tsdf_truncation_m: float = 0.05  # metres
+    tsdf_voxel_m: float = 0.02  # metres
+    tsdf_truncation_m: float = 0.06  # metres
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
     sight_margin_m: float = SIGHT_MARGIN  # metres before a sample that a keyframe's line of sight spares
 
@@ -181,13 +181,17 @@ class StandardProtocol:
 
     def surface(self, gaussians: GaussianMap, path: CameraPath) -> np.ndarray:  # [T, 3, 3] metres
         """The triangles of the TSDF surface: the surface that the map shows at the keyframes, fused."""
-        from activestructure_gym.splatting.surface_depth import surface_depth
-
         size = (self.tsdf_image_width, round(self.tsdf_image_width * path.camera.height / path.camera.width))
         camera = path.camera.resized(*size)
         poses = path.keyframes
-        depth = surface_depth(gaussians.parameters, gaussians.count, camera, poses)
+        depth = self._surface_depth(gaussians, camera, poses)
         return fused_surface(depth, camera, poses, voxel=self.tsdf_voxel_m, truncation=self.tsdf_truncation_m)
+
+    def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
+        """Depth of what the map shows, 0 where it shows nothing: [K, H, W] metres."""
+        from activestructure_gym.splatting.surface_depth import surface_depth
+
+        return surface_depth(gaussians.parameters, gaussians.count, camera, poses)
 
     def on_surface(
         self,
@@ -275,9 +279,15 @@ class StandardProtocol:
 
 
 class StandardProtocol2(StandardProtocol):
-    """Version 2, so that what was measured by it can be read and measured again: the same without ``observed``."""
+    """Version 2, so that what was measured by it can be read and measured again.
+
+    Without ``observed``, and with a coarser surface, fused of the mean depth along every ray.
+    """
 
     version: ClassVar[int] = 2
+
+    tsdf_voxel_m: float = 0.03  # metres
+    tsdf_truncation_m: float = 0.1  # metres
 
     def parameters(self) -> dict[str, Any]:
         """Name, version and every constant that version had."""
@@ -289,6 +299,15 @@ class StandardProtocol2(StandardProtocol):
 
     def _observed_score(self, truth: Truth, path: CameraPath | None, notes: dict[str, str]) -> dict[str, float | None]:
         return {}
+
+    def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
+        from activestructure_gym.splatting import cpu
+
+        depth, alpha = cpu.render_depth_alpha(gaussians.parameters, gaussians.count, camera, poses)
+        covered = alpha > self.coverage_alpha
+        np.divide(depth, alpha, out=depth, where=covered)
+        depth[~covered] = 0.0
+        return depth
 
 
 def _unit(rgb: np.ndarray) -> np.ndarray:

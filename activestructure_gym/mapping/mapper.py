@@ -210,7 +210,7 @@ class Mapper:
         Keyframes vote when somebody asks for the first time after them.
         """
         if self._reliability is None:
-            self._reliability = DirectionalReliability(self.map, self.rasterizer)
+            self._reliability = DirectionalReliability(self.map, self.config.backend)
         return self._reliability.update(self.keyframes)
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:

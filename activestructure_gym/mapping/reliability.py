@@ -26,7 +26,8 @@ from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.rows_by_id import RowsById
 from activestructure_gym.splatting import Rendering
 from activestructure_gym.splatting.fisher import view_information
-from activestructure_gym.splatting.rasterizers import Rasterizer
+from activestructure_gym.splatting.backends import Backend
+from activestructure_gym.splatting.rasterizers import rasterizer
 
 COLOR_SHARE, DEPTH_SHARE = 0.95, 0.05  # of the loss; colours 0..1, depth in metres
 LOSS_FACTOR, LEAST_LOSS = 1.7, 1e-4
@@ -40,8 +41,8 @@ LIMIT = 10.0  # of the log-odds
 class DirectionalReliability:
     """Log-odds of every Gaussian for the directions +x, +y, -x, -y; 0, that is one half, for new ones."""
 
-    def __init__(self, gaussians: GaussianMap, rasterizer: Rasterizer) -> None:
-        self._map, self._rasterizer = gaussians, rasterizer
+    def __init__(self, gaussians: GaussianMap, backend: Backend = "cpu") -> None:
+        self._map, self._backend = gaussians, backend
         self._log_odds = RowsById(gaussians, 4)
         self._known = 0  # keyframes that have voted
 
@@ -58,7 +59,7 @@ class DirectionalReliability:
     def _vote(self, frame: Frame, log_odds: np.ndarray) -> None:
         gaussians, camera, pose = self._map, frame.camera, frame.world_from_camera
         unseen = MapParts(gaussians).unseen(camera, pose)
-        shown = self._rasterizer.render(gaussians.parameters, gaussians.count, camera, pose, unseen=unseen)
+        shown = rasterizer(self._backend).render(gaussians.parameters, gaussians.count, camera, pose, unseen=unseen)
         (seen,) = view_information(
             gaussians.parameters, gaussians.count, camera, pose,
             pixel_values=pixel_votes(frame, shown), touch_transmittance=CLEAR, unseen=unseen,

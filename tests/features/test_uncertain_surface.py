@@ -53,6 +53,7 @@ def context(block: np.ndarray, poses: list | None = None, volume: VoxelVolume | 
     gaussians.append(block)
     mapper = SimpleNamespace(
         map=gaussians,
+        rasterizer=cpu,
         render_depth_alpha=lambda camera, poses: cpu.render_depth_alpha(
             gaussians.parameters, gaussians.count, camera, poses
         ),

@@ -53,13 +53,13 @@ def test_a_look_speaks_for_its_own_direction_and_errors_speak_against_it():
     middle = np.linalg.norm(mapper.map.means[:, 1:], axis=1) < 0.5
     assert (agreeing[middle, 0] > 5.0).all() and agreeing.max() <= LIMIT
     assert (agreeing[:, 2] == 0.0).all()  # nobody has looked towards -x
-    wrong = DirectionalReliability(mapper.map, mapper.rasterizer).update([frame(255, depth=4.0)])
+    wrong = DirectionalReliability(mapper.map).update([frame(255, depth=4.0)])
     assert (wrong[middle, 0] < -5.0).all() and wrong.min() >= -LIMIT
 
 
 def test_every_keyframe_votes_once_and_gaussians_keep_their_votes():
     mapper = mapped(60)
-    reliability = DirectionalReliability(mapper.map, mapper.rasterizer)
+    reliability = DirectionalReliability(mapper.map)
     first = reliability.update(mapper.keyframes).copy()
     assert np.array_equal(reliability.update(mapper.keyframes), first)
     names = mapper.map.ids[: mapper.map.count].copy()

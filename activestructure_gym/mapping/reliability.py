@@ -25,8 +25,8 @@ from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.rows_by_id import RowsById
 from activestructure_gym.splatting import Rendering
-from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.backends import Backend
+from activestructure_gym.splatting.fisher import view_information
 from activestructure_gym.splatting.rasterizers import rasterizer
 
 COLOR_SHARE, DEPTH_SHARE = 0.95, 0.05  # of the loss; colours 0..1, depth in metres

@@ -77,7 +77,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     _, point = _timed(lambda: protocol.checkpoint(gaussians, truth, path, views=views, samples=samples))
     _, fused = _timed(lambda: protocol.checkpoint(gaussians, truth, path, views=views, samples=samples, surface=True))
     curve = {
-        key: (CHECKPOINTS - SURFACE_CHECKPOINTS) * value + (SURFACE_CHECKPOINTS + 1) * fused[key]
+        key: (CHECKPOINTS + 1 - SURFACE_CHECKPOINTS) * value + SURFACE_CHECKPOINTS * fused[key]
         for key, value in point.items()
     }
     yield {**name, "stage": f"curve of {CHECKPOINTS + 1} points (at most)", **curve}

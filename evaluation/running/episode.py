@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 CHECKPOINTS = 20  # points of the convergence curve, besides the first
 CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
-# How often on the way the TSDF surface is fused anew out of the depth at all keyframes: each time as dear as at the end
-# in proportion to the keyframes so far, so together about three times.
-SURFACE_CHECKPOINTS = 5
+# In how many parts the budget is divided by points at which the TSDF surface is fused anew out of the depth at all
+# keyframes: each time as dear as at the end in proportion to the keyframes so far. The last point is the finished map's.
+SURFACE_CHECKPOINTS = 4
 
 
 Stage = Literal["loading", "exploring", "measuring", "done"]
@@ -74,6 +74,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
         began = time.perf_counter()
         path = CameraPath.from_arrays(_path_arrays(reconstruction))
         metrics = job.protocol.evaluate(reconstruction.mapper.map, truth, path)
+        episode.note_surface(metrics)
         metrics |= episode_metrics(scene, reconstruction, episode)
         with store.whole_directory(directory) as part:
             reconstruction.mapper.map.save_npz(part / "map.npz")
@@ -263,7 +264,7 @@ class _Episode:
         began = time.perf_counter()
         reconstruction = self.env.reconstruction
         frames, budget = reconstruction.frames, reconstruction.frame_budget
-        surface = last or frames >= self._next_surface
+        surface = frames >= self._next_surface and not last
         if surface:
             self._next_surface = _following(frames, budget // SURFACE_CHECKPOINTS)
         scores = self.job.protocol.checkpoint(
@@ -279,6 +280,14 @@ class _Episode:
         self._next_checkpoint = _following(frames, budget // CHECKPOINTS)
         self.evaluation_seconds += time.perf_counter() - began
         return scores
+
+
+    def note_surface(self, metrics: dict[str, Any]) -> None:
+        """The last point of the surface's curve, from the numbers of the finished map."""
+        ratio = metrics.get("tsdf_completion_ratio")
+        if ratio is not None:
+            for point in (self.curve[-1], self.steps[-1]["checkpoint"] if self.steps else {}):
+                point["tsdf_completion_ratio"] = ratio
 
 
 def _following(frames: int, spacing: int) -> int:

@@ -109,7 +109,7 @@ class MapperConfig:
     alpha_weight: float = 0.1  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
     # A seed is where it was measured and has the colour that was measured: what is left to learn is little, and at
     # SplaTAM's rates training views are fitted at the cost of all others (measured). Opacity is not learnt at all.
-    mean_rate: float = 3e-5  # metres per step
+    mean_rate: float = 6e-5  # metres per step
     quaternion_rate: float = 1e-4  # per step
     log_scale_rate: float = 6e-4  # per step
     opacity_rate: float = 0.0  # logit per step

@@ -114,7 +114,7 @@ def wall() -> Frame:
 
 def test_movement_is_the_way_of_the_last_event_and_changes_nothing(wall: Frame) -> None:
     def run(*, asked: bool) -> tuple[Mapper, list[np.ndarray]]:
-        mapper, seen = Mapper(MapperConfig(iterations=3), np.random.default_rng(0)), []
+        mapper, seen = Mapper(MapperConfig(iterations=3, mean_rate=3e-5), np.random.default_rng(0)), []
         mapper.observe(wall)
         if asked:
             assert not mapper.movement().any()  # nobody has looked yet

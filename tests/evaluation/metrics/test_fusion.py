@@ -79,3 +79,24 @@ def test_the_number_of_threads_changes_nothing(around, monkeypatch):
         monkeypatch.setattr(fusion, "thread_cap", lambda threads=threads: threads)
         surfaces.append(fused_surface(depth, CAMERA, around[:4], voxel=0.1, truncation=0.2))
     np.testing.assert_array_equal(*surfaces)
+
+
+def test_blocks_that_are_skipped_or_seen_through_at_once_change_nothing(around, monkeypatch, rng):
+    """Against the same without any range of depths: nothing is known to be behind or in free space."""
+    depth = np.stack([sphere_depth(pose) for pose in around[:8]])
+    depth[depth == 0] = 6.0  # a room around, in eight corners of which no two images agree
+    depth[3, 20:40, 50:80] = 0.0
+    depth *= rng.uniform(0.99, 1.01, depth.shape).astype(np.float32)
+    quick = fused_surface(depth, CAMERA, around[:8], voxel=0.05, truncation=0.1)
+    found = fusion._range_of_tiles(depth)
+    assert found.shape == (8, 12, 15, 2)
+    assert found[2, 3, 4].tolist() == [depth[2, 24:32, 32:40].min(), depth[2, 24:32, 32:40].max()]
+    assert found[3, 3, 7, 0] == 0.0
+
+    def nothing_known(depth: np.ndarray) -> np.ndarray:
+        tiles = np.zeros_like(found)
+        tiles[..., 1] = np.inf
+        return tiles
+
+    monkeypatch.setattr(fusion, "_range_of_tiles", nothing_known)
+    np.testing.assert_array_equal(fused_surface(depth, CAMERA, around[:8], voxel=0.05, truncation=0.1), quick)

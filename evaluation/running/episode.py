@@ -32,7 +32,7 @@ CHECKPOINTS = 20  # points of the convergence curve, besides the first
 CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
 # In how many parts the budget is divided by points at which the TSDF surface is fused anew out of the depth at all
-# keyframes: each time as dear as at the end in proportion to the keyframes so far. The last point is the finished map's.
+# keyframes: each as dear as at the end in proportion to the keyframes so far. The last point is the finished map's.
 SURFACE_CHECKPOINTS = 4
 
 

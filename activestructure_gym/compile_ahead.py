@@ -27,12 +27,15 @@ _GLANCE = 0.5  # seconds between looks at the parent
 
 def compile_map() -> None:
     """Call the kernels of the rasteriser and the mapper, on two frames of a flat wall."""
-    from activestructure_gym.mapping.parts import block_boxes
+    from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
+    from activestructure_gym.mapping.parts import may_be_seen
 
     mapper = map_a_wall()
     score_the_wall(mapper)
     mapper.keyframe_psnr()
-    block_boxes(mapper.map.parameters, mapper.map.count, 0)  # only larger maps come to it
+    boxes, frame = mapper.map.boxes(), mapper.keyframes[0]  # only larger maps come to it
+    tiles = depth_tiles(frame.depth, frame.camera, frame.world_from_camera)
+    behind_the_measured(boxes[may_be_seen(boxes, frame.camera, frame.world_from_camera)], tiles)
 
 
 def map_a_wall() -> Any:

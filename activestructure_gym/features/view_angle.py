@@ -9,7 +9,8 @@ from activestructure_gym.features.blending import blended
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.geometry import fibonacci_directions
-from activestructure_gym.mapping.parts import BLOCK, block_boxes, may_be_seen
+from activestructure_gym.mapping.boxes import BLOCK, block_boxes
+from activestructure_gym.mapping.parts import may_be_seen
 from activestructure_gym.mapping.sightings import DIRECTIONS, sightings
 
 
@@ -22,7 +23,7 @@ def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     Source: [cover, code].
     """
     gaussians, camera, bins = context.mapper.map, context.camera, sightings(context.mapper).bins
-    boxes = block_boxes(gaussians.parameters, gaussians.count, 0)
+    boxes = block_boxes(gaussians.parameters, gaussians.count)
     directions = fibonacci_directions(DIRECTIONS)
 
     def repaint(row: np.ndarray, pose: np.ndarray) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.files import replaced
+from activestructure_gym.mapping.boxes import BLOCK, renew_boxes
 from activestructure_gym.npz import read_npz
 from activestructure_gym.splatting.workspace import aligned_zeros
 
@@ -20,6 +21,7 @@ COLOR = slice(11, 14)  # raw RGB, 0..1 where converged, never clamped
 ROWS = 14
 
 _LANES = 16  # the kernels' vector width: the capacity is a multiple of it
+_CHUNK = 1024  # Gaussians, the rasteriser's
 _FORMAT_VERSION = 1
 
 
@@ -29,6 +31,7 @@ class GaussianMap:
     The first ``count`` columns of ``parameters``, ``first_moment`` and ``second_moment`` (each [14, capacity] float32)
     are live; the rest is spare room and its content means nothing. The kernels read and write these arrays in place.
     ``ids`` [capacity] int64 identifies every Gaussian for as long as it lives: its column may change, its id does not.
+    Whoever writes means or scales into ``parameters`` says so by `touched`, for `boxes` measures only what changed.
 
     Parameters
     ----------
@@ -48,6 +51,7 @@ class GaussianMap:
         self.first_moment = _empty_rows(_rounded_up(capacity))
         self.second_moment = _empty_rows(_rounded_up(capacity))
         self.ids = np.zeros(_rounded_up(capacity), dtype=np.int64)
+        self._boxes, self._stale = _empty_boxes(_rounded_up(capacity))
         self.next_id = 0  # how many Gaussians there have ever been
         self.count = 0
 
@@ -100,6 +104,7 @@ class GaussianMap:
         self.first_moment[:, start:stop] = 0.0
         self.second_moment[:, start:stop] = 0.0
         self.ids[start:stop] = np.arange(self.next_id, self.next_id + stop - start)
+        self._stale[start // BLOCK : -(-stop // BLOCK)] = True
         self.next_id += stop - start
         self.count = stop
 
@@ -120,8 +125,24 @@ class GaussianMap:
             for array in (self.parameters, self.first_moment, self.second_moment):
                 array[:, gaps] = array[:, movers]
             self.ids[gaps] = self.ids[movers]
+            self._stale[gaps // BLOCK] = True
+            self._stale[kept // BLOCK] = True  # the last block ends earlier
             self.count = kept
         return removed
+
+    def touched(self, chunks: np.ndarray | None = None) -> None:
+        """Means or scales of these chunks of 1024 Gaussians ([chunks] bool; None: all) were written to."""
+        if chunks is None:
+            self._stale[:] = True
+        else:
+            self._stale.reshape(-1, _CHUNK // BLOCK)[: len(chunks)] |= chunks[:, None]
+
+    def boxes(self) -> np.ndarray:  # [B, 7] float64, see `block_boxes`; to be read only
+        """Boxes of all blocks as the map is; costs what changed since they were asked for last."""
+        blocks = -(-self.count // BLOCK)
+        renew_boxes(self.parameters, self.count, np.flatnonzero(self._stale[:blocks]), self._boxes)
+        self._stale[:blocks] = False
+        return self._boxes[:blocks]
 
     def reset_moments(self) -> None:
         """Forget what Adam has learned: all moments zero, as if every Gaussian were new."""
@@ -137,6 +158,9 @@ class GaussianMap:
         ids = np.zeros(capacity, dtype=np.int64)
         ids[: self.count] = self.ids[: self.count]
         self.ids = ids
+        boxes, stale = _empty_boxes(capacity)
+        boxes[: len(self._boxes)], stale[: len(self._stale)] = self._boxes, self._stale
+        self._boxes, self._stale = boxes, stale
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write everything, moments included, so that mapping can go on from the file. Replaces the file at once."""
@@ -183,6 +207,11 @@ class GaussianMap:
 def _empty_rows(capacity: int) -> np.ndarray:  # [14, capacity] float32 zeros
     # Every row begins on a cache line, since the capacity is a multiple of one.
     return aligned_zeros(ROWS * capacity).reshape(ROWS, capacity)
+
+
+def _empty_boxes(capacity: int) -> tuple[np.ndarray, np.ndarray]:  # [B, 7] float64, [B] bool: which to measure anew
+    blocks = (capacity // _CHUNK + 1) * (_CHUNK // BLOCK)  # one more than full maps have: where `keep` marks the end
+    return np.empty((blocks, 7)), np.ones(blocks, dtype=bool)
 
 
 def _rounded_up(capacity: int) -> int:

@@ -124,16 +124,14 @@ class Mapper:
         iterations = self.config.iterations if iterations is None else iterations
         self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
-        boxes = MapParts(self.map, **self._slack(iterations))
+        boxes = MapParts(self.map, **self._slack(iterations), kept=True)
         unseen = boxes.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
         replaced, added, left_out, new_share = self._seed(frame, unseen)
-        # Whoever goes is replaced by the last of the map, and the boxes no longer know who is where.
-        parts = None if replaced else boxes.extended(added)
         index = self._store.append(frame, new_share=new_share)
         views: list[int] = []
         if iterations:  # choosing them costs as much as drawing one
             views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)
-        losses, pruned = self._optimize(views, parts)
+        losses, pruned = self._optimize(views)
         # The new keyframe itself, which has no value yet, and those that have waited longest.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
         return _report(
@@ -166,7 +164,7 @@ class Mapper:
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
         """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
-        unseen = MapParts(self.map).unseen(camera, world_from_camera)
+        unseen = MapParts(self.map, kept=True).unseen(camera, world_from_camera)
         return self.rasterizer.render(self.map.parameters, self.map.count, camera, world_from_camera, unseen=unseen)
 
     def render_depth_alpha(
@@ -175,7 +173,7 @@ class Mapper:
         world_from_camera: np.ndarray,  # [C, 4, 4]
     ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
         """Depth and alpha from many poses at once, for scoring candidate views."""
-        parameters, count = MapParts(self.map).in_view(camera, world_from_camera)
+        parameters, count = MapParts(self.map, kept=True).in_view(camera, world_from_camera)
         return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
 
     def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
@@ -332,12 +330,8 @@ class Mapper:
         farthest = step * iterations * config.learning_rates()
         return {"shift": float(farthest[MEAN].max()), "growth": float(np.exp(farthest[LOG_SCALE].max()))}
 
-    def _optimize(
-        self, views: Sequence[int], parts: MapParts | None = None, *, refining: bool = False
-    ) -> tuple[np.ndarray, int]:
+    def _optimize(self, views: Sequence[int], *, refining: bool = False) -> tuple[np.ndarray, int]:
         """One event: a step for every entry of ``views`` and the pruning that goes with it.
-
-        ``parts`` are boxes that stay valid for so many steps, if there are any yet.
 
         Returns the losses of every step (colour, depth, ssim: [iterations, 3]) and how many Gaussians were pruned.
         """
@@ -351,16 +345,15 @@ class Mapper:
         rates = own_rates
         pruned = 0
         changed = np.ones(-(-self.map.count // CHUNK), dtype=bool)  # since the last pruning; at first nobody knows
-        fresh = True
+        parts: MapParts | None = None  # boxes that stay valid for so many steps
         for step, view in enumerate(views):
             if step in config.prune_steps:
-                pruned, parts, fresh = pruned + self._prune(changed), None, True
+                pruned, parts = pruned + self._prune(changed), None
             if not self.map.count:
                 break
-            if fresh:
-                parts = parts or MapParts(self.map, **self._slack(len(views)))
-                changed, fresh = np.zeros(-(-self.map.count // CHUNK), dtype=bool), False
-            assert parts is not None
+            if parts is None:
+                parts = MapParts(self.map, **self._slack(len(views)), kept=True)
+                changed = np.zeros(-(-self.map.count // CHUNK), dtype=bool)
             if config.adam_reset:
                 # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.
                 root = np.sqrt(1.0 - config.adam_beta2 ** (step + 1))
@@ -368,7 +361,9 @@ class Mapper:
                 epsilon = config.adam_epsilon * root
             frame = self._store.frames[view]
             unseen = parts.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
-            changed |= True if unseen is None else ~unseen
+            stepped = np.ones_like(changed) if unseen is None else ~unseen
+            changed |= stepped
+            self.map.touched(stepped)
             result = self.rasterizer.mapping_step(
                 self.map.parameters,
                 self.map.first_moment,
@@ -407,7 +402,7 @@ class Mapper:
         return self.map.keep(keep)
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
-        parts = MapParts(self.map) if len(indices) else None
+        parts = MapParts(self.map, kept=True) if len(indices) else None
         for index in indices:
             frame = self._store.frames[index]
             camera, pose = frame.camera, frame.world_from_camera

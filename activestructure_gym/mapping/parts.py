@@ -12,12 +12,12 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
+from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.gaussian_map import ROWS, GaussianMap
 from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
 from activestructure_gym.splatting import layout
 from activestructure_gym.splatting.workspace import aligned_zeros, make_view
 
-BLOCK = 256  # Gaussians
 _WORTHWHILE = 64  # blocks; a smaller map is rendered whole
 _MOST = 0.5  # of the blocks; if more are in view, copying them costs more than it saves
 _LANES = 16  # of which the capacity of a map is a multiple
@@ -29,28 +29,17 @@ class MapParts:
     """Boxes around the blocks of a map as it is at construction; whatever changes the map makes them invalid.
 
     Unless the changes stay small: with ``shift`` and ``growth`` the boxes hold as long as no Gaussian moves further
-    than ``shift`` metres or becomes larger than ``growth`` times its size.
+    than ``shift`` metres or becomes larger than ``growth`` times its size. ``kept`` takes `GaussianMap.boxes`: as
+    cheap as few blocks have changed, and right where whoever writes into the map says so.
     """
 
-    def __init__(self, gaussians: GaussianMap, *, shift: float = 0.0, growth: float = 1.0) -> None:
+    def __init__(self, gaussians: GaussianMap, *, shift: float = 0.0, growth: float = 1.0, kept: bool = False) -> None:
         self._map = gaussians
-        self._slack = np.array([-shift, -shift, -shift, shift, shift, shift]), growth
-        large = gaussians.count > _WORTHWHILE * BLOCK and bool(np.isfinite([shift, growth]).all())
-        self._boxes = self._made(0) if large else None
-
-    def _made(self, first: int) -> np.ndarray:  # [B - first, 7]
-        """Boxes of block ``first`` and those behind it."""
-        boxes = block_boxes(self._map.parameters, self._map.count, first)
-        boxes[:, :6] += self._slack[0]
-        boxes[:, 6] *= self._slack[1]
-        return boxes
-
-    def extended(self, added: int) -> MapParts:
-        """These boxes after ``added`` Gaussians were inserted behind the others."""
-        if self._boxes is not None and added:
-            first = (self._map.count - added) // BLOCK
-            self._boxes = np.concatenate([self._boxes[:first], self._made(first)])
-        return self
+        self._boxes: np.ndarray | None = None  # [B, 7]
+        if gaussians.count > _WORTHWHILE * BLOCK and bool(np.isfinite([shift, growth]).all()):
+            boxes = gaussians.boxes() if kept else block_boxes(gaussians.parameters, gaussians.count)
+            scale = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, growth])
+            self._boxes = boxes * scale + np.array([-shift, -shift, -shift, shift, shift, shift, 0.0])
 
     def unseen(
         self,
@@ -121,39 +110,27 @@ def may_be_seen(
         [0.0, -camera.fy, camera.height + border - camera.cy, 0.0],
         [0.0, 0.0, 1.0, 0.0],
     ]) @ invert_rigid(world_from_camera)  # fmt: skip
-    # The largest value over a box is at the corner that the side's normal points to.
-    normal, offset = sides[:, :3], sides[:, 3]
-    largest = boxes[:, 3:6] @ np.maximum(normal, 0.0).T + boxes[:, :3] @ np.minimum(normal, 0.0).T + offset
-    largest[:, :4] += _REACH * stretch * boxes[:, 6:7]
-    return ~(largest < 0.0).any(axis=1)
+    return _reaches(boxes, np.ascontiguousarray(sides), _REACH * stretch)
 
 
 @kernel
-def block_boxes(
-    parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
-    first_block: int,
-) -> np.ndarray:  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
-    """One box per block of `BLOCK` columns; means that are not a number are left out, for nobody sees them."""
-    blocks = (count + BLOCK - 1) // BLOCK - first_block
-    boxes = np.empty((blocks, 7))
-    # One extreme per lane first: the compiler makes vectors of comparisons, but not of sums or extremes in sequence.
-    least, greatest = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
-    for block in range(blocks):
-        first, stop = (first_block + block) * BLOCK, min(count, (first_block + block + 1) * BLOCK)
-        boxes[block, 6] = -np.inf
-        for row in (0, 1, 2, 7, 8, 9):
-            for lane in range(_LANES):
-                least[lane], greatest[lane] = np.float32(np.inf), np.float32(-np.inf)
-            # Whole vectors: what stands behind the last Gaussian may only make the last box larger.
-            for i in range(first, stop, _LANES):
-                for lane in range(_LANES):
-                    value = parameters[row, i + lane]
-                    least[lane] = value if value < least[lane] else least[lane]
-                    greatest[lane] = value if value > greatest[lane] else greatest[lane]
-            if row < 3:
-                boxes[block, row], boxes[block, 3 + row] = least.min(), greatest.max()
-            else:
-                boxes[block, 6] = max(boxes[block, 6], greatest.max())
-        boxes[block, 6] = np.exp(boxes[block, 6])
-    return boxes
+def _reaches(
+    boxes: np.ndarray,  # [B, 7]
+    sides: np.ndarray,  # [5, 4] float64: the four of the image, then the plane of the camera
+    wider: float,  # pixels a metre: by how many sigmas a box may miss the first four
+) -> np.ndarray:  # [B] bool
+    """Boxes with a point on the inner side of every plane."""
+    reaches = np.ones(len(boxes), np.bool_)
+    for block in range(len(boxes)):
+        for side in range(len(sides)):
+            largest = sides[side, 3]
+            for k in range(3):
+                # The largest value over a box is at the corner that the side's normal points to.
+                normal = sides[side, k]
+                largest += normal * (boxes[block, 3 + k] if normal > 0.0 else boxes[block, k])
+            if side < 4:
+                largest += wider * boxes[block, 6]
+            if largest < 0.0:
+                reaches[block] = False
+                break
+    return reaches

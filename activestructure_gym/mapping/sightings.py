@@ -16,9 +16,10 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import fibonacci_directions, invert_rigid
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.geometry.rotations import matrix_rows
+from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, GaussianMap
 from activestructure_gym.mapping.mapper import Mapper
-from activestructure_gym.mapping.parts import BLOCK, block_boxes, may_be_seen
+from activestructure_gym.mapping.parts import may_be_seen
 
 DIRECTIONS = 128  # bins of the sphere, two words of bits per Gaussian (COVER takes as many)
 REACH = 5.0  # metres, beyond which a look is worth nothing (ActiveGS)
@@ -45,7 +46,7 @@ def sightings(mapper: Mapper) -> Sightings:
     gaussians, isotropic = mapper.map, mapper.config.isotropic
     count = gaussians.count
     normals = np.zeros((count, 3)) if isotropic else shortest_axes(gaussians)
-    boxes = block_boxes(gaussians.parameters, count, 0)
+    boxes = block_boxes(gaussians.parameters, count)
     looks, bins = np.zeros((count, 6)), np.zeros((count, 2), np.uint64)
     for frame in mapper.keyframes:
         camera = frame.camera

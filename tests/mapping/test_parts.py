@@ -5,8 +5,9 @@ import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.mapping.boxes import BLOCK, block_boxes
 from activestructure_gym.mapping.mapper import largest_adam_step
-from activestructure_gym.mapping.parts import BLOCK, MapParts, block_boxes
+from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.splatting import cpu
 
 CAMERA = PinholeCamera(48, 32, 30.0, 34.0, 22.0, 17.0)
@@ -79,7 +80,7 @@ def test_nothing_in_view_is_an_empty_picture():
 def test_boxes_hold_their_blocks_and_not_much_more():
     gaussians = _map(np.random.default_rng(4))
     gaussians.parameters[1, 300] = np.nan
-    boxes = block_boxes(gaussians.parameters, gaussians.count, 0)
+    boxes = block_boxes(gaussians.parameters, gaussians.count)
     for block in range(len(boxes) - 1):
         own = gaussians.parameters[:, block * BLOCK : (block + 1) * BLOCK].astype(np.float64)
         assert np.array_equal(boxes[block, :3], np.nanmin(own[:3], axis=1))
@@ -123,14 +124,3 @@ def test_no_step_of_adam_is_larger_than_its_bound():
             worst = max(worst, abs(m) / np.sqrt(v))
     assert 0.9 * bound < worst <= bound
     assert largest_adam_step(0.99, 0.9) == np.inf
-
-
-def test_boxes_are_extended_by_what_is_inserted_behind():
-    rng = np.random.default_rng(6)
-    gaussians, more = _map(rng), _map(rng, blocks=3)
-    parts = MapParts(gaussians, shift=0.1, growth=1.2)
-    gaussians.append(more.parameters[:, : more.count])
-    extended, anew = parts.extended(more.count), MapParts(gaussians, shift=0.1, growth=1.2)
-    for pose in _poses(rng, 4):
-        assert np.array_equal(extended.unseen(CAMERA, pose), anew.unseen(CAMERA, pose))
-    assert np.array_equal(extended._boxes, anew._boxes)

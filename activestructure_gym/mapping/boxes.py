@@ -1,0 +1,50 @@
+"""Boxes around the blocks of a map: `BLOCK` neighbours in its arrays, which mostly lie near each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+
+BLOCK = 256  # Gaussians
+_LANES = 16  # of which the capacity of a map is a multiple
+
+
+def block_boxes(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,
+) -> np.ndarray:  # [B, 7] float64 metres: least x, y, z, greatest x, y, z of the means, largest sigma
+    """One box per block of `BLOCK` columns; means that are not a number are left out, for nobody sees them."""
+    blocks = -(-count // BLOCK)
+    boxes = np.empty((blocks, 7))
+    renew_boxes(parameters, count, np.arange(blocks), boxes)
+    return boxes
+
+
+@kernel
+def renew_boxes(
+    parameters: np.ndarray,  # [14, capacity] float32
+    count: int,
+    blocks: np.ndarray,  # [b] int64
+    boxes: np.ndarray,  # [B, 7] as of `block_boxes`
+) -> None:
+    """Measure the boxes of some blocks anew, in place."""
+    # One extreme per lane first: the compiler makes vectors of comparisons, but not of sums or extremes in sequence.
+    least, greatest = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+    for block in blocks:
+        first, stop = block * BLOCK, min(count, (block + 1) * BLOCK)
+        boxes[block, 6] = -np.inf
+        for row in (0, 1, 2, 7, 8, 9):
+            for lane in range(_LANES):
+                least[lane], greatest[lane] = np.float32(np.inf), np.float32(-np.inf)
+            # Whole vectors: what stands behind the last Gaussian may only make the last box larger.
+            for i in range(first, stop, _LANES):
+                for lane in range(_LANES):
+                    value = parameters[row, i + lane]
+                    least[lane] = value if value < least[lane] else least[lane]
+                    greatest[lane] = value if value > greatest[lane] else greatest[lane]
+            if row < 3:
+                boxes[block, row], boxes[block, 3 + row] = least.min(), greatest.max()
+            else:
+                boxes[block, 6] = max(boxes[block, 6], greatest.max())
+        boxes[block, 6] = np.exp(boxes[block, 6])

@@ -40,7 +40,7 @@ CHECKPOINTS = (4, 10, 20, 50, 100, 200, 300, 400)  # keyframes; 4 make about 9 t
 PAIR = (20, 400)  # keyframes of the two maps that are compared pair by pair
 PLACE_KEYFRAMES = 20  # before the walk goes on at the next place; after 16 starts at the first one's again
 _RADIUS = 1.8  # metres of way: how far a place reaches
-_STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
+STOREY = 30.0  # metres; views reach 44 degrees up at most, so that what is 30 m above and 10 m away is not in view
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def run_growth_benchmark(
 
     The voxel volume and the plane graph of an episode grow along, so that the memory is an episode's.
     """
-    frames, probe_frames, candidates = _views(scene, max(checkpoints), size, scored, probes, seed, advance)
+    frames, probe_frames, candidates = places(scene, max(checkpoints), size, scored, probes, seed, advance)
     volume, planes = VoxelVolume(scene.bounds), PlaneSceneGraph()
     scoring = PinholeCamera.from_size(max(1, size[0] // 2), max(1, size[1] // 2))
     rows, kept = [], {}
@@ -105,14 +105,14 @@ def growth_steps(checkpoints: Sequence[int]) -> int:
     return 2 * max(checkpoints)
 
 
-def _views(
+def places(
     scene: Scene,
     keyframes: int,
     size: tuple[int, int],
     scored: int,
     probes: int,
     seed: int,
-    advance: Callable[[], None],
+    advance: Callable[[], None] = lambda: None,
 ) -> tuple[list[Frame], list[Frame], np.ndarray]:  # keyframes, probes, candidates [C, 4, 4]
     """The keyframes (all on the ground floor), the frames that are timed, and the views that are scored."""
     starts = ground_truth_of(scene).free_space.start_poses
@@ -148,7 +148,7 @@ def _within_radius(distances: DistanceMap, points: np.ndarray) -> np.ndarray:  #
 
 def _raised(frame: Frame, storey: int) -> Frame:
     pose = frame.world_from_camera.copy()
-    pose[2, 3] += _STOREY * storey
+    pose[2, 3] += STOREY * storey
     return replace(frame, world_from_camera=pose)
 
 
@@ -157,13 +157,13 @@ def _measure(
 ) -> GrowthRow:
     memory = resident_mb()
     keyframes, gaussians = len(mapper.keyframes), mapper.map.count
-    scoring_ms = _processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
+    scoring_ms = processor_ms(lambda: mapper.render_depth_alpha(scoring, candidates))
     trial = copy.deepcopy(mapper)
     events, decisions = [], []
     trial.observe(probe_frames[0])  # not counted: the copy's arrays may have to grow
     for frame in probe_frames:
-        events.append(_processor_ms(partial(trial.observe, frame)))
-        decisions.append(_processor_ms(trial.keyframe_psnr))
+        events.append(processor_ms(partial(trial.observe, frame)))
+        decisions.append(processor_ms(trial.keyframe_psnr))
     return GrowthRow(
         keyframes=keyframes,
         gaussians=gaussians,
@@ -186,9 +186,9 @@ def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds
             order = (0, 1) if number % 2 else (1, 0)  # nobody always comes second
             event, decision = {}, {}
             for size in order:
-                event[size] = _processor_ms(partial(trials[size].observe, frame))
+                event[size] = processor_ms(partial(trials[size].observe, frame))
             for size in order:
-                decision[size] = _processor_ms(trials[size].keyframe_psnr)
+                decision[size] = processor_ms(trials[size].keyframe_psnr)
             events.append(event[1] / event[0])
             decisions.append(decision[1] / decision[0])
     both = (small, large)
@@ -198,12 +198,12 @@ def _compare(small: Mapper, large: Mapper, probe_frames: Sequence[Frame], rounds
         gaussians=(small.map.count, large.map.count),
         in_view=(counts[0], counts[1]),
         pairs=len(events),
-        event_ratio=_quartiles(events),
-        decision_ratio=_quartiles(decisions),
+        event_ratio=quartiles(events),
+        decision_ratio=quartiles(decisions),
     )
 
 
-def _quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
     low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
     return low, middle, high
 
@@ -237,7 +237,7 @@ def resident_mb() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-def _processor_ms(action: Callable[[], object]) -> float:
+def processor_ms(action: Callable[[], object]) -> float:
     before = time.process_time()
     action()
     return 1e3 * (time.process_time() - before)

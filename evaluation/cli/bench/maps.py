@@ -40,7 +40,7 @@ class Mapping:
 
 @dataclass(frozen=True)
 class Growth:
-    """What one place costs while the map grows elsewhere."""
+    """What one place costs while the map grows elsewhere, to millions of Gaussians, and the map's memory."""
 
     scene: Annotated[str | None, option("SCENE", "")] = None
     """The scene that is mapped; an apartment if not given."""
@@ -90,7 +90,7 @@ def _quality(console: Console, scenes: Sequence[str], *, quick: bool, out: str |
 def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None) -> list[dict[str, Any]]:
     import numpy as np
 
-    from activestructure_gym.evaluation.benchmarks import growth
+    from activestructure_gym.evaluation.benchmarks import copies, growth
     from activestructure_gym.evaluation.benchmarks.mapping_figures import plot_growth
     from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.scenes.library import load_scene
@@ -105,6 +105,25 @@ def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None)
             scene, mapper, checkpoints=checkpoints, size=size, scored=scored, probes=probes, pair=pair, advance=advance
         )
     rows = [asdict(row) for row in measured]
+    counts, keyframes = ((30_000,), (2, 20)) if quick else (copies.COUNTS, copies.KEYFRAMES)
+    with _progress(console, 2 * len(counts)) as advance:
+        among = copies.run_copies_benchmark(
+            scene,
+            Mapper(MapperConfig(), np.random.default_rng(0)),
+            counts=counts,
+            keyframes=keyframes,
+            size=size,
+            probes=probes,
+            advance=advance,
+        )
+    for row in among:
+        low, middle, high = row.event_ratio
+        console.print(
+            f"an event among copies ({row.where}), {row.gaussians[1]:,} Gaussians, costs {middle:.2f} "
+            f"[{low:.2f}, {high:.2f}] times that with {row.gaussians[0]:,} ({row.pairs} pairs; "
+            f"{row.event_ms[0]:.0f} and {row.event_ms[1]:.0f} ms)"
+        )
+    console.print(f"the map's arrays take {among[-1].mb_per_million:.0f} MB a million Gaussians of room")
     for name, (low, middle, high) in (("an event", compared.event_ratio), ("a decision", compared.decision_ratio)):
         console.print(
             f"{name} with {compared.keyframes[1]} keyframes costs {middle:.2f} [{low:.2f}, {high:.2f}] times that with "
@@ -112,6 +131,7 @@ def _growth(console: Console, spec: str | None, *, quick: bool, out: str | None)
         )
     if out is not None:
         settings = {"scene": scene.name, "size": size, "scored": scored, "pair": asdict(compared)}
+        settings["copies"] = [asdict(row) for row in among]
         folder = _write(out, "growth.json", settings, rows)
         plot_growth(measured, folder / "growth.jpg", title="One place, looked at again while the map grows elsewhere")
         console.print(f"written: {escape(str(folder / 'growth.jpg'))}, {escape(str(folder / 'growth.json'))}")

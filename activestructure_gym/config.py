@@ -49,10 +49,16 @@ class ReconstructionConfig:
         if self.frame_budget > MOST_FRAMES:
             raise InputError(f"the frame budget must be at most {MOST_FRAMES}, got {shown(self.frame_budget)}")
         check_ranges(self, {"keyframe_every": f"[1, {MOST_FRAMES}]", "revisit_rounds": "[1, 1000]"})
+        factor, width, height = self.mapper.keyframe_reduction, self.sensor.width, self.sensor.height
+        if width % factor or height % factor:
+            raise InputError(
+                f"mapper.keyframe_reduction must divide the sensor's {width} x {height} pixels, got {factor}; choose a "
+                "common divisor"
+            )
         object.__setattr__(self, "gains", column_names(self.gains))
 
 
-Preset = Literal["fast", "default", "paper"]
+Preset = Literal["fast", "default", "full", "paper"]
 # Overrides of the defaults above, by field.
 PRESETS: dict[Preset, dict[str, Any]] = {
     # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
@@ -73,11 +79,20 @@ PRESETS: dict[Preset, dict[str, Any]] = {
     },
     # What comparisons on a CPU use.
     "default": {},
-    # The paper's sensor and budget (Sec. 4.1); meant for a GPU or for patience.
+    # The paper's budget with an image that a CPU maps in minutes; candidates are scored at the default's size.
+    "full": {
+        "frame_budget": 2000,
+        "sensor": {"width": 320, "height": 180},
+        "mapper": {"iterations": 15},
+        "views": {"scoring_scale": 0.25},
+    },
+    # The paper's sensor, budget and iterations (Sec. 4.1). Seeds come of every pixel; the optimiser sees 300 x 170, and
+    # seeds stand no closer than that resolves (docs/notebook/performance.md, "The paper's sizes on a CPU").
     "paper": {
         "frame_budget": 2000,
-        "sensor": {"width": 1200, "height": 680},
-        "mapper": {"iterations": 15},
+        "sensor": {"width": 1200, "height": 680, "supersample": 1},
+        "mapper": {"iterations": 15, "keyframe_reduction": 4, "seed_pixels": 6.0},
+        "views": {"scoring_scale": 0.0625},
     },
 }
 
@@ -99,7 +114,8 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     Parameters
     ----------
     preset
-        ``"fast"`` (learning and tests), ``"default"`` or ``"paper"`` (the paper's sizes).
+        ``"fast"`` (learning and tests), ``"default"``, ``"full"`` (2000 frames of 320 x 180) or ``"paper"`` (the
+        paper's sizes).
     overrides
         Fields to replace, nested or with dots.
 

@@ -75,7 +75,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | parameter | type | default | meaning |
     |---|---|---|---|
     | `scene` | str, Scene, or a sequence of them | per task | what to explore; of a sequence one is drawn per episode |
-    | `preset` | str | `"default"` | `fast`, `default` or `paper` |
+    | `preset` | str | `"default"` | `fast`, `default`, `full` or `paper` |
     | `frame_budget` | int | from the preset | frames per episode |
     | `gains` | tuple of str | `("pixel",)` | features to evaluate for every candidate |
     | `config` | mapping | none | overrides by field, e.g. `{"sensor.depth_noise": "kinect"}` |

@@ -24,6 +24,13 @@ def test_presets_differ_from_the_default_only_where_they_say_so() -> None:
     assert camera.fx == pytest.approx(600)
 
 
+def test_keyframes_are_reduced_by_a_common_divisor() -> None:
+    paper = configure("paper")
+    assert (paper.sensor.width / paper.mapper.keyframe_reduction, paper.mapper.keyframe_reduction) == (300, 4)
+    with pytest.raises(InputError, match="keyframe_reduction must divide the sensor's 1200 x 680 pixels, got 3"):
+        configure("paper", {"mapper.keyframe_reduction": 3})
+
+
 def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
     nested = configure("fast", {"sensor": {"depth_noise": "kinect", "width": 64}})
     dotted = configure("fast", {"sensor.depth_noise": "kinect", "sensor.width": 64})

@@ -29,6 +29,7 @@ _RANGES = {
     **dict.fromkeys(("iterations", "psnr_refresh"), "[0, 100000]"),
     **dict.fromkeys(("image_weight", "depth_weight", "alpha_weight"), "[0, 1e6]"),
     **dict.fromkeys(("mean_rate", "quaternion_rate", "log_scale_rate", "opacity_rate", "color_rate"), "[0, 1000]"),
+    "keyframe_reduction": "[1, 64]",
     "scene_radius": "(0, 100000]",
     "adam_epsilon": "(0, 1]",
     "window": "[1, 100000]",
@@ -121,6 +122,7 @@ class MapperConfig:
     adam_reset: bool = False  # a new, bias-corrected Adam for every event (True: SplaTAM; row C12: -.7 dB)
 
     # View selection
+    keyframe_reduction: int = 1  # keyframes are kept with so many times fewer pixels a side; seeds come of all pixels
     window: int = 24  # local keyframes an event draws from, the current and the last one included (SplaTAM, Replica)
     overlap_pixels: int = 1600  # of the current frame, projected into the others (SplaTAM)
     overlap_border: float = 1.0 / 60.0  # of the image width, not counted as seen (SplaTAM: 20 of 1200 pixels)

@@ -31,6 +31,7 @@ from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
 from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay, too_wide
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
 from activestructure_gym.splatting import LossWeights, Rendering
@@ -103,7 +104,7 @@ class Mapper:
 
     @property
     def keyframes(self) -> list[Frame]:
-        """Every observed frame, in order."""
+        """Every observed frame, in order; with fewer pixels by ``config.keyframe_reduction``."""
         return self._store.frames
 
     @property
@@ -127,7 +128,7 @@ class Mapper:
         boxes = MapParts(self.map, **self._slack(iterations), kept=True)
         unseen = boxes.unseen(frame.camera, frame.world_from_camera, self._hiding(frame))
         replaced, added, left_out, new_share = self._seed(frame, unseen)
-        index = self._store.append(frame, new_share=new_share)
+        index = self._store.append(reduced(frame, self.config.keyframe_reduction), new_share=new_share)
         views: list[int] = []
         if iterations:  # choosing them costs as much as drawing one
             views = draw_views(iterations, self._local_views(index), self._global_views(index), self._rng)

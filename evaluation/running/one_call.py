@@ -67,7 +67,7 @@ def compare(
     seeds
         Whole numbers from 0 on.
     preset
-        ``"fast"``, ``"default"`` or ``"paper"``.
+        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``.
     frame_budget
         Frames of every episode, the first one included; the preset's if not given.
     config

@@ -128,7 +128,7 @@ def _values(rng: np.random.Generator, name: str) -> list[str]:
     if name == "start":
         return [",".join(_some(rng, _NUMBERS, 5))]
     if name == "preset":
-        return _some(rng, ("fast", "default", "paper", "fats", "", "[red]"), 1)
+        return _some(rng, ("fast", "default", "full", "paper", "fats", "", "[red]"), 1)
     if name in ("out", "data", "map", "poses", "lpips_weights", "picture", "runs", "run_directory"):
         return _some(rng, _TEXTS, 1)
     if name in ("engine", "protocols", "protocol", "format", "what", "shell", "part", "reward", "view_source", "up"):

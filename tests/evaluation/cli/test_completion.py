@@ -32,7 +32,7 @@ def bash_script():
         (["compare", "--policies", "random", "lad"], {"ladder"}),
         (["compare", "--policies", "random,act"], {f"random,{name}" for name in POLICIES if name.startswith("act")}),
         (["compare", "--scenes", "b"], {"box"}),
-        (["compare", "--preset", ""], {"fast", "default", "paper"}),
+        (["compare", "--preset", ""], {"fast", "default", "full", "paper"}),
         (["compare", "--set", "sensor.wi"], {"sensor.width="}),
         (["compare", "--out", "map"], {"map.ply"}),
         (["train", ""], {"--help", "bc", "rank", "ppo", "score"}),

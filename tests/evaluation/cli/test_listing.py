@@ -79,7 +79,7 @@ def test_every_feature_has_units_and_a_line(capsys):
     assert "0_x, 0_y .. 9_z (30)" in out and "naruto_look" in out and "hole_area" in out
 
 
-@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+@pytest.mark.parametrize("preset", ["default", "fast", "full", "paper"])
 def test_the_configuration_is_printed_whole(preset, capsys):
     out = said(capsys, "config", preset)
     for name, _ in leaves(ReconstructionConfig()):

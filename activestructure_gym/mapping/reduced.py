@@ -11,7 +11,7 @@ def reduced(frame: Frame, factor: int) -> Frame:
     """The same view with ``factor`` times fewer pixels a side.
 
     A pixel's colour is the mean of its block, its depth the (lower) median of the block's returns, so that it lies on
-    one surface, and 0 where less than half of the block has a return. Raises `ValueError` where the size is no multiple.
+    one surface, and 0 where less than half of the block has a return. Raises `ValueError` where it does not divide.
     """
     if factor == 1:
         return frame

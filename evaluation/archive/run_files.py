@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.archive.schema import (
     table,
     text,
 )
+from activestructure_gym.evaluation.metrics.planning import LATE, LEVELS
 
 _FARTHEST = 1e6  # metres
 _WIDEST_IMAGE = 16384  # pixels
@@ -73,12 +74,13 @@ CONFIG: Check = table(
 _MEASURED = (
     "accuracy_cm", "completion_cm", "precision", "f_score", "observed", "ssim", "ms_ssim", "lpips", "depth_l1_cm",
     *(f"tsdf_{name}" for name in ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "f_score")),
+    "observed_area", *LATE.values(),
 )  # fmt: skip
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {
     "decision": _count, "frames": _size, "metres": _size, "completion_ratio": number(), "psnr": number()
 }  # fmt: skip
-_POINT_SURFACE = dict.fromkeys(("observed", "tsdf_completion_ratio"), maybe(number()))
+_POINT_MORE = dict.fromkeys(("observed", "tsdf_completion_ratio", "depth_l1_cm"), maybe(number()))
 METRICS: Check = table(
     {
         "format": number(whole=True),
@@ -87,9 +89,11 @@ METRICS: Check = table(
                 **_VIEWS, "completion_ratio": number(), "psnr": number(), "lpips": maybe(number()), "frames": _count,
                 "metres": _size, "collisions": _count, "true_area_m2": _size, "true_samples": _count,
             },
-            dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number())),
+            dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number()))
+            | {f"frames_to_{level}": maybe(_size) for level in LEVELS}
+            | {"planning_notes": table(others=text)},
         ),
-        "curve": each(table(_POINT, _POINT_SURFACE), least=1),
+        "curve": each(table(_POINT, _POINT_MORE), least=1),
         "curve_views": _count,
     },
     {"protocol": PROTOCOL, "scene": text},

@@ -221,7 +221,7 @@ class StandardProtocol:
         samples: int,
         surface: bool = False,
     ) -> dict[str, float]:
-        """C.R. and PSNR of an unfinished map on about ``samples`` surface points and the first ``views`` views.
+        """C.R., PSNR and depth error of an unfinished map on about ``samples`` surface points and the first ``views``.
 
         With the ``path`` so far also ``observed`` on the same points, and with ``surface`` the C.R. of the TSDF
         surface, fused anew from the depth of the map as it is.
@@ -231,10 +231,14 @@ class StandardProtocol:
             truth.surface, points=truth.surface.points[every], normals=truth.surface.normals[every]
         )
         count = min(views, len(truth.views))
+        seen = [self._render(gaussians, truth, index) for index in range(count)]
         found = {
             "completion_ratio": self._ratio(part, self.points(gaussians)),
-            "psnr": _mean(psnr(self.picture(gaussians, truth, i), _unit(truth.views.rgb[i])) for i in range(count)),
+            "psnr": _mean(psnr(np.clip(r.color, 0.0, 1.0), _unit(truth.views.rgb[i])) for i, r in enumerate(seen)),
         }
+        error = mean_of_known(self._depth_error(rendering, truth, i) for i, rendering in enumerate(seen))
+        if error is not None:
+            found["depth_l1_cm"] = error
         observed = self.observed(dataclasses.replace(truth, surface=part), path)
         if observed is not None:
             found["observed"] = observed
@@ -264,18 +268,21 @@ class StandardProtocol:
     ) -> dict[str, float | None]:
         rendering = self._render(gaussians, truth, index, threads=1)
         picture, true = np.clip(rendering.color, 0.0, 1.0), _unit(truth.views.rgb[index])
-        covered = rendering.alpha > self.coverage_alpha
-        depth = np.where(covered, rendering.depth / np.where(covered, rendering.alpha, 1.0), 0.0)
-        error = depth_l1(depth, truth.views.depth[index])
         single, multi = similarities(picture, true)
         return {
             "psnr": psnr(picture, true),
             "ssim": single,
             "ms_ssim": multi,
             "lpips": None if distance is None else distance(picture, true),
-            "depth_l1_cm": None if error is None else 100.0 * error,
-            "coverage": float(covered.mean()),
+            "depth_l1_cm": self._depth_error(rendering, truth, index),
+            "coverage": float((rendering.alpha > self.coverage_alpha).mean()),
         }
+
+    def _depth_error(self, rendering: Rendering, truth: Truth, index: int) -> float | None:  # cm
+        covered = rendering.alpha > self.coverage_alpha
+        depth = np.where(covered, rendering.depth / np.where(covered, rendering.alpha, 1.0), 0.0)
+        error = depth_l1(depth, truth.views.depth[index])
+        return None if error is None else 100.0 * error
 
 
 class StandardProtocol2(StandardProtocol):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.metrics.planning import LEVELS
 
 # Stages of timing.json that make up the columns of seconds; `sensor` and `loading` belong to the simulator.
 PLANNING = ("planning", "gains", "policy")
@@ -82,6 +83,15 @@ QUALITY = (
     Column("depth_l1_cm", "Depth", "cm", 2, "lowest"),
 )
 
+# How soon the surface was seen, and what late frames were worth; see `metrics.planning`.
+LEAST = "least_"  # before the name of a number of frames: where the budget was too small, the budget
+PROGRESS = (
+    *(Column(f"{LEAST}frames_to_{level}", f"frames to {level} %", "", 0, "lowest") for level in LEVELS),
+    Column("observed_area", "observed, area", "%", 1, "highest"),
+    Column("late_psnr_rate", "late PSNR", "dB / 100 frames", 2, "highest"),
+    Column("late_depth_rate", "late Depth", "cm / 100 frames", 2, "lowest"),
+)
+
 COSTS = (
     Column("frames", "frames", "", 0),
     Column("metres", "path", "m", 1),
@@ -116,7 +126,18 @@ def value_of(run: Run, key: str) -> float | None:
         return run.timing["total"]
     if key in stages:
         return sum(run.timing.get("seconds", {}).get(stage, 0.0) for stage in stages[key])
-    return run.metrics["metrics"].get(key)
+    metrics = run.metrics["metrics"]
+    if key.startswith(LEAST):
+        if metrics.get("observed_area") is None:
+            return None
+        name = key.removeprefix(LEAST)
+        return run.config["configuration"]["frame_budget"] if exceeded(run, key) else metrics[name]
+    return metrics.get(key)
+
+
+def exceeded(run: Run, key: str) -> bool:
+    """Whether a number of frames of `PROGRESS` is the budget in place of more than that."""
+    return key.startswith(LEAST) and run.metrics["metrics"].get(key.removeprefix(LEAST)) is None
 
 
 def ratios_text(run: Run) -> str:

@@ -8,6 +8,7 @@ from activestructure_gym.evaluation.report import style, verdicts
 from activestructure_gym.evaluation.report.charts import key_mark, panel_chart
 from activestructure_gym.evaluation.report.curves import COSTS, chart_rows, convergence, measures_of
 from activestructure_gym.evaluation.report.html import html_table, render
+from activestructure_gym.evaluation.report.planning_table import planning_table
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import Statistic, interquartile_mean, mean
 
@@ -16,6 +17,7 @@ def convergence_section(results: Results) -> Markup:
     """Curves with a legend that hides them everywhere, and the areas below them."""
     seeds, scenes = len(results.seeds), len(results.scenes)
     says = "Mean over all scenes and seeds" if scenes > 1 else "Mean over the seeds" if seeds > 1 else "One run each"
+    planning = planning_table(results)
     says += ", band: 95 % bootstrap interval at every place" if seeds > 1 else "; no band with one seed"
     return render(
         "convergence.html.j2",
@@ -24,6 +26,7 @@ def convergence_section(results: Results) -> Markup:
         charts=chart_grid(results),
         panels=policy_panels(results),
         interquartile=chart_grid(results, None, interquartile_mean) if seeds > 1 else None,
+        planning=None if planning is None else html_table(planning, colours=results.policies),
         areas=html_table(verdicts.area_table(results), colours=results.policies),
     )
 

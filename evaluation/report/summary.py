@@ -29,6 +29,7 @@ from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.paper_tables import ablation_table, tables_like_the_papers
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.places import without_places
+from activestructure_gym.evaluation.report.planning_table import planning_table
 from activestructure_gym.evaluation.report.results import Results, source_of
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 
@@ -88,7 +89,7 @@ def _write_into(part: Path, results: Results, directory: Path) -> list[Path]:
 def all_tables(results: Results) -> list[Table]:
     """Every table of the report, those in the paper's layout first."""
     tables: list[Table | None] = [*tables_like_the_papers(results), verdicts.difference_table(results)]
-    tables.append(verdicts.aggregate_table(results))
+    tables += [verdicts.aggregate_table(results), planning_table(results)]
     tables += [verdicts.area_table(results), verdicts.cost_table(results), overview(table_rows(results.runs))]
     return [table for table in tables if table is not None]
 
@@ -159,7 +160,8 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
     meaning = [f"- {name}: {text}." for name, text in meanings(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
-    compared += [verdicts.difference_table(results), verdicts.area_table(results), verdicts.cost_table(results)]
+    compared += [verdicts.difference_table(results), planning_table(results), verdicts.area_table(results)]
+    compared.append(verdicts.cost_table(results))
     parts = [
         "# Comparison",
         "",

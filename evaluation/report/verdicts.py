@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from activestructure_gym.evaluation.report.columns import COSTS, MAIN, QUALITY, Column, measured
+from activestructure_gym.evaluation.report.columns import COSTS, MAIN, PROGRESS, QUALITY, Column, measured
 from activestructure_gym.evaluation.report.curves import COSTS as AXES
 from activestructure_gym.evaluation.report.curves import areas, measures_of
 from activestructure_gym.evaluation.report.layout import (
@@ -119,7 +119,7 @@ def difference_table(results: Results) -> Table | None:
         if policy == results.baseline:
             continue
         own = []
-        for column in measured((*MAIN, *(c for c in QUALITY if c not in MAIN)), results.runs):
+        for column in measured((*MAIN, *(c for c in QUALITY if c not in MAIN), *PROGRESS), results.runs):
             pair = differences(results, column).get(policy)
             if pair is None:
                 continue
@@ -139,6 +139,8 @@ def difference_table(results: Results) -> Table | None:
     headings = [Heading("Policy", numeric=False), Heading("Metric", numeric=False), Heading("Difference")]
     headings.append(Heading("better / equal / worse", note="pairs of scene and seed; equal: as printed"))
     caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes"
+    if measured(PROGRESS, results.runs):
+        caption += "; frames to a share of the surface are the budget where it was not reached"
     if chance_known:
         headings.insert(3, Heading("Verdict", numeric=False))
         headings.append(Heading("P(improvement)"))

@@ -18,6 +18,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary
 from activestructure_gym.evaluation.machine import hardware as machine
+from activestructure_gym.evaluation.metrics.planning import planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
         path = CameraPath.from_arrays(_path_arrays(reconstruction))
         metrics = job.protocol.evaluate(reconstruction.mapper.map, truth, path)
         episode.note_surface(metrics)
-        metrics |= episode_metrics(scene, reconstruction, episode)
+        planned, reasons = planning_scores(episode.curve, reconstruction.frame_budget)
+        metrics |= planned | {"planning_notes": reasons} | episode_metrics(scene, reconstruction, episode)
         with store.whole_directory(directory) as part:
             reconstruction.mapper.map.save_npz(part / "map.npz")
             _write_ply(reconstruction, part)
@@ -280,7 +282,6 @@ class _Episode:
         self._next_checkpoint = _following(frames, budget // CHECKPOINTS)
         self.evaluation_seconds += time.perf_counter() - began
         return scores
-
 
     def note_surface(self, metrics: dict[str, Any]) -> None:
         """The last point of the surface's curve, from the numbers of the finished map."""

@@ -1,0 +1,49 @@
+import pytest
+
+from activestructure_gym.evaluation.report.columns import PROGRESS, value_of
+from activestructure_gym.evaluation.report.formats import documents
+from activestructure_gym.evaluation.report.planning_table import planning_table
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.verdicts import difference_table
+
+
+def measured(make_run, policy, seed, frames_to_90, area=60.0):
+    numbers = {"frames_to_80": 40.0 + seed, "frames_to_85": 50.0, "frames_to_90": frames_to_90, "frames_to_95": None}
+    return make_run(
+        policy=policy, seed=seed, **numbers, observed_area=area, late_psnr_rate=1.0 + seed, late_depth_rate=-2.0
+    )
+
+
+@pytest.fixture
+def results(make_run):
+    """Policy a reaches 90 % in 60 and 70 frames, b in 80 and not at all, nobody reaches 95 %; the budget is 100."""
+    runs = [measured(make_run, "a", 0, 60.0, 65.0), measured(make_run, "a", 1, 70.0, 67.0)]
+    return Results([*runs, measured(make_run, "b", 0, 80.0), measured(make_run, "b", 1, None)], [], "b")
+
+
+def test_who_did_not_reach_it_counts_with_the_budget_and_the_table_says_so(results):
+    table = planning_table(results)
+    columns = {heading.text: k for k, heading in enumerate(table.headings)}
+    a, b = table.rows
+    at_90 = columns["frames to 90 % ↓"]
+    assert a[at_90].value == 65.0 and a[at_90].rank == 1 and a[at_90].text.startswith("65 [")
+    assert b[at_90].value == 90.0 and b[at_90].rank == 2 and b[at_90].text.startswith("> 90 [")
+    assert b[at_90].note == "not reached in 1 of 2 runs"
+    at_95 = columns["frames to 95 % ↓"]
+    assert [(row[at_95].text, row[at_95].value, row[at_95].rank) for row in table.rows] == [("> 100", None, 0)] * 2
+    assert a[columns["observed, area (%) ↑"]].value == 66.0
+    assert {name.partition(".")[0] for name in documents([table])} == {"planning"}
+
+
+def test_differences_to_the_baseline_hold_them_too(results):
+    rows = {row[1].text: row for row in difference_table(results).rows}
+    # 60 - 80 and 70 - 100.
+    assert rows["frames to 90 % ↓"][2].value == -25.0
+    assert rows["observed, area (%) ↑"][2].value == 6.0
+    assert rows["frames to 95 % ↓"][2].value == 0.0
+
+
+def test_runs_that_were_not_measured_so_have_no_table(make_run):
+    run = make_run()
+    assert all(value_of(run, column.key) is None for column in PROGRESS)
+    assert planning_table(Results([run], [], None)) is None

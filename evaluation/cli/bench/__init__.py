@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from activestructure_gym.evaluation.cli.bench.decisions import Decisions
 from activestructure_gym.evaluation.cli.bench.episodes import Env, Evaluation, Grid, Policies
 from activestructure_gym.evaluation.cli.bench.maps import Growth, Mapping
 from activestructure_gym.evaluation.cli.bench.parts import Planes, Sensor, Splatting
@@ -27,6 +28,7 @@ class Bench:
         | Annotated[Evaluation, tyro.conf.subcommand("evaluation")]
         | Annotated[Policies, tyro.conf.subcommand("policies")]
         | Annotated[Env, tyro.conf.subcommand("env")]
+        | Annotated[Decisions, tyro.conf.subcommand("decisions")]
     )
     """The part to measure."""
 

@@ -1,0 +1,297 @@
+"""Benchmark of decisions: how much of the best on offer the picks of features and policies reach, by ground truth.
+
+An episode is played by one policy. At some of its decisions the true rate of every candidate is computed: newly
+observed area on the way and at its end, per frame. Everybody who is scored picks a row of the same table.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+from activestructure_gym.evaluation.running.true_gains import TrueSurface, Way, ways, whole_pool
+from activestructure_gym.evaluation.statistics import estimate
+
+if TYPE_CHECKING:
+    from activestructure_gym.config import Preset
+    from activestructure_gym.envs import ReconstructionEnv
+    from activestructure_gym.policies import Policy
+
+SCENES = ("room?seed=22", "apartment?rooms=2&seed=21")
+FEATURES = ("hole_area", "pixel")
+_LEAST_RATE = 1e-3  # m^2 per frame: where nothing on offer shows more, no pick is better than another
+_SHORTLIST = 8  # rows of a feature's own best, of which the truly best one is told
+QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # and the sign of what is better
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides the numbers besides scene and seed."""
+
+    played: str = "hole_area"  # the policy whose episodes are frozen
+    features: tuple[str, ...] = FEATURES  # columns that are scored, times the shared travel term
+    policies: tuple[str, ...] = ()  # that are scored
+    preset: Preset = "default"
+    frames: int = 300  # of an episode
+    first: int = 1  # frame from which on decisions are frozen
+    every: int = 4  # of how many decisions one is frozen
+    pool: int | None = None  # views of the pool that the best is sought among; None: all
+    quality: int = 0  # views of each frozen table that are truly mapped; 0: none
+    views: int = 8  # held-out ones that those are measured on
+
+
+def frozen_decisions(
+    scene: str, seed: int, settings: Settings, tell: Callable[[int], None] = lambda _: None
+) -> list[dict[str, Any]]:
+    """One record per frozen decision of an episode; ``tell`` hears the frames that were paid."""
+    from activestructure_gym.envs import ReconstructionEnv
+    from activestructure_gym.ground_truth import ground_truth_of
+    from activestructure_gym.policies import make_policy
+    from activestructure_gym.scenes import load_scene
+
+    truth = ground_truth_of(load_scene(scene))
+    played, scored = make_policy(settings.played), {name: make_policy(name) for name in settings.policies}
+    gains = dict.fromkeys(n for policy in (played, *scored.values()) for n in policy.required_gains)
+    env = ReconstructionEnv(
+        scene=truth,
+        preset=settings.preset,
+        frame_budget=settings.frames,
+        gains=tuple(gains | dict.fromkeys(settings.features)),
+        coverage_target=None,
+    )
+    judge = _Judge(truth, settings)
+    records = []
+    try:
+        for policy in (played, *scored.values()):
+            policy.bind(env.config.gains)
+            policy.reset(seed)
+        observation, info = env.reset(seed=seed)
+        ended = not observation["action_mask"].any()
+        while not ended:
+            row = int(played.act(observation))
+            picks = _picks(env, observation, scored, settings.features)
+            number, frames = env.reconstruction.decisions, env.reconstruction.frames
+            if frames >= settings.first and number % settings.every == 0:
+                record = judge.record(env, picks)
+                records.append({"scene": scene, "seed": seed, "decision": number, "frames": frames} | record)
+            observation, _, terminated, truncated, info = env.step(row)
+            ended = terminated or truncated
+            tell(int(info["frames"]))
+    finally:
+        env.close()
+    return records
+
+
+def _picks(
+    env: ReconstructionEnv,
+    observation: dict[str, np.ndarray],
+    policies: Mapping[str, Policy],
+    features: Sequence[str],
+) -> dict[str, np.ndarray]:
+    """Rows by falling score of everybody who is scored; a policy tells its first row alone."""
+    from activestructure_gym.policies import Candidates, travel_discount
+
+    candidates = Candidates(observation, env.config.gains, "the benchmark of decisions")
+    valid = np.flatnonzero(candidates.valid)
+    found = {name: np.array([int(policy.act(observation))]) for name, policy in policies.items()}
+    discount = travel_discount(observation)
+    for name in features:
+        try:
+            score = candidates[name] * discount
+        except InputError as error:
+            raise InputError(f"only columns of a single number are scored: {error}") from error
+        found[f"feature {name}"] = valid[np.argsort(-score[valid], kind="stable")]
+    return found
+
+
+class _Judge:
+    """The truth of one episode."""
+
+    def __init__(self, truth: Any, settings: Settings) -> None:
+        self._surface, self._settings = TrueSurface(truth), settings
+        self._protocol = StandardProtocol(views=settings.views)
+        self._known: Truth | None = self._protocol.truth(truth) if settings.quality else None
+
+    def record(self, env: ReconstructionEnv, picks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """Rates of the table, of the pool and of every pick, and with ``quality`` what views are worth to the map."""
+        episode = env.reconstruction
+        self._surface.follow(episode)
+        taken = ways(episode, episode.candidates.world_from_camera)
+        rates = self._surface.rates(episode, taken)
+        pool = self._surface.rates(episode, ways(episode, whole_pool(episode, self._settings.pool)))
+        found: dict[str, Any] = {
+            "observed": 100.0 * float(self._surface.seen.mean()),
+            "table": {"views": len(rates), "best": float(rates.max()), "mean": float(rates.mean())},
+            "pool": {"views": len(pool), "best": float(max(pool.max(initial=0.0), rates.max()))},
+            "picks": {name: _scored(rates, rows) for name, rows in picks.items()},
+        }
+        if self._settings.quality:
+            found["quality"] = self._quality(env, taken, picks)
+        return found
+
+    def _quality(
+        self, env: ReconstructionEnv, taken: Sequence[Way | None], picks: Mapping[str, np.ndarray]
+    ) -> dict[str, dict[str, float]]:
+        """What mapping the keyframes of a way changes on held-out views, per 100 frames, by row of the table.
+
+        Of the first pick of everybody, and of further rows that spread over the table, `Settings.quality` in all or
+        one per pick.
+        """
+        from activestructure_gym.sensors import RGBDSensor
+
+        episode, known = env.reconstruction, self._known
+        assert known is not None
+        firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
+        spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
+        rows = list(dict.fromkeys((*firsts, *spread)))[: max(self._settings.quality, len(set(firsts)))]
+        measure = {"views": self._settings.views, "samples": 10_000}
+        before = self._protocol.checkpoint(episode.mapper.map, known, **measure)
+        sensor = RGBDSensor(episode.scene, episode.config.sensor, np.random.default_rng(episode.decisions))
+        found = {}
+        try:
+            for row in rows:
+                if row >= len(taken) or (way := taken[row]) is None:
+                    continue
+                mapper = copy.deepcopy(episode.mapper)
+                for pose in way.keyframes:
+                    mapper.observe(sensor.capture(pose))
+                after = self._protocol.checkpoint(mapper.map, known, **measure)
+                found[str(row)] = {
+                    name: 100.0 * (after[name] - before[name]) / way.frames
+                    for name in QUALITY
+                    if name in after and name in before
+                }
+        finally:
+            sensor.close()
+        return found
+
+
+def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
+    """The true rate of the first row, the best of the first rows, and the rank correlation of a whole order."""
+    from scipy.stats import spearmanr
+
+    known = rows[rows < len(rates)]
+    if not len(known):
+        return {"row": -1, "rate": 0.0}
+    found: dict[str, Any] = {"row": int(known[0]), "rate": float(rates[known[0]])}
+    if len(known) > 1:
+        found["best_of_first"] = float(rates[known[:_SHORTLIST]].max())
+        if np.ptp(rates[known]) > 0:
+            found["rank_correlation"] = float(spearmanr(-np.arange(len(known)), rates[known]).statistic)
+    return found
+
+
+def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row per pick: shares of the best rate, means over scenes of means over decisions, with intervals over scenes.
+
+    Decisions at which nothing on offer shows anything new do not count. The scenes are drawn again for the interval;
+    one scene has none.
+    """
+    counted = [record for record in records if record["table"]["best"] > _LEAST_RATE]
+    names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
+    rows = [_row("any row, at random", counted, lambda r: r["table"]["mean"])]
+    for name in names:
+        own = [record for record in counted if name in record["picks"]]
+        row = _row(name, own, _of_pick(name, "rate"))
+        some = [r for r in own if "best_of_first" in r["picks"][name]]
+        if some:
+            reached = _of_pick(name, "best_of_first")
+            best = _over_scenes(some, _share_of_table(reached))
+            row[f"best_of_own_first_{_SHORTLIST}"] = best[0]
+        ranked = [r for r in own if "rank_correlation" in r["picks"][name]]
+        if ranked:
+            row["rank_correlation"] = _over_scenes(ranked, _of_pick(name, "rank_correlation"))[0]
+        rows.append(row)
+    return rows + [_row("best of the table", counted, lambda r: r["table"]["best"])] if counted else []
+
+
+def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row per pick: what its views changed per 100 frames, beside the mean and the best of those that were mapped."""
+    counted = [record for record in records if record.get("quality")]
+    names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
+    rows: list[dict[str, Any]] = []
+    for who in (*names, "mean of those mapped", "best of those mapped"):
+        row: dict[str, Any] = {"pick": who}
+        for key, sign in QUALITY.items():
+            values = [(r, v) for r in counted if (v := _changed(r, who, key, sign)) is not None]
+            by_scene: dict[str, list[float]] = {}
+            for record, value in values:
+                by_scene.setdefault(record["scene"], []).append(value)
+            if by_scene:
+                found = estimate([np.array([float(np.mean(own)) for own in by_scene.values()])])
+                row[f"{key}_per_100"] = found.value
+                row[f"{key}_interval"] = _interval(found.low, found.high)
+        if len(row) > 1:
+            rows.append(row)
+    return rows
+
+
+def _changed(record: Mapping[str, Any], who: str, key: str, sign: float) -> float | None:
+    values = {row: found[key] for row, found in record["quality"].items() if key in found}
+    if not values:
+        return None
+    if who == "mean of those mapped":
+        return float(np.mean(list(values.values())))
+    if who == "best of those mapped":
+        return sign * max(sign * value for value in values.values())
+    return values.get(str(record["picks"].get(who, {}).get("row")))
+
+
+def _of_pick(name: str, key: str) -> Callable[[Mapping[str, Any]], float]:
+    return lambda record: float(record["picks"][name][key])
+
+
+def _share_of_table(rate: Callable[[Mapping[str, Any]], float]) -> Callable[[Mapping[str, Any]], float]:
+    return lambda record: rate(record) / record["table"]["best"]
+
+
+def _row(name: str, records: Sequence[Mapping[str, Any]], rate: Callable[[Mapping[str, Any]], float]) -> dict[str, Any]:
+    of_table, interval = _over_scenes(records, _share_of_table(rate))
+    of_pool, interval_pool = _over_scenes(records, lambda r: rate(r) / r["pool"]["best"])
+    return {
+        "pick": name,
+        "decisions": len(records),
+        "of_the_table's_best": of_table,
+        "interval": interval,
+        "of_the_pool's_best": of_pool,
+        "interval_pool": interval_pool,
+    }
+
+
+def _over_scenes(
+    records: Sequence[Mapping[str, Any]], value: Callable[[Mapping[str, Any]], float]
+) -> tuple[float | None, tuple[float, float] | None]:
+    by_scene: dict[str, list[float]] = {}
+    for record in records:
+        by_scene.setdefault(record["scene"], []).append(value(record))
+    if not by_scene:
+        return None, None
+    found = estimate([np.array([float(np.mean(own)) for own in by_scene.values()])])
+    return found.value, _interval(found.low, found.high)
+
+
+def _interval(low: float | None, high: float | None) -> tuple[float, float] | None:
+    return None if low is None or high is None else (low, high)
+
+
+def run_decisions_benchmark(
+    scenes: Sequence[str],
+    seeds: Sequence[int],
+    settings: Settings,
+    *,
+    done: Sequence[Mapping[str, Any]] = (),  # records of earlier sittings
+    tell: Callable[[str, int, int], None] = lambda scene, seed, frames: None,
+) -> Iterator[list[dict[str, Any]]]:
+    """The records of every episode that is not ``done``, episode by episode."""
+    have = {(record["scene"], record["seed"]) for record in done}
+    for scene in scenes:
+        for seed in seeds:
+            if (scene, seed) not in have:
+                yield frozen_decisions(scene, seed, settings, partial(tell, scene, seed))

@@ -1,0 +1,138 @@
+"""``asg bench decisions``: how much of the best on offer the picks of features and policies reach."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
+from activestructure_gym.evaluation.cli.fields import Count, Names, NoNames, PathName, PresetName, Switch, option
+from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies
+from activestructure_gym.evaluation.cli.output import make_console
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.benchmarks.decisions import Settings
+
+_RECORDS, _RESULT = "decisions.jsonl", "decisions.json"
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Frozen decisions of episodes: the true newly observed area of every candidate, and whose pick comes near it."""
+
+    scene: SceneNames = None
+    """The scenes that are explored, separated by commas; a room and an apartment if not given."""
+    seeds: Annotated[tuple[str, ...], option("N [N ...]")] = ("0",)
+    """Whole numbers from 0 on, an episode each."""
+    played: Annotated[str, option("POLICY")] = "hole_area"
+    """The policy whose episodes are frozen."""
+    features: Names = ("hole_area", "pixel")
+    """Features (columns, see `asg features`) that are scored, each times the shared travel term."""
+    policies: NoNames = ()
+    """Policies that are scored, beside those."""
+    preset: PresetName = "default"
+    """What `asg config PRESET` prints."""
+    frames: int = 300
+    """Frame budget of an episode."""
+    first: int = 1
+    """The frame from which on decisions are frozen."""
+    every: int = 4
+    """Of so many decisions one is frozen."""
+    pool: Count = None
+    """Views of the pool that the best is sought among, drawn; all of it if not given."""
+    quality: int = 0
+    """Views of each frozen table that are mapped in a copy, for what they change on held-out views; 0 is none."""
+    out: PathName = None
+    """Directory for decisions.json; finished episodes in it, of the same settings, are kept. Only printed if not
+    given."""
+    quick: Switch = False
+    """In small, to see that it runs."""
+
+    def run(self) -> int:
+        """Measure and print."""
+        from activestructure_gym.evaluation.benchmarks import decisions as benchmark
+        from activestructure_gym.evaluation.machine import hardware as machine
+
+        console = make_console()
+        settings = self._settings()
+        scenes = split_names(self.scene) or (("box",) if self.quick else benchmark.SCENES)
+        seeds = parse_seeds(self.seeds)
+        folder = None if self.out is None else Path(self.out)
+        records = [] if folder is None else _kept(folder, settings)
+        asked = {(scene, seed) for scene in scenes for seed in seeds}
+        columns = (TextColumn("{task.description}"), BarColumn(bar_width=32), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            left = len(asked - {(record["scene"], record["seed"]) for record in records})
+            task = bar.add_task("deciding", total=left * settings.frames)
+            ended = 0
+
+            def tell(scene: str, seed: int, frames: int) -> None:
+                bar.update(
+                    task, completed=ended * settings.frames + frames, description=f"{escape(scene)}, seed {seed}"
+                )
+
+            for found in benchmark.run_decisions_benchmark(scenes, seeds, settings, done=records, tell=tell):
+                ended += 1
+                records += found
+                if folder is not None:
+                    with open(folder / _RECORDS, "a", encoding="utf-8") as file:
+                        file.writelines(json.dumps(record) + "\n" for record in found)
+        records = [record for record in records if (record["scene"], record["seed"]) in asked]
+        rows, worth = benchmark.decision_rows(records), benchmark.quality_rows(records)
+        print_rows(console, rows, f"share of the best true rate, {len(records)} decisions of {escape(settings.played)}")
+        if worth:
+            print_rows(console, worth, "what the picked view changed on held-out views, per 100 frames")
+        if folder is not None:
+            content = {"settings": dataclasses.asdict(settings), "hardware": machine.hardware()}
+            content |= {"rows": rows, "quality": worth, "decisions": records}
+            (folder / _RESULT).write_text(json.dumps(content, indent=1) + "\n")
+            console.print(f"written: {escape(str(folder / _RESULT))}")
+        return 0
+
+    def _settings(self) -> Settings:
+        from activestructure_gym.config import known_preset
+        from activestructure_gym.evaluation.benchmarks.decisions import Settings
+
+        for name in ("frames", "first", "every"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.quality < 0 or (self.pool is not None and self.pool < 1):
+            raise InputError("--quality must be at least 0 and --pool at least 1")
+        return Settings(
+            played=self.played,
+            features=split_list(self.features),
+            policies=split_policies(self.policies),
+            preset=known_preset("fast" if self.quick else self.preset),
+            frames=40 if self.quick else self.frames,
+            first=self.first,
+            every=2 if self.quick else self.every,
+            pool=200 if self.quick and self.pool is None else self.pool,
+            quality=self.quality,
+        )
+
+
+def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
+    """Records of finished episodes in ``folder``, which is begun where it is new; `InputError` for other settings."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = json.loads(json.dumps(dataclasses.asdict(settings)))
+    place, records = folder / "settings.json", folder / _RECORDS
+    if not place.exists():
+        if records.exists():
+            raise InputError(f"'{folder}' holds decisions without their settings: choose another --out")
+        place.write_text(json.dumps(written, indent=1) + "\n")
+        return []
+    try:
+        if json.loads(place.read_text(encoding="utf-8")) != written:
+            raise InputError(f"'{folder}' was begun with other settings: give the same, or choose another --out")
+        return [json.loads(line) for line in records.read_text().splitlines()] if records.exists() else []
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"'{folder}' holds a damaged {place.name} or {records.name}: choose another --out") from error

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation.benchmarks.decisions import (
+    Settings,
+    _scored,
+    decision_rows,
+    quality_rows,
+    run_decisions_benchmark,
+)
+
+
+def record(scene, rate, best=1.0, pool=2.0, **more):
+    picks = {"a": {"row": 4, "rate": rate, "best_of_first": best, "rank_correlation": 0.5}}
+    return {
+        "scene": scene,
+        "seed": 0,
+        "table": {"best": best, "mean": 0.1},
+        "pool": {"best": pool},
+        "picks": picks,
+    } | more
+
+
+def test_shares_by_hand_every_scene_counts_the_same():
+    records = [record("x", 0.2), record("x", 0.4), record("y", 0.9), record("y", 0.0, best=0.0, pool=0.0)]
+    rows = {row["pick"]: row for row in decision_rows(records)}
+    # (mean(.2, .4) + .9) / 2; the last record has nothing on offer and does not count.
+    assert rows["a"]["of_the_table's_best"] == pytest.approx(0.6) and rows["a"]["decisions"] == 3
+    assert rows["a"]["of_the_pool's_best"] == pytest.approx(0.3)
+    assert rows["a"]["interval"] == pytest.approx((0.3, 0.9))  # of two scenes: either of them twice
+    assert rows["a"]["best_of_own_first_8"] == 1.0 and rows["a"]["rank_correlation"] == 0.5
+    assert rows["any row, at random"]["of_the_table's_best"] == pytest.approx(0.1)
+    assert rows["best of the table"]["of_the_table's_best"] == 1.0
+    assert rows["best of the table"]["of_the_pool's_best"] == 0.5
+    assert decision_rows(records[:2])[1]["interval"] is None  # a single scene
+    assert decision_rows(records[3:]) == []
+
+
+def test_a_pick_its_first_rows_and_its_order():
+    rates = np.array([0.1, 0.4, 0.3, 0.2])
+    perfect = _scored(rates, np.array([1, 2, 3, 0]))
+    assert perfect["rate"] == 0.4 and perfect["rank_correlation"] == pytest.approx(1.0)
+    reverse = _scored(rates, np.array([0, 3, 2, 1]))
+    assert (reverse["rate"], reverse["best_of_first"]) == (0.1, 0.4) and reverse["rank_correlation"] == pytest.approx(
+        -1
+    )
+    assert _scored(rates, np.array([3])) == {"row": 3, "rate": 0.2}
+    assert _scored(rates, np.array([9])) == {"row": -1, "rate": 0.0}  # a row without a candidate
+
+
+def test_quality_by_hand():
+    quality = {"4": {"psnr": 1.0, "depth_l1_cm": -2.0}, "7": {"psnr": 3.0, "depth_l1_cm": 4.0}}
+    rows = {row["pick"]: row for row in quality_rows([record("x", 0.2, quality=quality), record("y", 0.2)])}
+    assert rows["a"]["psnr_per_100"] == 1.0 and rows["a"]["depth_l1_cm_per_100"] == -2.0
+    assert rows["mean of those mapped"]["psnr_per_100"] == 2.0
+    # Less depth error is better.
+    assert rows["best of those mapped"]["psnr_per_100"] == 3.0
+    assert rows["best of those mapped"]["depth_l1_cm_per_100"] == -2.0
+
+
+def test_episodes_are_frozen_scored_and_not_played_twice():
+    settings = Settings(features=("pixel",), policies=("random",), preset="fast", frames=15, every=1, pool=30)
+    (records,) = run_decisions_benchmark(["box"], [0], settings)
+    assert {name for r in records for name in r["picks"]} == {"random", "feature pixel"}
+    for r in records:
+        assert r["pool"]["best"] >= r["table"]["best"] >= max(pick["rate"] for pick in r["picks"].values()) >= 0
+        assert r["pool"]["views"] <= 30
+    observed = [r["observed"] for r in records]
+    assert observed == sorted(observed)
+    assert list(run_decisions_benchmark(["box"], [0], settings, done=records)) == []

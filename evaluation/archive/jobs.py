@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol, get_proto
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
+REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
 _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # of a content hash, in a name that people read
@@ -121,7 +122,7 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
     for job in jobs:
         if imports_code(job.scene):
             registry.refuse_code("scene", job.scene, file)
-        if POLICIES.imports(job.policy.partition("?")[0]):
+        if not is_reference(job.policy) and POLICIES.imports(job.policy.partition("?")[0]):
             registry.refuse_code("policy", job.policy, file)
         gains = dict(job.overrides).get("gains", ())
         for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
@@ -165,12 +166,19 @@ def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the c
     }
 
 
+def is_reference(policy: str) -> bool:
+    """Whether a job's ``policy`` is none, but a reference that sees the ground truth."""
+    return policy.startswith(REFERENCE)
+
+
 def policy_label(spec: str) -> str:
     """A short name for a policy: a checkpoint's without the folders it lies in, ``learned:bc@01234567``.
 
     The digits are those of its content, so that names differ where the checkpoints do. A file that is called ``best``
     is the checkpoint of the run whose directory it lies in.
     """
+    if is_reference(spec):
+        return f"{spec.removeprefix(REFERENCE)} (reference, sees the ground truth)"
     family, colon, place = spec.partition(":")
     path, at, digits = place.partition("?")[0].rpartition("@")
     if family != "learned" or not colon or not at:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, PathName, Switch, Text, option
+from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, NoNames, PathName, Switch, Text, option
 from activestructure_gym.evaluation.cli.options import (
     parse_overrides,
     parse_seeds,
@@ -49,6 +49,11 @@ class Compare:
     )
     seeds: Annotated[tuple[str, ...], option("N [N ...]")] = ("0",)
     """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
+    references: NoNames = ()
+    (
+        "Who decides by the ground truth, to show what could be reached, and is no policy: oracle (one step, all views "
+        "of the pool)."
+    )
     preset: Annotated[str | None, option("fast|default|paper", "(default: default)")] = None
     """What `asg config PRESET` prints."""
     frames: Count = None
@@ -191,6 +196,7 @@ def _comparison(options: Compare) -> Comparison:
     return Comparison(
         scenes=split_scenes(options.scenes),
         policies=split_policies(options.policies),
+        references=split_list(options.references),
         seeds=parse_seeds(options.seeds),
         preset=known_preset(options.preset or "default"),
         frame_budget=options.frames,

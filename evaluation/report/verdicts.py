@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.jobs import is_reference
 from activestructure_gym.evaluation.report.columns import COSTS, MAIN, PROGRESS, QUALITY, Column, measured
 from activestructure_gym.evaluation.report.curves import COSTS as AXES
 from activestructure_gym.evaluation.report.curves import areas, measures_of
@@ -46,13 +47,14 @@ class Lead:
 
 
 def leads(results: Results) -> list[Lead]:
-    """The best mean of every main metric, among the policies that finished on every scene."""
+    """The best mean of every main metric, among the policies that finished on every scene; a reference leads nobody."""
     found = []
     for column in measured(MAIN, results.runs):
         means = {
             policy: estimate(own)
             for policy in results.policies
             if (own := results.strata(policy, column.key)) is not None
+            and not any(is_reference(run.job.policy) for run in results.of(policy))
         }
         if not means:
             continue

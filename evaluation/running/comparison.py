@@ -12,7 +12,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
-from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code
+from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, absolute_spec, is_reference, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
@@ -39,12 +39,13 @@ class Comparison:
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg
     protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what maps are measured by
     also_protocols: Sequence[str] = ()  # every finished map is measured by these too
+    references: Sequence[str] = ()  # names of those who see the ground truth, beside the policies
     recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
 
     def __post_init__(self) -> None:
-        for name in ("scenes", "policies", "seeds"):
+        for name in ("scenes", "policies", "seeds", "references"):
             given = getattr(self, name)
-            if not given:
+            if not given and name != "references" and not (name == "policies" and self.references):
                 raise InputError(f"a comparison needs at least one of {name}, got none")
             object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
         object.__setattr__(self, "scenes", tuple(absolute_spec(spec) for spec in self.scenes))
@@ -55,7 +56,8 @@ class Comparison:
         first = jobs[0]
         return cls(
             scenes=[job.scene for job in jobs],
-            policies=[job.policy for job in jobs],
+            policies=[job.policy for job in jobs if not is_reference(job.policy)],
+            references=[job.policy.removeprefix(REFERENCE) for job in jobs if is_reference(job.policy)],
             seeds=[job.seed for job in jobs],
             preset=first.preset,
             frame_budget=first.frame_budget,
@@ -73,9 +75,12 @@ class Comparison:
         views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
         stopped early has compared something. Raises `InputError` for the first thing that cannot work.
         """
+        from activestructure_gym.evaluation.running.references import reference_job
+
         policies = self._check_policies()
+        everybody = [*policies, *map(reference_job, self.references)]
         hashes = {}
-        with warming_up(policies, self.overrides, notify):
+        with warming_up(policies or ["random"], self.overrides, notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
                 hashes[spec] = self._check_scene(spec).content_hash
@@ -95,7 +100,7 @@ class Comparison:
             )
             for seed in self.seeds
             for scene in self.scenes
-            for policy in policies
+            for policy in everybody
         ]
 
     def _check_policies(self) -> list[str]:

@@ -8,13 +8,13 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.jobs import Job, is_reference
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary
 from activestructure_gym.evaluation.machine import hardware as machine
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.protocols import Truth
     from activestructure_gym.ground_truth import GroundTruth
-    from activestructure_gym.policies import Policy
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
 
@@ -38,6 +37,19 @@ SURFACE_CHECKPOINTS = 4
 
 
 Stage = Literal["loading", "exploring", "measuring", "done"]
+
+
+class Decider(Protocol):
+    """Who chooses: a policy, or a reference."""
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode."""
+
+    def act(self, observation: dict[str, np.ndarray]) -> int:
+        """The row to go to."""
+
+    def trace(self) -> dict[str, Any]:
+        """Numbers behind the last choice."""
 
 
 @dataclass(frozen=True)
@@ -148,14 +160,27 @@ def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
         return load(spec, **options)
 
 
-def build(job: Job, known: GroundTruth) -> tuple[Policy, ReconstructionEnv]:
-    """The job's policy and an env that offers the gains it asks for.
+def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
+    """The job's policy and an env that offers the gains it asks for; or its reference, which alone gets the truth.
 
     The env never ends an episode by how much surface was seen: that is ground truth, and no planner may profit.
     """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.policies import make_policy
 
+    if is_reference(job.policy):
+        from activestructure_gym.evaluation.running.references import WHOLE_POOL, make_reference
+
+        env = ReconstructionEnv(
+            scene=known,
+            preset=job.preset,
+            frame_budget=job.frame_budget,
+            gains=(),
+            config=dict(job.overrides) | {"views.max_candidates": WHOLE_POOL},
+            coverage_target=None,
+            start_pose=job.start_pose,
+        )
+        return make_reference(job.policy, env, known), env
     policy = make_policy(job.policy)
     env = ReconstructionEnv(
         scene=known,
@@ -196,7 +221,7 @@ class _Episode:
     """The loop of decisions, with its log, its convergence curve and its clock."""
 
     def __init__(
-        self, job: Job, env: ReconstructionEnv, policy: Policy, truth: Truth, tell: Callable[[Progress], None]
+        self, job: Job, env: ReconstructionEnv, policy: Decider, truth: Truth, tell: Callable[[Progress], None]
     ) -> None:
         self.job, self.env, self.policy, self.truth, self.tell = job, env, policy, truth, tell
         self.steps: list[dict[str, Any]] = []

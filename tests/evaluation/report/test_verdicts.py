@@ -140,3 +140,10 @@ def test_aggregates_and_areas_name_every_statistic_and_axis(grid):
     assert [row[0].text for row in areas.rows] == ["a", "b"] and len(areas.headings) == 7
     assert all(cell.value is not None for row in areas.rows for cell in row[1:])
     assert [cell.rank for cell in areas.rows[0][1:]] == [1] * 6  # both have the same curves
+
+
+def test_a_reference_leads_nobody(make_run):
+    seen = make_run(policy="reference:oracle", psnr=30.0)
+    results = Results([make_run(policy="a", psnr=20.0), seen], [], "a")
+    assert {lead.policy for lead in leads(results)} == {"a"}
+    assert results.policies == ["a", "oracle (reference, sees the ground truth)"]

@@ -1,6 +1,6 @@
 """Makes wall.jpg: a wall that one keyframe saw from 5 m, looked at from 1.3 m, by two rules of where seeds go.
 
-    python docs/images/wall.py
+python docs/images/wall.py
 """
 
 from __future__ import annotations

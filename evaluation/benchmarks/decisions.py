@@ -28,6 +28,7 @@ SCENES = ("room?seed=22", "apartment?rooms=2&seed=21")
 FEATURES = ("hole_area", "pixel")
 _LEAST_RATE = 1e-3  # m^2 per frame: where nothing on offer shows more, no pick is better than another
 _SHORTLIST = 8  # rows of a feature's own best, of which the truly best one is told
+_SAMPLES = 10_000  # surface points a C.R. is taken on
 QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # and the sign of what is better
 
 
@@ -151,8 +152,7 @@ class _Judge:
         firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
         spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
         rows = list(dict.fromkeys((*firsts, *spread)))[: max(self._settings.quality, len(set(firsts)))]
-        measure = {"views": self._settings.views, "samples": 10_000}
-        before = self._protocol.checkpoint(episode.mapper.map, known, **measure)
+        before = self._protocol.checkpoint(episode.mapper.map, known, views=self._settings.views, samples=_SAMPLES)
         sensor = RGBDSensor(episode.scene, episode.config.sensor, np.random.default_rng(episode.decisions))
         found = {}
         try:
@@ -162,7 +162,7 @@ class _Judge:
                 mapper = copy.deepcopy(episode.mapper)
                 for pose in way.keyframes:
                     mapper.observe(sensor.capture(pose))
-                after = self._protocol.checkpoint(mapper.map, known, **measure)
+                after = self._protocol.checkpoint(mapper.map, known, views=self._settings.views, samples=_SAMPLES)
                 found[str(row)] = {
                     name: 100.0 * (after[name] - before[name]) / way.frames
                     for name in QUALITY

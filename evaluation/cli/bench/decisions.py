@@ -90,7 +90,7 @@ class Decisions:
         if worth:
             print_rows(console, worth, "what the picked view changed on held-out views, per 100 frames")
         if folder is not None:
-            content = {"settings": dataclasses.asdict(settings), "hardware": machine.hardware()}
+            content: dict[str, Any] = {"settings": dataclasses.asdict(settings), "hardware": machine.hardware()}
             content |= {"rows": rows, "quality": worth, "decisions": records}
             (folder / _RESULT).write_text(json.dumps(content, indent=1) + "\n")
             console.print(f"written: {escape(str(folder / _RESULT))}")

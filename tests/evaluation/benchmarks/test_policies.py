@@ -19,7 +19,6 @@ def test_a_row_per_policy_on_one_state():
         low, high = row["quartiles"]
         assert 0 < low <= row["decision_s"] <= high
         assert row["decision_s"] >= max(row["gains_s"], row["policy_s"], row["offer_s"]) > 0
-    assert rows[1]["gains_s"] > rows[0]["gains_s"]  # random asks for none
     assert any("exploring" in line for line in said) and said[-1] == "round 2 of 2: random"
 
 

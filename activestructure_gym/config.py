@@ -83,7 +83,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
     "full": {
         "frame_budget": 2000,
         "sensor": {"width": 320, "height": 180},
-        "mapper": {"iterations": 15},
+        "mapper": {"iterations": 12},
         "views": {"scoring_scale": 0.25},
     },
     # The paper's sensor, budget and iterations (Sec. 4.1). Seeds come of every pixel; the optimiser sees 300 x 170, and

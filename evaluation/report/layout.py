@@ -87,9 +87,17 @@ def decimal(value: float, digits: int, *, signed: bool = False) -> str:
     return f"{rounded:{'+' if signed and rounded else ''}.{digits}f}".replace("-", "−")
 
 
-def ranked(cells: Sequence[Cell], column: Column) -> list[Cell]:
-    """The cells with ranks 1 to 3; cells equal as printed share a rank, and a single value has none."""
-    values = {i: round(cell.value, column.digits) for i, cell in enumerate(cells) if cell.value is not None}
+def ranked(cells: Sequence[Cell], column: Column, planners: Sequence[bool] | None = None) -> list[Cell]:
+    """The cells with ranks 1 to 3; cells equal as printed share a rank, and a single value has none.
+
+    ``planners`` tells cell by cell who takes part (None: all): references have no rank and take none from others.
+    """
+    part = [True] * len(cells) if planners is None else planners
+    values = {
+        i: round(cell.value, column.digits)
+        for i, (cell, takes_part) in enumerate(zip(cells, part, strict=True))
+        if takes_part and cell.value is not None
+    }
     if column.best is None or len(values) < 2:
         return list(cells)
     order = sorted(values.values(), reverse=column.best == "highest")

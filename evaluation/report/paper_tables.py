@@ -35,7 +35,8 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
     cells: dict[tuple[str, str, str | None], Cell] = {}
     for column in columns:
         for scene in scenes:
-            block = ranked([_mean(results, policy, column, scene) for policy in results.policies], column)
+            means = [_mean(results, policy, column, scene) for policy in results.policies]
+            block = ranked(means, column, results.planners)
             cells |= {(policy, column.key, scene): cell for policy, cell in zip(results.policies, block)}
     rows = [
         [Cell(policy), Cell(column.title), *(cells[policy, column.key, scene] for scene in scenes)]
@@ -66,7 +67,7 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
                 if strata is None
                 else with_interval(estimate(strata), column.digits)
             )
-        by_column.append(ranked(found, column))
+        by_column.append(ranked(found, column, results.planners))
     ladder = "activestructure-a" in results.policies
     rows = [
         [Cell(LADDER.get(policy, policy) if ladder else policy, note=policy), *(cells[k] for cells in by_column)]
@@ -91,7 +92,8 @@ def time_table(results: Results) -> Table:
     row, groups = [Cell("Time (min)")], [("", 1)]
     for scene in results.scenes:
         seconds = [_mean(results, policy, column, scene).value for policy in results.policies]
-        row += ranked([number(None if s is None else s / 60, column.digits, MISSING) for s in seconds], column)
+        minutes = [number(None if s is None else s / 60, column.digits, MISSING) for s in seconds]
+        row += ranked(minutes, column, results.planners)
         groups.append((scene, len(results.policies)))
     headings = [Heading("Method", numeric=False)]
     headings += [Heading(policy) for _ in results.scenes for policy in results.policies]

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from activestructure_gym.evaluation.report.columns import PROGRESS, Column, exceeded, measured
-from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, ranked, with_interval
+from activestructure_gym.evaluation.report.columns import LEAST, PROGRESS, Column, exceeded, measured
+from activestructure_gym.evaluation.report.layout import MISSING, Cell, Heading, Table, ranked, with_interval
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.statistics import estimate
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+_AT_A_GLANCE = (f"{LEAST}frames_to_85", f"{LEAST}frames_to_90", "observed_area")  # what a terminal has room for
 
 
 def planning_table(results: Results) -> Table | None:
@@ -19,7 +25,10 @@ def planning_table(results: Results) -> Table | None:
     columns = measured(PROGRESS, results.runs)
     if not columns:
         return None
-    by_column = [ranked([_cell(results, policy, column) for policy in results.policies], column) for column in columns]
+    by_column = [
+        ranked([_cell(results, policy, column) for policy in results.policies], column, results.planners)
+        for column in columns
+    ]
     rows = [[Cell(policy), *(cells[k] for cells in by_column)] for k, policy in enumerate(results.policies)]
     caption = (
         "Frames until that share of the observable surface was observed (> : runs that did not reach it count with the "
@@ -29,6 +38,51 @@ def planning_table(results: Results) -> Table | None:
     )
     headings = [Heading("Policy", numeric=False), *map(Heading.of, columns)]
     return Table("planning", "Planning", headings, rows, caption)
+
+
+def rich_planning_table(results: Results) -> RichTable | None:
+    """The same in short for a terminal: a row per policy, the best of the planners bold and green.
+
+    A number of frames is a mean of runs that all reached the level; else there is a dash and how many did.
+    """
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table as RichTable
+
+    columns = measured([column for column in PROGRESS if column.key in _AT_A_GLANCE], results.runs)
+    if not columns:
+        return None
+    table = RichTable(
+        title="how soon the surface was observed, and the area under that curve",
+        title_justify="left",
+        title_style="italic dim",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    table.add_column("policy", no_wrap=True)
+    for column in columns:
+        table.add_column(column.title, justify="right", no_wrap=True)
+    by_column = [
+        ranked([_short_cell(results, policy, column) for policy in results.policies], column, results.planners)
+        for column in columns
+    ]
+    for policy, *cells in zip(results.policies, *by_column):
+        texts = [f"[bold green]{cell.text}[/]" if cell.rank == 1 else cell.text for cell in cells]
+        table.add_row(escape(policy), *texts)
+    return table
+
+
+def _short_cell(results: Results, policy: str, column: Column) -> Cell:
+    missed = [exceeded(run, column.key) for run in results.of(policy)]
+    if any(missed):
+        return Cell(f"{MISSING} ({len(missed) - sum(missed)} of {len(missed)} runs)")
+    strata = results.strata(policy, column.key)
+    if strata is None:
+        return Cell(MISSING)
+    value = estimate(strata).value
+    return Cell(f"{value:.{column.digits}f}", value)
 
 
 def _cell(results: Results, policy: str, column: Column) -> Cell:

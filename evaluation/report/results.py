@@ -14,7 +14,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
-from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive.jobs import Job, is_reference, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
 
@@ -62,6 +62,12 @@ class Results:
     def policies(self) -> list[str]:
         """Policies, in the order of the runs."""
         return list(dict.fromkeys(run.policy for run in self.runs))
+
+    @cached_property
+    def planners(self) -> list[bool]:
+        """Of every policy whether it is one: a reference, which sees the ground truth, has no rank among them."""
+        references = {run.policy for run in self.runs if is_reference(run.job.policy)}
+        return [policy not in references for policy in self.policies]
 
     @cached_property
     def scenes(self) -> list[str]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.jobs import is_reference
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import layout
 from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
@@ -48,6 +49,7 @@ class Row:
     policy: str
     runs: int
     cells: dict[str, Cell]
+    planner: bool = True  # False: a reference, which is not marked among them
 
 
 def table_rows(runs: Sequence[Run]) -> list[Row]:
@@ -61,7 +63,8 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
             cell_runs = [r for r in runs if r.scene == scene and r.policy == policy]
             if cell_runs:
                 cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
-                block.append(Row(scene, policy, len(cell_runs), cells))
+                planner = not is_reference(cell_runs[0].job.policy)
+                block.append(Row(scene, policy, len(cell_runs), cells, planner))
         rows += _marked(block)
     if len(scenes) > 1:
         complete = [[row for row in rows if row.policy == policy] for policy in policies]
@@ -104,7 +107,11 @@ def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[C
     for start, end in zip([0, *blocks], [*blocks, len(rows)]):
         block = rows[start:end]
         numbers = [
-            layout.ranked([layout.Cell(row.cells[c.key].text(c.digits), row.cells[c.key].mean) for row in block], c)
+            layout.ranked(
+                [layout.Cell(row.cells[c.key].text(c.digits), row.cells[c.key].mean) for row in block],
+                c,
+                [row.planner for row in block],
+            )
             for c in columns
         ]
         names = [[layout.Cell(row.scene) for row in block]] if blocks else []
@@ -156,22 +163,25 @@ def _average(block: Sequence[Row]) -> Row:
     for column in COLUMNS:
         means = [row.cells[column.key].mean for row in block]
         cells[column.key] = Cell(None if None in means else float(np.mean([m for m in means if m is not None])), None)
-    return Row(AVERAGE, block[0].policy, sum(row.runs for row in block), cells)
+    return Row(AVERAGE, block[0].policy, sum(row.runs for row in block), cells, block[0].planner)
 
 
 def _marked(block: Sequence[Row]) -> list[Row]:
-    """The block with the best of every column marked; equal as printed is equally good, alone is not best."""
+    """The block with the best of every column marked; equal as printed is equally good, alone is not best.
+
+    Among the planners: a reference is never best, and who is alone beside references is not either.
+    """
     marked = [dict(row.cells) for row in block]
     for column in COLUMNS:
-        means = {i: row.cells[column.key].mean for i, row in enumerate(block)}
+        means = {i: row.cells[column.key].mean for i, row in enumerate(block) if row.planner}
         rounded = {i: round(mean, column.digits) for i, mean in means.items() if mean is not None}
-        if column.best is None or len(block) < 2 or not rounded:
+        if column.best is None or len(means) < 2 or not rounded:
             continue
         best = min(rounded.values()) if column.best == "lowest" else max(rounded.values())
         for index, value in rounded.items():
             cell = block[index].cells[column.key]
             marked[index][column.key] = Cell(cell.mean, cell.deviation, best=value == best)
-    return [Row(row.scene, row.policy, row.runs, cells) for row, cells in zip(block, marked)]
+    return [replace(row, cells=cells) for row, cells in zip(block, marked)]
 
 
 def _styled(text: str, best: bool) -> str:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive.jobs import is_reference
 from activestructure_gym.evaluation.report.columns import COSTS, MAIN, PROGRESS, QUALITY, Column, measured
 from activestructure_gym.evaluation.report.curves import COSTS as AXES
 from activestructure_gym.evaluation.report.curves import areas, measures_of
@@ -52,9 +51,8 @@ def leads(results: Results) -> list[Lead]:
     for column in measured(MAIN, results.runs):
         means = {
             policy: estimate(own)
-            for policy in results.policies
-            if (own := results.strata(policy, column.key)) is not None
-            and not any(is_reference(run.job.policy) for run in results.of(policy))
+            for policy, planner in zip(results.policies, results.planners)
+            if planner and (own := results.strata(policy, column.key)) is not None
         }
         if not means:
             continue
@@ -190,7 +188,7 @@ def aggregate_table(results: Results) -> Table:
             for policy in results.policies:
                 own = results.strata(policy, column.key)
                 found.append(with_interval(None if own is None else estimate(own, statistic), column.digits))
-            block.append([Cell(column.title), Cell(name), *ranked(found, column)])
+            block.append([Cell(column.title), Cell(name), *ranked(found, column, results.planners)])
         if rows:
             blocks.append(len(rows))
         rows += block
@@ -211,7 +209,7 @@ def area_table(results: Results) -> Table:
         for cost in AXES:
             strata = [areas(results, policy, cost.key, measure.key) for policy in results.policies]
             found = [with_interval(None if own is None else estimate(own), column.digits) for own in strata]
-            columns.append((Heading(f"{column.title}, {cost.key}"), ranked(found, column)))
+            columns.append((Heading(f"{column.title}, {cost.key}"), ranked(found, column, results.planners)))
     rows = [[Cell(policy), *(cells[k] for _, cells in columns)] for k, policy in enumerate(results.policies)]
     headings = [Heading("Policy", numeric=False), *(heading for heading, _ in columns)]
     caption = (

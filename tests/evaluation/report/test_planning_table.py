@@ -1,8 +1,11 @@
+import io
+
 import pytest
+from rich.console import Console
 
 from activestructure_gym.evaluation.report.columns import PROGRESS, value_of
 from activestructure_gym.evaluation.report.formats import documents
-from activestructure_gym.evaluation.report.planning_table import planning_table
+from activestructure_gym.evaluation.report.planning_table import planning_table, rich_planning_table
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.verdicts import difference_table
 
@@ -43,7 +46,33 @@ def test_differences_to_the_baseline_hold_them_too(results):
     assert rows["frames to 95 % ↓"][2].value == 0.0
 
 
+def printed(results):
+    out = io.StringIO()
+    Console(file=out, width=120).print(rich_planning_table(results))
+    return out.getvalue()
+
+
+def test_a_terminal_has_means_of_runs_that_all_reached_it_and_else_a_dash_and_how_many_did(results):
+    lines = [line for line in printed(results).splitlines() if line.strip()]
+    headings, a, b = lines[1], lines[-2], lines[-1]
+    assert headings.split()[0] == "policy" and "85 %" in headings and "95 %" not in headings
+    assert a.split() == ["a", "50", "65", "66.0"]
+    assert b.split() == ["b", "50", *"– (1 of 2 runs)".split(), "60.0"]
+
+
+def test_a_reference_has_no_rank_and_takes_none(make_run):
+    runs = [measured(make_run, policy, 0, frames) for policy, frames in (("a", 70.0), ("b", 60.0))]
+    best = measured(make_run, "reference:oracle", 0, 40.0, 99.0)
+    results = Results([best, *runs], [], "a")
+    table = planning_table(results)
+    at_90 = [heading.text for heading in table.headings].index("frames to 90 % ↓")
+    assert [row[at_90].value for row in table.rows] == [40.0, 70.0, 60.0]
+    assert [row[at_90].rank for row in table.rows] == [0, 2, 1]
+    assert not any(cell.rank for cell in table.rows[0])
+
+
 def test_runs_that_were_not_measured_so_have_no_table(make_run):
     run = make_run()
     assert all(value_of(run, column.key) is None for column in PROGRESS)
     assert planning_table(Results([run], [], None)) is None
+    assert rich_planning_table(Results([run], [], None)) is None

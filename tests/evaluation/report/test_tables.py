@@ -39,6 +39,21 @@ def test_one_policy_alone_is_not_best(make_run):
     assert not any(cell.best for cell in row.cells.values())
 
 
+def test_a_reference_is_never_best_and_marks_nobody_who_is_alone_beside_it(make_run):
+    seen = make_run(policy="reference:oracle", psnr=30.0)
+    rows = table_rows([seen, make_run(policy="a", psnr=20.0), make_run(policy="b", psnr=21.0)])
+    assert [row.cells["psnr"].best for row in rows] == [False, False, True]
+    assert not any(cell.best for cell in rows[0].cells.values())
+    table = overview(rows)
+    psnr = [heading.text for heading in table.headings].index("PSNR (dB) ↑")
+    assert [row[psnr].rank for row in table.rows] == [0, 2, 1]
+    alone = table_rows([seen, make_run(policy="a", psnr=20.0)])
+    assert not any(cell.best for row in alone for cell in row.cells.values())
+    two = [make_run(scene, policy) for scene in ("room", "box") for policy in ("reference:oracle", "a", "b")]
+    average = [row for row in table_rows(two) if row.scene == AVERAGE]
+    assert [row.planner for row in average] == [False, True, True]
+
+
 def test_the_average_counts_every_scene_the_same(make_run):
     runs = [
         make_run("room", "a", 0, psnr=10.0),

@@ -2,6 +2,7 @@ import pytest
 
 from activestructure_gym.evaluation.report.columns import QUALITY
 from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.summary import all_tables
 from activestructure_gym.evaluation.report.verdicts import (
     aggregate_table,
     area_table,
@@ -147,3 +148,18 @@ def test_a_reference_leads_nobody(make_run):
     results = Results([make_run(policy="a", psnr=20.0), seen], [], "a")
     assert {lead.policy for lead in leads(results)} == {"a"}
     assert results.policies == ["a", "oracle (reference, sees the ground truth)"]
+
+
+def test_no_table_ranks_a_reference(make_run):
+    psnr = {"reference:oracle": 30.0, "a": 20.0, "b": 21.0}
+    results = Results([make_run(policy=policy, psnr=value, seconds=value) for policy, value in psnr.items()], [], "a")
+    name = results.policies[0]
+    for table in all_tables(results):
+        headings = [heading.text for heading in table.headings]
+        for row in table.rows:
+            if row[0].text == name or row[0].note == name:
+                assert not any(cell.rank for cell in row), table.name
+            for heading, cell in zip(headings, row):
+                assert heading != name or not cell.rank, table.name
+    ranks = [[cell.rank for cell in row[2:]] for row in aggregate_table(results).rows if row[0].text == "PSNR (dB) ↑"]
+    assert ranks == [[0, 2, 1]] * 3

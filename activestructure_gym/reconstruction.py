@@ -22,7 +22,7 @@ from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
-from activestructure_gym.motion import DistanceMap, first_blocked, interpolate, path_lengths, plan_path
+from activestructure_gym.motion import Agent, DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
@@ -132,6 +132,19 @@ class Reconstruction:
         self.frames = 1
         self._refresh()
         return frame
+
+    @property
+    def agent(self) -> Agent:
+        """Where the agent stands now, and how it would get to a view."""
+        return Agent(
+            pose=self.pose,
+            frames=self.frames,
+            frame_budget=self.frame_budget,
+            keyframe_every=self.config.keyframe_every,
+            motion=self.config.motion,
+            distances=self.distances,
+            rng=self._planning_rng,
+        )
 
     @property
     def frame_budget(self) -> int:
@@ -266,6 +279,7 @@ class Reconstruction:
                 coverage_alpha=config.views.coverage_alpha,
                 max_range=config.sensor.max_range,
                 world_from_camera=self.candidates.world_from_camera,
+                agent=self.agent,
             )
             self.gains = evaluate_features(config.gains, context)
             self.visible = context.visible

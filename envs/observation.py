@@ -17,10 +17,8 @@ from activestructure_gym.errors import InputError, shown
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig
-    from activestructure_gym.motion import MotionConfig
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.sensors import Frame
-    from activestructure_gym.views import CandidateTable
 
 CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
 FARTHEST_M = 1000.0  # bound of every position and length in the observation
@@ -177,15 +175,6 @@ def observation_table(config: ReconstructionConfig, max_planes: int) -> str:
     return "\n".join(rows)
 
 
-def least_frames(pose: np.ndarray, table: CandidateTable, motion: MotionConfig) -> np.ndarray:  # [n]
-    """Frames it takes to reach each candidate: its steps or its turns, whichever are more, and at least one."""
-    from activestructure_gym.geometry import rotation_angle
-
-    steps = table.path_length / motion.max_step_m
-    turns = np.degrees(rotation_angle(table.world_from_camera, pose)) / motion.max_turn_deg
-    return np.clip(np.ceil(np.maximum(steps, turns) - 1e-6), 1, 10 * FARTHEST_M)
-
-
 def _quantile(values: np.ndarray, share: float) -> float:
     """`numpy.quantile` of one or more finite numbers, to the last digit, in a tenth of its time."""
     ordered = np.sort(values).tolist()
@@ -199,6 +188,7 @@ def _quantile(values: np.ndarray, share: float) -> float:
 def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dict[str, np.ndarray]:
     """The observation of the current state. Every array is new: nothing is shared with another observation."""
     from activestructure_gym.geometry.rotations import quaternions  # policies take names from here without scipy
+    from activestructure_gym.motion import least_frames
 
     config, table = reconstruction.config, reconstruction.candidates
     size, count = config.views.max_candidates, len(table)
@@ -206,7 +196,8 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     candidates[:count, 0:3] = np.clip(table.world_from_camera[:, :3, 3], -FARTHEST_M, FARTHEST_M)
     candidates[:count, 3:6] = np.clip(table.world_from_camera[:, :3, 2], -1.0, 1.0)
     candidates[:count, 6] = np.minimum(table.path_length, FARTHEST_M)
-    candidates[:count, 7] = least_frames(reconstruction.pose, table, config.motion)
+    frames = least_frames(reconstruction.pose, table.world_from_camera, table.path_length, config.motion)
+    candidates[:count, 7] = np.minimum(frames, 10 * FARTHEST_M)
     candidates[:count, 8] = table.revisit
     gains = np.zeros((size, len(config.gains)), np.float32)
     gains[:count] = np.clip(reconstruction.gains, -LARGEST_GAIN, LARGEST_GAIN)

@@ -43,6 +43,7 @@ from activestructure_gym.policies.popgs import (
 )
 from activestructure_gym.policies.random import Random
 from activestructure_gym.policies.rt_guide import RTGuide
+from activestructure_gym.policies.unknown_volume import UnknownVolume
 from activestructure_gym.policies.view_angle import ViewAngle
 
 __all__ = [
@@ -88,6 +89,7 @@ __all__ = [
     "Policy",
     "RTGuide",
     "Random",
+    "UnknownVolume",
     "ViewAngle",
     "canonical_policy",
     "make_env_and_policy",

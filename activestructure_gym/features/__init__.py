@@ -32,6 +32,7 @@ from activestructure_gym.features.rt_guide import rt_guide
 from activestructure_gym.features.structure import structure
 from activestructure_gym.features.uncovered import uncovered
 from activestructure_gym.features.unexplored import unexplored
+from activestructure_gym.features.unknown_volume import unknown_volume
 from activestructure_gym.features.view_angle import view_angle
 from activestructure_gym.features.visited_distance import visited_distance
 from activestructure_gym.features.voronoi_node import floor_graph, voronoi_node
@@ -71,6 +72,7 @@ __all__ = [
     "structure",
     "uncovered",
     "unexplored",
+    "unknown_volume",
     "view_angle",
     "visited_distance",
     "voronoi_node",

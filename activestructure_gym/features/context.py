@@ -11,6 +11,7 @@ import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import Mapper
+from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneSceneGraph
 from activestructure_gym.views.visibility import visible_planes
 from activestructure_gym.volume import VoxelVolume
@@ -30,6 +31,7 @@ class FeatureContext:
     coverage_alpha: float  # a pixel is covered where alpha exceeds this
     max_range: float  # metres, the sensor's
     world_from_camera: np.ndarray  # [K, 4, 4] the candidates
+    agent: Agent | None = None  # how it would get to them; None: nobody stands anywhere
 
     @cached_property
     def _rendered(self) -> tuple[np.ndarray, np.ndarray]:

@@ -5,15 +5,19 @@ from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
 from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate
 from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
+from activestructure_gym.motion.ways import Agent, Way, least_frames
 
 __all__ = [
+    "Agent",
     "DistanceMap",
     "MotionConfig",
     "VoronoiGraph",
+    "Way",
     "first_blocked",
     "first_blocked_edge",
     "free_plan",
     "interpolate",
+    "least_frames",
     "path_lengths",
     "plan_path",
     "planar_graph",

@@ -16,8 +16,9 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
-from activestructure_gym.evaluation.running.true_gains import TrueSurface, Way, ways, whole_pool
+from activestructure_gym.evaluation.running.true_gains import TrueSurface, whole_pool
 from activestructure_gym.evaluation.statistics import estimate
+from activestructure_gym.motion import Way
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -124,9 +125,10 @@ class _Judge:
         """Rates of the table, of the pool and of every pick, and with ``quality`` what views are worth to the map."""
         episode = env.reconstruction
         self._surface.follow(episode)
-        taken = ways(episode, episode.candidates.world_from_camera)
+        taken = episode.agent.ways(episode.volume, episode.candidates.world_from_camera)
         rates = self._surface.rates(episode, taken)
-        pool = self._surface.rates(episode, ways(episode, whole_pool(episode, self._settings.pool)))
+        views = whole_pool(episode, self._settings.pool)
+        pool = self._surface.rates(episode, episode.agent.ways(episode.volume, views))
         found: dict[str, Any] = {
             "observed": 100.0 * float(self._surface.seen.mean()),
             "table": {"views": len(rates), "best": float(rates.max()), "mean": float(rates.mean())},

@@ -12,7 +12,7 @@ import numpy as np
 
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
-from activestructure_gym.evaluation.running.true_gains import TrueSurface, ways
+from activestructure_gym.evaluation.running.true_gains import TrueSurface
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -39,7 +39,7 @@ class Oracle:
         """The row with the highest true rate."""
         episode = self._env.reconstruction
         self._surface.follow(episode)
-        taken = ways(episode, episode.candidates.world_from_camera)
+        taken = episode.agent.ways(episode.volume, episode.candidates.world_from_camera)
         rates = self._surface.rates(episode, taken)
         frames = np.array([np.inf if way is None else way.frames for way in taken])
         row = int(np.lexsort((frames, -rates))[0])

@@ -1,4 +1,4 @@
-"""What going to a view would truly show: the way there, its keyframes, and the surface that they see first.
+"""What going to a view would truly show: the surface that the keyframes of the way see first.
 
 Ground truth, for references and benchmarks; nothing here reaches an observation.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,51 +15,10 @@ from activestructure_gym.evaluation.protocols import CameraPath
 from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
 from activestructure_gym.ground_truth import GroundTruth
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
-from activestructure_gym.motion import interpolate, plan_path
+from activestructure_gym.motion import Way
 from activestructure_gym.reconstruction import Reconstruction
 
 _SAMPLES = 4000  # of the observable surface, spread evenly
-
-
-@dataclass(frozen=True)
-class Way:
-    """The way to one view, as far as the budget reaches."""
-
-    frames: int  # paid
-    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of those taken on it, its end among them
-
-    @classmethod
-    def of(cls, reconstruction: Reconstruction, poses: np.ndarray) -> Way:
-        """The frames of ``poses`` [T, 4, 4] that the episode would pay, and the keyframes it would take of them."""
-        frames = min(len(poses), reconstruction.frame_budget - reconstruction.frames)
-        number = np.arange(1, frames + 1)
-        taken = ((reconstruction.frames + number) % reconstruction.config.keyframe_every == 0) | (number == frames)
-        return cls(frames, poses[:frames][taken])
-
-
-def ways(reconstruction: Reconstruction, goals: np.ndarray) -> list[Way | None]:  # goals [n, 4, 4]
-    """The way to every goal through what is known to be free; None where there is none.
-
-    A path to a place is planned once, by a generator that is a copy of the episode's, so that nothing changes; the
-    episode may find another one. That what is seen on the way may block it is not foreseen.
-    """
-    motion, here = reconstruction.config.motion, reconstruction.pose
-    paths: dict[bytes, np.ndarray | None] = {}
-    found: list[Way | None] = []
-    for goal in goals:
-        place = goal[:3, 3].tobytes()
-        if place not in paths:
-            paths[place] = plan_path(
-                reconstruction.volume,
-                here[:3, 3],
-                goal[:3, 3],
-                min_clearance=motion.min_clearance,
-                rng=copy.deepcopy(reconstruction._planning_rng),
-                distances=reconstruction.distances,
-            )
-        path = paths[place]
-        found.append(None if path is None else Way.of(reconstruction, interpolate(path, here, goal, motion)))
-    return found
 
 
 def whole_pool(reconstruction: Reconstruction, most: int | None = None) -> np.ndarray:  # [n, 4, 4] world_from_camera

@@ -77,7 +77,7 @@ DISCOUNT_PLANES = 3.0  # visible planes at which the discount has reached 1 - 1/
 
 
 def information_gain(
-    pixel: np.ndarray,  # [K] IG_px in 0..1: uncovered pixels, or the hole area that stands for them in rung E
+    pixel: np.ndarray,  # [K] IG_px: uncovered pixels in 0..1, or what stands for them (`StructurePolicy`)
     deficiency: np.ndarray,  # [K] IG_def in 0..1
     planes: PlaneView,
     weights: Weights,

@@ -18,8 +18,8 @@ class Phase:
 
     name: str
     weights: Weights
-    pool_share: float = 0.0  # in the unit of `hole_area`: a view that would show less is pruned from the pool (rho)
-    deficit_share: float = np.inf  # in the same unit: a view that would mend so much of known deficiencies stays
+    pool_share: float = 0.0  # of a view into nothing but the unknown: one that would show less leaves the pool (rho)
+    deficit_share: float = np.inf  # in the unit of `hole_area`: a view that would mend so much of what is known stays
     refines: bool = False  # True: keyframes are revisited instead of views being scored
 
 
@@ -28,13 +28,13 @@ PHASES = (
     Phase(
         "I scaffold",
         Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1),
-        pool_share=0.02,
+        pool_share=0.05,
     ),
     # The same planes suppress, objects attract; the cap of the discount rises, smaller gaps are worth a view.
     Phase(
         "II objects",
         Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),
-        pool_share=0.003,
+        pool_share=0.01,
         deficit_share=0.01,
     ),
     # The keyframes that render worst are revisited, with more iterations.

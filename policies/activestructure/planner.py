@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.activestructure.information_gain import (
     PlaneView,
     Terms,
@@ -18,6 +19,15 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy, bes
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
 
+Discovery = Literal["pixel", "hole_area", "unknown_volume"]
+# The column that stands for IG_px, and what of it counts 1: a whole image, the largest hole area, and the unknown space
+# that a view into nothing else opens (m^3; the volume's default lens and reach).
+_DISCOVERY: dict[Discovery, tuple[str, float]] = {
+    "pixel": ("pixel", 1.0),
+    "hole_area": ("hole_area", 1.0),
+    "unknown_volume": ("unknown_volume_way", 2.7),
+}
+
 
 def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K]
     """The gain without the revisits: a keyframe always sees the planes it founded. They belong to phase III."""
@@ -25,12 +35,25 @@ def discovering(gain: np.ndarray, observation: Observation) -> np.ndarray:  # [K
 
 
 class StructurePolicy(Policy):
-    """T* = argmax softmax(log IG) g (Eq. 15); softmax(log IG) is IG / sum IG, so the argmax is that of IG g."""
+    """T* = argmax softmax(log IG) g (Eq. 15); softmax(log IG) is IG / sum IG, so the argmax is that of IG g.
+
+    Parameters
+    ----------
+    discovery
+        What stands for IG_px, the gain of what is not known yet: ``"pixel"`` (the paper's uncovered pixels),
+        ``"hole_area"`` or ``"unknown_volume"``. With one of the others the rungs differ from that gain's own policy in
+        the terms of the planes alone.
+    """
 
     weights: ClassVar[Weights] = Weights()
+    deficiencies: ClassVar[bool] = False  # whether IG_def is a term of it
 
-    def __init__(self) -> None:
+    def __init__(self, discovery: Discovery = "pixel") -> None:
         super().__init__()
+        if discovery not in get_args(Discovery):
+            raise InputError(f"option discovery must be {', '.join(get_args(Discovery))}, got '{discovery}'")
+        self._column, self._unit = _DISCOVERY[discovery]
+        self.required_gains = (self._column, *(("deficiency",) if self.deficiencies else ()))
         self._trace: dict[str, Any] = {}
 
     def act(self, observation: Observation) -> int:
@@ -41,13 +64,9 @@ class StructurePolicy(Policy):
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
         """The terms of Eqs. 12 to 14; a feature the rung does not ask for counts as 0."""
         candidates = self.candidates(observation)
-        nothing = np.zeros(len(candidates))
-        pixel, hole_area, deficiency = (
-            candidates[name].astype(np.float64) if name in self.required_gains else nothing
-            for name in ("pixel", "hole_area", "deficiency")
-        )
-        pixel = hole_area if "hole_area" in self.required_gains else pixel
-        return information_gain(pixel, deficiency, planes, weights)
+        unseen = candidates[self._column].astype(np.float64) / self._unit
+        deficiency = candidates["deficiency"].astype(np.float64) if self.deficiencies else np.zeros(len(candidates))
+        return information_gain(unseen, deficiency, planes, weights)
 
     def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
         travel = travel_discount(observation)
@@ -81,7 +100,6 @@ class ActiveStructureB(StructurePolicy):
 
     decides_by = "uncovered pixels and bad planes in sight"
     source = "ActiveStructure, rung B of Table 3"
-    required_gains = ("pixel",)
     weights = Weights(structural=0.1, objects=0.1, surprise=False)
 
 
@@ -91,7 +109,6 @@ class ActiveStructureC(StructurePolicy):
 
     decides_by = "uncovered pixels and anomalous planes in sight"
     source = "ActiveStructure, rung C of Table 3"
-    required_gains = ("pixel",)
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
 
@@ -101,7 +118,7 @@ class ActiveStructureD(StructurePolicy):
 
     decides_by = "uncovered pixels, anomalous planes and their deficiency centres"
     source = "ActiveStructure, rung D of Table 3"
-    required_gains = ("pixel", "deficiency")
+    deficiencies = True
     weights = Weights(structural=0.1, objects=0.1, max_discount=0.1)
 
 
@@ -109,16 +126,16 @@ class ActiveStructureD(StructurePolicy):
 class ActiveStructure(StructurePolicy):
     """The full model, rung E: D with three phases and the reversal of polarity between them.
 
-    What is left to discover is counted from the state of the volume (`hole_area`), not in uncovered pixels: a pool that
-    is to run empty must not hold views through an open window.
+    What is left to discover is counted from the state of the volume, not in uncovered pixels: a pool that is to run
+    empty must not hold views through an open window.
     """
 
-    decides_by = "unseen area and deficient planes, in three phases"
+    decides_by = "unknown space and deficient planes, in three phases"
     source = "ActiveStructure, Sec. 3; rung E of its Table 3"
-    required_gains = ("hole_area", "deficiency")
+    deficiencies = True
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, discovery: Discovery = "unknown_volume") -> None:
+        super().__init__(discovery)
         self._machine = PhaseMachine()
 
     def reset(self, seed: int) -> None:

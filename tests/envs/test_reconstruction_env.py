@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs import ReconstructionEnv, panel
-from activestructure_gym.envs.observation import least_frames, observation_keys, observation_table
+from activestructure_gym.envs.observation import observation_keys, observation_table
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES
-from activestructure_gym.motion import MotionConfig
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.views import CandidateTable
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
 
@@ -290,14 +288,6 @@ def test_table_of_the_observation_names_every_key(env: ReconstructionEnv) -> Non
     assert set(keys) == set(observation) == set(env.observation_space.keys())
     table = observation_table(env.config, env.max_planes)
     assert all(f"`{name}`" in table for name in keys)
-
-
-def test_least_frames_by_hand() -> None:
-    here = as_pose((0, 0, 1, 0))
-    views = np.stack([here, as_pose((0.35, 0, 1, 0)), as_pose((0, 0, 1, 95)), as_pose((1.0, 0, 1, 40))])
-    table = CandidateTable(np.arange(4), views, np.array([0, 0.35, 0, 1.0], np.float32), np.zeros(4, bool))
-    # Nothing to do still costs a frame; 3.5 steps; 9.5 turns; 10 steps against 4 turns.
-    np.testing.assert_array_equal(least_frames(here, table, MotionConfig()), [1, 4, 10, 10])
 
 
 def test_as_pose() -> None:

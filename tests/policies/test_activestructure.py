@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
-from activestructure_gym.policies import PixelOnly
+from activestructure_gym.policies import PixelOnly, make_policy
 from activestructure_gym.policies.activestructure import (
     PHASES,
     ActiveStructure,
@@ -237,7 +238,7 @@ def test_rung_b_ignores_surprise_and_rung_c_does_not() -> None:
 
 @pytest.mark.parametrize("policy", [ActiveStructureB, ActiveStructureC, ActiveStructure])
 def test_a_revisit_is_not_chosen_while_another_view_has_something_to_gain(policy: type) -> None:
-    extra = [0.0] * (len(policy.required_gains) - 1)
+    extra = [0.0] * (len(policy().required_gains) - 1)
     gains = [[0.9, *extra], [0.2, *extra], [0.15, *extra]]
     frames = [1.0, 20.0, 40.0]
     assert bound(policy()).act(observation(gains, frames=frames)) == 0
@@ -245,11 +246,26 @@ def test_a_revisit_is_not_chosen_while_another_view_has_something_to_gain(policy
     assert bound(policy()).act(observation(gains, frames=frames, revisit=(0, 1))) == 2
 
 
+@pytest.mark.parametrize(("discovery", "column"), [("pixel", "pixel"), ("unknown_volume", "unknown_volume_way")])
+@pytest.mark.parametrize("name", ["activestructure-b", "activestructure-d", "activestructure"])
+def test_every_rung_stands_on_any_gain_of_discovery(name: str, discovery: str, column: str) -> None:
+    policy = make_policy(f"{name}?discovery={discovery}")
+    assert policy.required_gains[0] == column
+    rest = [0.0] * (len(policy.required_gains) - 1)
+    policy.reset(0)
+    assert bound(policy).act(observation([[0.2, *rest], [0.9, *rest], [0.5, *rest]])) == 1
+
+
+def test_an_unknown_gain_of_discovery_is_refused() -> None:
+    with pytest.raises(InputError, match="discovery must be pixel, hole_area, unknown_volume, got 'holes'"):
+        make_policy("activestructure-b?discovery=holes")
+
+
 NOTHING = [[0.0, 0.0]] * 3
 
 
 def in_last_phase() -> ActiveStructure:
-    policy = bound(ActiveStructure())
+    policy = bound(ActiveStructure(discovery="hole_area"))
     policy.reset(0)
     for _ in range(2 * PATIENCE):
         policy.act(observation(NOTHING))
@@ -257,7 +273,7 @@ def in_last_phase() -> ActiveStructure:
 
 
 def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None:
-    policy = bound(ActiveStructure())
+    policy = bound(ActiveStructure(discovery="hole_area"))
     policy.reset(0)
     names = []
     rich, poor = [[0.5, 0.0]] * 3, [[0.01, 0.0]] * 3  # poor: enough for phase II, not for phase I
@@ -281,7 +297,7 @@ def test_phase_three_revisits_until_the_keyframes_are_good() -> None:
 
 
 def test_the_trace_says_what_decided() -> None:
-    policy = bound(ActiveStructure())
+    policy = bound(ActiveStructure(discovery="hole_area"))
     policy.reset(0)
     observed = observation(
         [[0.3, 0.0], [0.6, 0.1], [0.2, 0.0]], visible=[[1], [0], [1]], quality=(0.3,), surprise=(0.4,), structural=(1,)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.evaluation.running.true_gains import TrueSurface, Way, ways, whole_pool
+from activestructure_gym.evaluation.running.true_gains import TrueSurface, whole_pool
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes import load_scene
 
@@ -28,7 +28,7 @@ def test_a_way_is_what_the_step_pays_and_takes(episode):
         now = env.reconstruction
         surface.follow(now)
         before, seen, taken = now.frames, surface.seen.sum(), len(now.keyframe_indices)
-        (way,) = ways(now, now.candidates.world_from_camera[row : row + 1])
+        (way,) = now.agent.ways(now.volume, now.candidates.world_from_camera[row : row + 1])
         foreseen = surface.new_area(now, way.keyframes)
         _, _, _, truncated, info = env.step(row)
         surface.follow(now)
@@ -51,27 +51,12 @@ def test_to_ask_changes_nothing(episode):
     surface = TrueSurface(truth)
     surface.follow(now)
     pool = whole_pool(now)
-    rates = surface.rates(now, ways(now, pool))
+    rates = surface.rates(now, now.agent.ways(now.volume, pool))
     assert len(pool) > len(now.candidates)  # all of it, not one table of it
-    np.testing.assert_array_equal(rates, surface.rates(now, ways(now, pool)))
+    np.testing.assert_array_equal(rates, surface.rates(now, now.agent.ways(now.volume, pool)))
     assert now._planning_rng.bit_generator.state == state and len(now.pool) == open_views
     assert now.pool.config.max_candidates == 12 and len(whole_pool(now, 5)) == 5
     assert rates.max() > 0 and (rates >= 0).all()
-
-
-def test_keyframes_of_a_way_by_hand():
-    class Now:
-        frames, frame_budget = 3, 12
-
-        class config:
-            keyframe_every = 5
-
-    poses = np.tile(np.eye(4), (20, 1, 1))
-    poses[:, 0, 3] = np.arange(1, 21)
-    # Frames 4 .. 12: the fifth, the tenth, and the last of the budget.
-    way = Way.of(Now, poses)
-    assert way.frames == 9 and way.keyframes[:, 0, 3].tolist() == [2.0, 7.0, 9.0]
-    assert Way.of(Now, poses[:1]).keyframes[:, 0, 3].tolist() == [1.0]
 
 
 def test_what_all_have_seen_is_worth_nothing(episode):

@@ -1,0 +1,15 @@
+"""The unknown space that the way to a view opens, as the only score: exploration without map or planes."""
+
+from __future__ import annotations
+
+from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.greedy import SharedGreedy
+
+
+@POLICIES.register("unknown_volume")
+class UnknownVolume(SharedGreedy):
+    """Unknown space opened on the way by frames paid; phase I of `activestructure` without its planes."""
+
+    decides_by = "unknown space opened on the way"
+    source = "this project, after [bircher2016] and [delmerico2018]"
+    required_gains = ("unknown_volume_way",)

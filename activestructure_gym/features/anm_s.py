@@ -60,7 +60,8 @@ def looks(context: FeatureContext, uncertainty: Callable[[FeatureContext], Surfa
             here = poses[row, :3, 3]
             level = np.concatenate([ends, np.full((len(ends), 1), here[2])], axis=1)
             ways = np.concatenate([centres, level]) - here
-            ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+            lengths = np.linalg.norm(ways, axis=1, keepdims=True)
+            ways = (ways / np.maximum(lengths, 1e-9))[lengths[:, 0] > 1e-6]  # what is here needs no look
             table[row] = len(centres), count_looks(ways), (ways @ poses[row, :3, 2]).max(initial=-1.0)
     return table
 

@@ -82,6 +82,11 @@ def test_ends_of_cut_chains_are_looked_at_but_are_no_clusters() -> None:
     assert table[1, 2] == 1.0  # level, whatever the height
 
 
+def test_an_end_of_a_chain_at_the_candidate_itself_needs_no_look() -> None:
+    ctx = context([((2, 2, 1.5), X)], patches(SURE), nodes=[(2, 2)], ends=[(2, 2), (4, 2)], of=[0, 0])
+    np.testing.assert_allclose(columns(ctx, "anm_s_proxy"), [[1, 2, 1]])  # the corner below, and the other end
+
+
 def test_directions_within_45_degrees_take_one_look() -> None:
     turns = np.radians([0.0, 20.0, 44.0, 46.0, 180.0])
     ways = np.stack([np.cos(turns), np.sin(turns), np.zeros(5)], axis=1)

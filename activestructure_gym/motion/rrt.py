@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
@@ -121,12 +123,12 @@ def shorten(
 ) -> np.ndarray:  # [Q, 3] metres, the same ends
     """Cut corners wherever the straight line keeps the clearance. Never longer than before."""
     path = _skip_vertices(volume, path, min_clearance)
-    for first, second in rng.random((tries, 2)):
+    reached = _reached(path)
+    for first, second in rng.random((tries, 2)).tolist():
         if len(path) < 3:
             break
-        reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         a, b = sorted((first * reached[-1], second * reached[-1]))
-        i, j = (min(int(np.searchsorted(reached, s, side="right")) - 1, len(path) - 2) for s in (a, b))
+        i, j = (min(bisect_right(reached, s) - 1, len(path) - 2) for s in (a, b))
         if i == j:
             continue
         p, q = (
@@ -138,7 +140,13 @@ def shorten(
             np.stack([path[i], p, q]), np.stack([p, q, path[j + 1]]), min_clearance=min_clearance
         ).all():
             path = np.vstack([path[: i + 1], p, q, path[j + 1 :]])
+            reached = _reached(path)
     return _skip_vertices(volume, path, min_clearance)
+
+
+def _reached(path: np.ndarray) -> list[float]:
+    """Metres from the start to every vertex."""
+    return [0.0, *np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)).tolist()]
 
 
 def _length(path: np.ndarray) -> float:

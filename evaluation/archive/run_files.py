@@ -80,7 +80,9 @@ _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {
     "decision": _count, "frames": _size, "metres": _size, "completion_ratio": number(), "psnr": number()
 }  # fmt: skip
-_POINT_MORE = dict.fromkeys(("observed", "tsdf_completion_ratio", "depth_l1_cm"), maybe(number()))
+_POINT_MORE = dict.fromkeys(
+    ("observed", "tsdf_completion_ratio", "depth_l1_cm", "precision", "accuracy_cm"), maybe(number())
+)
 METRICS: Check = table(
     {
         "format": number(whole=True),

@@ -54,7 +54,7 @@ class Compare:
         "Who decides by the ground truth, to show what could be reached, and is no policy: oracle (one step, all views "
         "of the pool)."
     )
-    preset: Annotated[str | None, option("fast|default|paper", "(default: default)")] = None
+    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """What `asg config PRESET` prints."""
     frames: Count = None
     """Frame budget of every episode; the preset's if not given."""

@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.cli.output import plain_table
 class Config:
     """Print the configuration of an episode: every field with its value, its default and its meaning."""
 
-    preset: Annotated[str, tyro.conf.Positional, option("[fast|default|paper]")] = "default"
+    preset: Annotated[str, tyro.conf.Positional, option("[fast|default|full|paper]")] = "default"
     """The preset."""
     set: Changes = ()
     """Changes of it, as compare and train take them; what they change is said at the end."""

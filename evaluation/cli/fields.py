@@ -20,5 +20,5 @@ Text = Annotated[str | None, option("TEXT", "")]
 PathName = Annotated[str | None, option("PATH", "")]
 Count = Annotated[int | None, option("N", "")]
 # A name that is checked where it is used, whose error knows the nearest one.
-PresetName = Annotated[str, option("fast|default|paper")]
+PresetName = Annotated[str, option("fast|default|full|paper")]
 Runs = Annotated[tuple[str, ...], tyro.conf.Positional, option("[RUN ...]", "")]

@@ -223,19 +223,25 @@ class StandardProtocol:
     ) -> dict[str, float]:
         """C.R., PSNR and depth error of an unfinished map on about ``samples`` surface points and the first ``views``.
 
-        With the ``path`` so far also ``observed`` on the same points, and with ``surface`` the C.R. of the TSDF
-        surface, fused anew from the depth of the map as it is.
+        Precision and Acc of about as many of its means, if there are any. With the ``path`` so far also ``observed``
+        on the same points, and with ``surface`` the C.R. of the TSDF surface, fused anew from the depth of the map as
+        it is.
         """
         every = slice(None, None, max(1, len(truth.surface.points) // samples))
         part = dataclasses.replace(
             truth.surface, points=truth.surface.points[every], normals=truth.surface.normals[every]
         )
+        points = self.points(gaussians)
         count = min(views, len(truth.views))
         seen = [self._render(gaussians, truth, index) for index in range(count)]
         found = {
-            "completion_ratio": self._ratio(part, self.points(gaussians)),
+            "completion_ratio": self._ratio(part, points),
             "psnr": _mean(psnr(np.clip(r.color, 0.0, 1.0), _unit(truth.views.rgb[i])) for i, r in enumerate(seen)),
         }
+        if len(points):
+            off = truth.surface.discs.query(points[:: max(1, len(points) // samples)])[0]
+            found["precision"] = 100.0 * float(np.mean(off < self.threshold_m))
+            found["accuracy_cm"] = 100.0 * float(off.mean())
         error = mean_of_known(self._depth_error(rendering, truth, i) for i, rendering in enumerate(seen))
         if error is not None:
             found["depth_l1_cm"] = error

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.scenes.procedural.apartment_plan import plan_apartment
+from activestructure_gym.scenes.procedural.apartment_plan import ApartmentPlan, plan_apartment
 from activestructure_gym.scenes.procedural.baked_light import WindowLight, bake_light
 from activestructure_gym.scenes.procedural.furniture import Light, draw_piece
 from activestructure_gym.scenes.procedural.layout import MAX_ROOMS, UNIT, Layout, Space
@@ -34,8 +34,15 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit
             f"an apartment has 1 to {MAX_ROOMS} rooms, got rooms={rooms!r}; give a whole number in that range"
         )
     plan = plan_apartment(seed=int(seed), rooms=int(rooms), furnished=furnished)
+    options = f"seed={int(seed)}, rooms={int(rooms)}, furnished={bool(furnished)}" + ("" if lit else ", lit=False")
+    name = f"apartment-{int(rooms)}-{int(seed)}" + ("" if furnished else "-empty") + ("" if lit else "-unlit")
+    return build_apartment(plan, name=name, source=f"make_apartment({options})", seed=int(seed), lit=lit)
+
+
+def build_apartment(plan: ApartmentPlan, *, name: str, source: str, seed: int, lit: bool = True) -> Scene:
+    """The triangles of a plan, with materials drawn from the seed."""
     layout = plan.layout
-    materials = Materials(int(seed), painted=lit)
+    materials = Materials(seed, painted=lit)
     builder = MeshBuilder()
     lines = [np.arange(size + 1) * UNIT for size in layout.owner.shape]
     add_shell(builder, layout.owner, lines, lambda *side: _describe_side(layout, materials, *side))
@@ -43,9 +50,7 @@ def make_apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit
     for piece in plan.pieces:
         draw_piece(builder, materials, piece)
     windows = [_window_light(layout, space) for space in layout.spaces if space.kind == "window"]
-    options = f"seed={int(seed)}, rooms={int(rooms)}, furnished={bool(furnished)}" + ("" if lit else ", lit=False")
-    name = f"apartment-{int(rooms)}-{int(seed)}" + ("" if furnished else "-empty") + ("" if lit else "-unlit")
-    source, built = f"make_apartment({options})", builder.build()
+    built = builder.build()
     if not lit:
         return _scene(name, source, built, materials, built.tint)
     return _finish(name, source, built, materials, plan.lights, windows)

@@ -67,9 +67,14 @@ class ApartmentPlan:
 def plan_apartment(*, seed: int, rooms: int, furnished: bool) -> ApartmentPlan:
     """The plan that `make_apartment` builds from; every room has its own generator."""
     layout = plan_layout(np.random.default_rng([seed, rooms, zlib.crc32(b"layout")]), rooms=rooms, seed=seed)
+    return furnish(layout, seed=seed, furnished=furnished)
+
+
+def furnish(layout: Layout, *, seed: int, furnished: bool = True) -> ApartmentPlan:
+    """A floor plan with window frames, the front door and, if so asked, furniture drawn from the seed."""
     pieces = window_frames(layout) + front_door(layout)
     if furnished:
-        for room in range(rooms):
-            rng = np.random.default_rng([seed, rooms, room, zlib.crc32(b"furniture")])
+        for room in range(layout.rooms):
+            rng = np.random.default_rng([seed, layout.rooms, room, zlib.crc32(b"furniture")])
             pieces += furnish_room(RoomPlanner(layout, room, rng), layout.spaces[room].kind)
     return ApartmentPlan(layout, tuple(pieces))

@@ -137,6 +137,23 @@ def test_the_surface_of_a_checkpoint_is_that_of_the_full_measurement(wall):
     assert "tsdf_completion_ratio" not in PROTOCOL.checkpoint(solid, wall, path, views=1, samples=10**6)
 
 
+def test_a_checkpoint_says_how_many_means_lie_on_the_surface(wall):
+    solid = GaussianMap()
+    solid.append(gaussians(wall.surface.points, opacity=0.95))
+    assert "precision" not in PROTOCOL.checkpoint(GaussianMap(), wall, views=1, samples=100)
+    everything = PROTOCOL.checkpoint(solid, wall, views=1, samples=10**6)
+    assert everything["precision"] == 100.0 and everything["accuracy_cm"] == pytest.approx(0.0, abs=1e-4)
+    off = wall.surface.points + np.where(np.arange(len(wall.surface.points)) % 4 == 0, 0.2, 0.01)[:, None] * (
+        wall.surface.normals
+    )
+    astray = GaussianMap()
+    astray.append(gaussians(off, opacity=0.95))
+    found = PROTOCOL.checkpoint(astray, wall, views=1, samples=10**6)
+    full = PROTOCOL.evaluate(astray, wall)
+    assert found["precision"] == pytest.approx(full["precision"]) == pytest.approx(100 * 1875 / 2501)
+    assert found["accuracy_cm"] == pytest.approx(full["accuracy_cm"]) and 5.0 < found["accuracy_cm"] < 6.0
+
+
 def test_version_2_is_read_and_measures_as_it_did(wall):
     known = {key: value for key, value in PROTOCOL.parameters().items() if key != "sight_margin_m"}
     second = protocol_from(known | {"version": 2})

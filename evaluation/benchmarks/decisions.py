@@ -6,7 +6,6 @@ observed area on the way and at its end, per frame. Everybody who is scored pick
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
-from activestructure_gym.evaluation.running.true_gains import TrueSurface, whole_pool
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running.true_gains import QUALITY, TrueQuality, TrueSurface, whole_pool
 from activestructure_gym.evaluation.statistics import estimate
 from activestructure_gym.motion import Way
 
@@ -29,8 +28,6 @@ SCENES = ("room?seed=22", "apartment?rooms=2&seed=21")
 FEATURES = ("hole_area", "pixel")
 _LEAST_RATE = 1e-3  # m^2 per frame: where nothing on offer shows more, no pick is better than another
 _SHORTLIST = 8  # rows of a feature's own best, of which the truly best one is told
-_SAMPLES = 10_000  # surface points a C.R. is taken on
-QUALITY = {"psnr": 1.0, "depth_l1_cm": -1.0, "completion_ratio": 1.0}  # and the sign of what is better
 
 
 @dataclass(frozen=True)
@@ -118,8 +115,8 @@ class _Judge:
 
     def __init__(self, truth: Any, settings: Settings) -> None:
         self._surface, self._settings = TrueSurface(truth), settings
-        self._protocol = StandardProtocol(views=settings.views)
-        self._known: Truth | None = self._protocol.truth(truth) if settings.quality else None
+        protocol = StandardProtocol(views=settings.views)
+        self._quality = TrueQuality(truth, protocol) if settings.quality else None
 
     def record(self, env: ReconstructionEnv, picks: Mapping[str, np.ndarray]) -> dict[str, Any]:
         """Rates of the table, of the pool and of every pick, and with ``quality`` what views are worth to the map."""
@@ -135,44 +132,20 @@ class _Judge:
             "pool": {"views": len(pool), "best": float(max(pool.max(initial=0.0), rates.max()))},
             "picks": {name: _scored(rates, rows) for name, rows in picks.items()},
         }
-        if self._settings.quality:
-            found["quality"] = self._quality(env, taken, picks)
+        if self._quality is not None:
+            mapped = {row: way for row in self._mapped_rows(taken, picks) if (way := taken[row]) is not None}
+            found["quality"] = {str(row): change for row, change in self._quality.changes(episode, mapped).items()}
         return found
 
-    def _quality(
-        self, env: ReconstructionEnv, taken: Sequence[Way | None], picks: Mapping[str, np.ndarray]
-    ) -> dict[str, dict[str, float]]:
-        """What mapping the keyframes of a way changes on held-out views, per 100 frames, by row of the table.
+    def _mapped_rows(self, taken: Sequence[Way | None], picks: Mapping[str, np.ndarray]) -> list[int]:
+        """The first pick of everybody, and further rows that spread over the table.
 
-        Of the first pick of everybody, and of further rows that spread over the table, `Settings.quality` in all or
-        one per pick.
+        `Settings.quality` in all or one per pick.
         """
-        from activestructure_gym.sensors import RGBDSensor
-
-        episode, known = env.reconstruction, self._known
-        assert known is not None
         firsts = [int(rows[0]) for rows in picks.values() if len(rows)]
         spread = np.linspace(0, len(taken) - 1, self._settings.quality).astype(int).tolist()
         rows = list(dict.fromkeys((*firsts, *spread)))[: max(self._settings.quality, len(set(firsts)))]
-        before = self._protocol.checkpoint(episode.mapper.map, known, views=self._settings.views, samples=_SAMPLES)
-        sensor = RGBDSensor(episode.scene, episode.config.sensor, np.random.default_rng(episode.decisions))
-        found = {}
-        try:
-            for row in rows:
-                if row >= len(taken) or (way := taken[row]) is None:
-                    continue
-                mapper = copy.deepcopy(episode.mapper)
-                for pose in way.keyframes:
-                    mapper.observe(sensor.capture(pose))
-                after = self._protocol.checkpoint(mapper.map, known, views=self._settings.views, samples=_SAMPLES)
-                found[str(row)] = {
-                    name: 100.0 * (after[name] - before[name]) / way.frames
-                    for name in QUALITY
-                    if name in after and name in before
-                }
-        finally:
-            sensor.close()
-        return found
+        return [row for row in rows if row < len(taken)]
 
 
 def _scored(rates: np.ndarray, rows: np.ndarray) -> dict[str, Any]:

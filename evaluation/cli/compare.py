@@ -52,7 +52,7 @@ class Compare:
     references: NoNames = ()
     (
         "Who decides by the ground truth, to show what could be reached, and is no policy: oracle (one step, all views "
-        "of the pool)."
+        "of the pool, what they show first), oracle-quality (later what they mend in the map)."
     )
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """What `asg config PRESET` prints."""
@@ -134,6 +134,8 @@ def _compare(options: Compare) -> int:
     check_output(directory, resume=options.resume)
     began = time.monotonic()
     comparison = None if bare else _comparison(options)
+    if comparison and options.engine != "ray":
+        comparison.check_machine()
     with working(console, "loading") as notify:
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))

@@ -46,13 +46,16 @@ def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
 def split_policies(words: Sequence[str]) -> tuple[str, ...]:
     """Names of policies; ``ladder`` stands for the rungs A to E of the paper's Table 3, ``all`` for all registered.
 
-    Raises `InputError` for a word that is neither, nor ``package.module:Class``.
+    Raises `InputError` for a word that is neither, nor ``package.module:Class``, and for a reference.
     """
+    from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
     from activestructure_gym.policies import LADDER, POLICIES
 
     groups: dict[str, Sequence[str]] = {"ladder": LADDER, "all": tuple(POLICIES)}
     for word in split_list(words):
         name = word.partition("?")[0]
+        if is_reference(name):
+            raise InputError(f"'{word}' is no policy: ask for it by --references {name.removeprefix(REFERENCE)}")
         if name not in groups and name not in POLICIES and ":" not in name:
             raise unknown_name("policy", name, (*POLICIES, *groups))
     return tuple(name for word in split_list(words) for name in groups.get(word, (word,)))

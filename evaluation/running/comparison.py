@@ -68,6 +68,13 @@ class Comparison:
             recorded={job.scene: job.scene_hash for job in jobs},
         )
 
+    def check_machine(self) -> None:
+        """Raise `InputError` where this machine lacks what the jobs need; those of a cluster may have it."""
+        from activestructure_gym.config import configure
+        from activestructure_gym.splatting.rasterizers import rasterizer
+
+        rasterizer(configure(self.preset, self.overrides).mapper.backend)
+
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
         """Check everything a job could fail on, and compute what all jobs of a scene share.
 

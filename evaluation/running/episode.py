@@ -180,7 +180,7 @@ def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
             coverage_target=None,
             start_pose=job.start_pose,
         )
-        return make_reference(job.policy, env, known), env
+        return make_reference(job.policy, env, known, job.protocol), env
     policy = make_policy(job.policy)
     env = ReconstructionEnv(
         scene=known,

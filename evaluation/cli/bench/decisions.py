@@ -120,6 +120,8 @@ class Decisions:
 
 def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
     """Records of finished episodes in ``folder``, which is begun where it is new; `InputError` for other settings."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--out is a directory for results, and '{folder}' is a file")
     folder.mkdir(parents=True, exist_ok=True)
     written = json.loads(json.dumps(dataclasses.asdict(settings)))
     place, records = folder / "settings.json", folder / _RECORDS

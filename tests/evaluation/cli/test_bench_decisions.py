@@ -1,5 +1,7 @@
 import json
 
+import pytest
+
 from activestructure_gym.evaluation.benchmarks import decisions as benchmark
 from activestructure_gym.evaluation.cli import main
 
@@ -28,6 +30,28 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
     assert "damaged" in capsys.readouterr().err
 
 
-def test_numbers_that_cannot_be_are_refused(capsys):
-    assert main(["bench", "decisions", "--every", "0"]) == 2
-    assert "--every must be at least 1" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--every 0", "--every must be at least 1, got 0"),
+        ("--every x", "expected a whole number, got 'x'"),
+        ("--preset full --frames 0", "--frames must be at least 1, got 0"),
+        ("--preset fulll", "unknown preset 'fulll'"),
+        ("--quality -1", "--quality must be at least 0"),
+        ("--pool 0", "--pool at least 1"),
+        ("--seeds -1", "a seed is a whole number"),
+        ("--policies nobody", "unknown policy 'nobody'"),
+        ("--policies reference:oracle", "'reference:oracle' is no policy: ask for it by --references oracle"),
+        ("--played nobody", "unknown policy 'nobody'"),
+        ("--features nothing", "unknown feature 'nothing'"),
+        ("--scene nothing", "unknown scene 'nothing'"),
+        ("--out {file}", "--out is a directory for results, and"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(capsys, tmp_path, words, said):
+    (tmp_path / "file").write_text("")
+    scene = [] if "--scene" in words else ["--scene", "box"]
+    given = words.format(file=tmp_path / "file").split()
+    assert main(["bench", "decisions", *scene, *given]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.startswith("asg: ") and error.count("\n") == 1

@@ -15,6 +15,7 @@ from activestructure_gym.evaluation.cli.compare import Compare
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.comparison import Comparison, Result
 from activestructure_gym.evaluation.running.engines import Limits, Outcome
+from activestructure_gym.splatting import rasterizers
 
 
 @pytest.fixture
@@ -118,6 +119,14 @@ def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
         ("--retries -1", "--retries must be a whole number from 0 to 1000, got -1"),
         ("--workers -1", "--workers must be a whole number from 0 to 4096, got -1"),
         ("--engine inline --timeout 3", "engine 'inline' cannot stop a run"),
+        ("--set mapper.backend=foo", "unknown mapper backend 'foo'"),
+        ("--set mapper.keyframe_reduction=0", "keyframe_reduction must be a whole number from 1 to 64, got 0"),
+        ("--set mapper.keyframe_reduction=-1", "keyframe_reduction must be a whole number from 1 to 64, got -1"),
+        ("--set mapper.keyframe_reduction=2.5", "keyframe_reduction must be a whole number, got 2.5"),
+        ("--set mapper.keyframe_reduction=x", "keyframe_reduction must be a whole number, got 'x'"),
+        ("--references foo", "unknown reference 'foo'. Known: oracle, oracle-quality"),
+        ("--references oracle --policies oracle", "unknown policy 'oracle'"),
+        ("--policies reference:oracle", "ask for it by --references oracle"),
         ("--resume --out here", "there is no comparison in 'here' to go on with"),
     ],
 )
@@ -126,6 +135,17 @@ def test_mistakes_are_one_sentence_and_leave_no_folder(words, message, monkeypat
     assert main(["compare", *words.split()]) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_backend_that_cannot_run_here_is_refused_before_anything_is_prepared(monkeypatch, tmp_path, capsys):
+    rasterizers.rasterizer.cache_clear()
+    monkeypatch.setattr(rasterizers, "backend_status", lambda: {"gsplat": "it is not here"})
+    monkeypatch.setattr(Comparison, "prepare", lambda self, notify: pytest.fail("prepared"))
+    monkeypatch.chdir(tmp_path)
+    assert main("compare --scenes box --policies random --set mapper.backend=gsplat".split()) == 2
+    said = capsys.readouterr().err
+    assert "splatting backend 'gsplat' cannot run here (it is not here)" in said and said.count("\n") == 1
     assert not any(tmp_path.iterdir())
 
 

@@ -71,4 +71,6 @@ def test_groups_of_policies() -> None:
     assert set(split_policies(["all"])) == set(POLICIES)
     with pytest.raises(InputError, match=r"did you mean 'ladder'\? Known: .*\ball\b.*\bladder\b"):
         split_policies(["random,lader"])
+    with pytest.raises(InputError, match="'reference:oracle' is no policy: ask for it by --references oracle"):
+        split_policies(["random,reference:oracle"])
     assert LADDER[0] == "activestructure-a" and LADDER[-1] == "activestructure" and len(LADDER) == 5

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from activestructure_gym.evaluation.report.columns import LEAST, PROGRESS, Column, exceeded, measured
 from activestructure_gym.evaluation.report.layout import MISSING, Cell, Heading, Table, ranked, with_interval
 from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.tables import empty_rich_table, styled
 from activestructure_gym.evaluation.statistics import estimate
 
 if TYPE_CHECKING:
@@ -45,22 +46,12 @@ def rich_planning_table(results: Results) -> RichTable | None:
 
     A number of frames is a mean of runs that all reached the level; else there is a dash and how many did.
     """
-    from rich import box
     from rich.markup import escape
-    from rich.table import Table as RichTable
 
     columns = measured([column for column in PROGRESS if column.key in _AT_A_GLANCE], results.runs)
     if not columns:
         return None
-    table = RichTable(
-        title="how soon the surface was observed, and the area under that curve",
-        title_justify="left",
-        title_style="italic dim",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        collapse_padding=True,
-    )
+    table = empty_rich_table("how soon the surface was observed, and the area under that curve")
     table.add_column("policy", no_wrap=True)
     for column in columns:
         table.add_column(column.title, justify="right", no_wrap=True)
@@ -69,7 +60,7 @@ def rich_planning_table(results: Results) -> RichTable | None:
         for column in columns
     ]
     for policy, *cells in zip(results.policies, *by_column):
-        texts = [f"[bold green]{cell.text}[/]" if cell.rank == 1 else cell.text for cell in cells]
+        texts = [styled(cell.text, cell.rank == 1) for cell in cells]
         table.add_row(escape(policy), *texts)
     return table
 

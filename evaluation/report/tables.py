@@ -72,13 +72,12 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
     return rows
 
 
-def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
-    """The table for a terminal; the best numbers are bold and green."""
+def empty_rich_table(title: str) -> RichTable:
+    """A table for a terminal, without columns."""
     from rich import box
-    from rich.markup import escape
     from rich.table import Table as RichTable
 
-    table = RichTable(
+    return RichTable(
         title=title,
         title_justify="left",
         title_style="italic dim",
@@ -87,6 +86,18 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
         pad_edge=False,
         collapse_padding=True,
     )
+
+
+def styled(text: str, best: bool) -> str:
+    """The text as a terminal shows it, bold and green if it is the best."""
+    return f"[bold green]{text}[/]" if best else text
+
+
+def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
+    """The table for a terminal; the best numbers are bold and green."""
+    from rich.markup import escape
+
+    table = empty_rich_table(title)
     # A wrapped or shortened number cannot be read: no column gives way.
     table.add_column("scene", no_wrap=True)
     table.add_column("policy", no_wrap=True)
@@ -95,7 +106,7 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
     for index, row in enumerate(rows):
         new_scene = index == 0 or rows[index - 1].scene != row.scene
         ends_block = index + 1 == len(rows) or rows[index + 1].scene != row.scene
-        cells = [_styled(row.cells[c.key].text(c.digits), row.cells[c.key].best) for c in COLUMNS]
+        cells = [styled(row.cells[c.key].text(c.digits), row.cells[c.key].best) for c in COLUMNS]
         table.add_row(escape(row.scene) if new_scene else "", escape(row.policy), *cells, end_section=ends_block)
     return table
 
@@ -182,7 +193,3 @@ def _marked(block: Sequence[Row]) -> list[Row]:
             cell = block[index].cells[column.key]
             marked[index][column.key] = Cell(cell.mean, cell.deviation, best=value == best)
     return [replace(row, cells=cells) for row, cells in zip(block, marked)]
-
-
-def _styled(text: str, best: bool) -> str:
-    return f"[bold green]{text}[/]" if best else text

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from tests.fuzz._bombs_pictures import forged, plain_png
 from tests.fuzz._mutations import damaged_bytes, damaged_json, damaged_text
 from tests.fuzz._rooms import CORNERS, QUADS, load, rooms
-from tests.fuzz.bombs import forged, plain_png
 
 CI_CASES = 100
 _CAMERA = {"w": 40, "h": 24, "fx": 20.0, "fy": 20.0, "cx": 19.5, "cy": 11.5, "scale": 6553.5}

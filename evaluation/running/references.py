@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 WHOLE_POOL = 16_384  # rows of a reference's table: more views than a pool has, so that nothing is left out
 _HALF = 0.5  # of the frame budget, until which `OracleQuality` explores
 _NOTHING_NEW = 1e-3  # m^2 per frame: where no view shows more, exploring has ended
+_FOLLOWED = 64  # views whose ways `OracleQuality` looks along
 _SHORTLIST = 6  # ways that `OracleQuality` truly maps at a decision
 _KEYFRAMES = 30  # that these have at most together, unless the first alone has more
 _VIEWS = 16  # held-out ones that it goes by
@@ -67,15 +68,16 @@ class OracleQuality(Oracle):
 
     That is the way, among those that it maps, after which PSNR of held-out views has risen most per frame paid. It maps
     the keyframes of a way in a copy of the map, with the episode's own mapper. As that is dear there is a shortlist out
-    of the whole pool, `_SHORTLIST` views as far as their ways have `_KEYFRAMES` keyframes together: those in whose
-    sight, on the way and at its end, lies most of the squared colour error that the map makes in these held-out views,
-    per frame; one of every place before a second one of any.
+    of the whole pool, by how much of the squared colour error that the map makes in these held-out views is in sight:
+    first at the view itself, per frame of the shortest way, which leaves `_FOLLOWED`; then along the ways of these, per
+    frame paid, one of every place before a second one of any. The best `_SHORTLIST` are mapped, as far as their ways
+    have `_KEYFRAMES` keyframes together.
 
     It bounds no planner. A view outside the shortlist may mend more: the error in sight says where the map is wrong,
-    not what a further picture changes there. Ways are judged one at a time, so that what only several mend is not seen,
-    and a way that takes longer is cut by nothing but its rate. The views that it goes by, `_VIEWS` of those that the
-    finished map is measured by, are a sample: what it gains there it may lose elsewhere, and it may learn their pixels.
-    Noise of the sensor is drawn anew for the trial.
+    not what a further picture changes there. Ways are judged one at a time, so that what only several mend is not seen.
+    The views that it goes by, `_VIEWS` of those that the finished map is measured by, are a sample: what it gains there
+    it may lose elsewhere. What it maps is exact but for the sensor's noise, which is drawn anew, and for ways that turn
+    out blocked.
     """
 
     def reset(self, seed: int) -> None:
@@ -87,26 +89,30 @@ class OracleQuality(Oracle):
     def act(self, observation: dict[str, np.ndarray]) -> int:
         """The row with the highest true rate of newly observed area, and later of PSNR."""
         episode = self._env.reconstruction
-        taken = episode.agent.ways(episode.volume, episode.candidates.world_from_camera)
         self._refining = self._refining or episode.frames >= _HALF * episode.frame_budget
         if not self._refining:
-            self._surface.follow(episode)
-            row = self._exploring(taken)
+            row = super().act(observation)
             if self._trace["m2_per_frame"] > _NOTHING_NEW:
                 return row
             self._refining = True
-        changes = self._quality.changes(episode, self._shortlist(taken))
+        changes = self._quality.changes(episode, self._shortlist())
         if not changes:  # no way to anywhere
             return 0
         row = max(changes, key=lambda row: changes[row]["psnr"])
         self._trace = {f"{name}_per_100": value for name, value in changes[row].items()} | {"mapped": len(changes)}
         return row
 
-    def _shortlist(self, taken: Sequence[Way | None]) -> dict[int, Way]:
+    def _shortlist(self) -> dict[int, Way]:
         """Row and way of those that are mapped, the most error in sight first, and of every place its best view."""
-        episode = self._env.reconstruction
-        errors = self._quality.errors_in_sight(episode, taken)
-        order = [row for row in np.argsort(-errors, kind="stable").tolist() if taken[row] is not None]
+        episode, wrong = self._env.reconstruction, self._quality.wrong_points(self._env.reconstruction)
+        poses = episode.candidates.world_from_camera
+        least = episode.agent.least_frames(poses)
+        ends = [Way(max(1, int(n)), pose[None]) if np.isfinite(n) else None for n, pose in zip(least, poses)]
+        at_end = self._quality.errors_in_sight(episode, ends, wrong)
+        rows = np.argsort(-at_end, kind="stable")[:_FOLLOWED]
+        taken = dict(zip(rows.tolist(), episode.agent.ways(episode.volume, poses[rows])))
+        on_way = self._quality.errors_in_sight(episode, list(taken.values()), wrong)
+        order = [row for row in rows[np.argsort(-on_way, kind="stable")].tolist() if taken[row] is not None]
         firsts: dict[bytes, int] = {}  # by place
         for row in order:
             firsts.setdefault(episode.candidates.world_from_camera[row, :3, 3].tobytes(), row)

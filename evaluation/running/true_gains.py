@@ -136,19 +136,18 @@ class TrueQuality:
         return np.concatenate(points), np.concatenate(errors)
 
     def errors_in_sight(
-        self, reconstruction: Reconstruction, taken: Sequence[Way | None]
+        self,
+        reconstruction: Reconstruction,
+        taken: Sequence[Way | None],
+        wrong: tuple[np.ndarray, np.ndarray],  # what `wrong_points` found
     ) -> np.ndarray:  # [n] per frame
-        """How much of `wrong_points` the keyframes of every way would see, per frame paid; 0 where there is none."""
-        points, errors = self.wrong_points(reconstruction)
-        return np.array(
-            [
-                0.0
-                if way is None
-                else errors[shown(reconstruction, self._scene, way.keyframes, points)].sum() / max(way.frames, 1)
-                for way in taken
-            ],
-            np.float64,
-        )
+        """How much of what is wrong the keyframes of every way would see, per frame paid; 0 where there is none."""
+        points, errors = wrong
+        found = [
+            0.0 if way is None else errors[shown(reconstruction, self._scene, way.keyframes, points)].sum() / way.frames
+            for way in taken
+        ]
+        return np.array(found, np.float64)
 
     def _measured(self, gaussians: GaussianMap) -> dict[str, float]:
         return self._protocol.checkpoint(gaussians, self._truth, views=len(self._truth.views), samples=_RATIO_SAMPLES)

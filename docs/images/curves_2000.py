@@ -1,0 +1,65 @@
+"""Makes curves_2000.svg: what a map has over the frames of long episodes, a line per run of one or more comparisons.
+
+    asg compare --scenes "apartment?rooms=3&seed=14" --frames 2000 --policies hole_area,activestructure --out runs/long
+    python docs/images/curves_2000.py runs/long
+
+Prints a table of the same runs too: at the end, and the largest fall from any checkpoint to a later one.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.charts import Line, line_chart, span, standalone
+from activestructure_gym.evaluation.report.curves import curve_of
+from activestructure_gym.evaluation.report.results import gather
+
+ROWS = (
+    (
+        ("completion_ratio", "C.R. of the means [%]"),
+        ("tsdf_completion_ratio", "C.R. of the TSDF surface [%]"),
+        ("observed", "surface observed [%]"),
+    ),
+    (("precision", "precision of the means [%]"), ("psnr", "PSNR of 8 held-out views [dB]")),
+)
+FIRST = 100  # frames; the first views are a fifth of the surface and would flatten all that follows
+
+
+def main(directories: Sequence[Path]) -> None:
+    """Draw the curves of every run in these comparisons."""
+    runs = gather(list(directories)).runs
+    names = [f"{run.job.policy}, {run.job.scene.partition('&')[0]}, seed {run.job.seed}" for run in runs]
+    charts = []
+    for row in ROWS:
+        drawn = []
+        for measure, label in row:
+            lines = [line(run, name, index, measure) for index, (run, name) in enumerate(zip(runs, names))]
+            drawn.append(line_chart(lines, title=label, x_label="frames", y_label=label, holds=span(lines)))
+        charts.append(drawn)
+    picture = standalone(charts, names, title="The map over 2,000 frames")
+    Path(__file__).with_name("curves_2000.svg").write_text(picture, encoding="utf-8")
+    for run, name in zip(runs, names):
+        print(name, *(told(run, measure) for row in ROWS for measure, _ in row), sep=" | ")
+
+
+def line(run: Run, name: str, index: int, measure: str) -> Line:
+    """A run's curve from `FIRST` frames on."""
+    frames, values = curve_of(run, "frames", measure)
+    later = frames >= FIRST
+    return Line(name, index, frames[later], values[later])
+
+
+def told(run: Run, measure: str) -> str:
+    """The last value of a curve, and by how much it ever falls from a checkpoint to any later one."""
+    values = curve_of(run, "frames", measure)[1]
+    fall = float((np.maximum.accumulate(values) - values).max())
+    return f"{measure} {values[-1]:.2f}, least {values.min():.2f}, falls by {fall:.2f}"
+
+
+if __name__ == "__main__":
+    main([Path(argument) for argument in sys.argv[1:]])

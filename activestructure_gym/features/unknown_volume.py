@@ -5,28 +5,30 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.features.context import FeatureContext, grid_rays
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.splatting.counters import take_ticket
-from activestructure_gym.volume import OCCUPIED
+from activestructure_gym.volume import OCCUPIED, UNKNOWN
 
-MEAN_DEPTH = 1.0  # metres that a ray gets into unobserved space, on average, before something stops it
+MEAN_DEPTH = 1.0  # metres that a ray gets into unknown space, on average, before something stops it
 REACH = 6.0  # metres along a ray
 SHORTLIST = 24  # views whose ways are looked along
 _COLUMNS = 40  # of rays in a view, about
+_SHELL = 2  # voxels around anything occupied that further looks do not clear
 _LEAST_CHANCE = 0.02  # of a ray to have come so far: it is not followed any longer
 _HALF_TIME = 5.0  # frames after which a view counts half for the shortlist, as in the shared travel term
 
 
 @FEATURES.register("unknown_volume", columns=("", "way"), unit="m^3", low=0.0)
 def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
-    """Unobserved space that a view would look into, and that the whole way to it would.
+    """Unknown space that a view would look into, and that the whole way to it would.
 
-    The sum over unobserved voxels of their volume times the chance to see into them: exp(-l / 1 m) for a ray that
-    went through l metres of unobserved space before, 0 behind an occupied voxel; of all rays the largest. So a voxel
+    The sum over the voxels of `worth_a_look` of their volume times the chance to see into them: exp(-l / 1 m) for a ray
+    that went through l metres of such voxels before, 0 behind an occupied one; of all rays the largest. So a voxel
     counts once, however many rays and views of a way meet it. The occlusion-aware information of [delmerico2018] with
     a chance per metre; that what is seen on the way counts is [bircher2016]'s.
 
@@ -56,11 +58,11 @@ def opened_volume(
     world_from_camera: np.ndarray,  # [V, 4, 4]
     starts: np.ndarray,  # [G + 1], where each group of views begins
 ) -> np.ndarray:  # [G] m^3
-    """Unobserved space that each group of views would look into together."""
+    """Unknown space that each group of views would look into together."""
     volume = context.volume
     stride = max(1, round(context.camera.width / _COLUMNS))
     origin, voxel_size, poses, rays = grid_rays(volume, context.camera, world_from_camera, stride)
-    space = _Space(volume.state, volume.unobserved, origin, voxel_size)
+    space = _Space(volume.state, context.once(worth_a_look), origin, voxel_size)
     views = _Views(poses, np.asarray(starts, np.int64), rays, min(REACH, context.max_range))
     result = np.zeros(len(starts) - 1)
     threads = max(1, min(default_threads(), len(result)))
@@ -73,7 +75,7 @@ class _Space(NamedTuple):
     """The voxel grid."""
 
     state: np.ndarray  # [X, Y, Z] uint8
-    unobserved: np.ndarray  # [X, Y, Z] bool
+    wanted: np.ndarray  # [X, Y, Z] bool, see `worth_a_look`
     origin: np.ndarray  # [3] corner of voxel (0, 0, 0)
     voxel_size: float  # metres
 
@@ -94,6 +96,17 @@ class _Notes(NamedTuple):
     stamps: np.ndarray  # [T, X, Y, Z] int32: 1 + group
 
 
+def worth_a_look(context: FeatureContext) -> np.ndarray:  # [X, Y, Z] bool
+    """Voxels that nobody has looked into, and open space that was looked through and is not proven free.
+
+    The second, unknown and more than two voxels away from anything occupied, is what closes a passage that all looks so
+    far grazed: nothing is unobserved behind it, and the agent may not go there until better looks have proven it free.
+    """
+    volume = context.volume
+    beside = ndimage.maximum_filter(volume.occupied, size=2 * _SHELL + 1)
+    return np.asarray(volume.unobserved | ((volume.state == UNKNOWN) & ~beside))
+
+
 @kernel
 def _open(
     tickets: np.ndarray,  # [2] int64: groups that threads have taken, threads
@@ -104,7 +117,7 @@ def _open(
     result: np.ndarray,  # [G] voxels, written to
 ) -> None:
     """Rays in steps of half a voxel; a chance that rises adds what it rises by, so the sum is that of the largest."""
-    state, unobserved, origin, voxel_size = space
+    state, wanted, origin, voxel_size = space
     poses, starts, rays, reach = views
     thread: int = take_ticket(tickets, 1)  # type: ignore[call-arg]
     keep = np.exp(-0.5 * voxel_size / mean_depth)
@@ -136,7 +149,7 @@ def _open(
                             break
                         if state[i, j, k] == OCCUPIED:
                             break
-                        if not unobserved[i, j, k]:
+                        if not wanted[i, j, k]:
                             continue
                         known = own[i, j, k] if stamp[i, j, k] == g + 1 else np.float32(0.0)
                         here = np.float32(chance)

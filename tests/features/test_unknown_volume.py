@@ -12,7 +12,7 @@ import pytest
 
 from activestructure_gym import Reconstruction, configure, ground_truth_of, load_scene
 from activestructure_gym.features import FeatureContext, unknown_volume
-from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH, SHORTLIST, opened_volume
+from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH, SHORTLIST, opened_volume, worth_a_look
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
@@ -48,7 +48,7 @@ def together(space: VoxelVolume, *poses: np.ndarray) -> float:
 
 def by_the_definition(space: VoxelVolume, *poses: np.ndarray) -> float:
     """The same sum in plain Python, ray by ray, from a table of the best chance of every voxel."""
-    size, unobserved = space.voxel_size, space.unobserved
+    size, wanted = space.voxel_size, worth_a_look(context(space))
     best: dict[tuple[int, ...], float] = {}
     for pose, row, column in itertools.product(poses, range(NARROW.height), range(NARROW.width)):
         ray = pose[:3, :3] @ NARROW.rays()[row, column].astype(np.float64)
@@ -61,7 +61,7 @@ def by_the_definition(space: VoxelVolume, *poses: np.ndarray) -> float:
             chance = math.exp(-inside / MEAN_DEPTH)
             if chance < 0.02:
                 break
-            if unobserved[voxel]:
+            if wanted[voxel]:
                 best[voxel] = max(best.get(voxel, 0.0), chance)
                 inside += 0.5 * size
     return sum(best.values()) * size**3
@@ -97,10 +97,16 @@ def test_nothing_behind_a_wall_and_nothing_in_what_is_known() -> None:
     assert alone(space, EAST)[0] == 0.0
 
 
-def test_what_was_looked_through_is_not_unknown() -> None:
+def test_what_was_looked_through_counts_only_away_from_what_is_occupied() -> None:
     space = volume()
-    space.weight[:], space.tsdf[:] = 1.0, 1.0
-    assert alone(space, EAST)[0] == 0.0
+    space.weight[:], space.tsdf[:] = 1.0, 1.0  # nothing is unobserved, and nothing is proven free
+    assert not space.unobserved.any()
+    assert alone(space, EAST)[0] > 0.1
+    space.state[20, 20, 20] = OCCUPIED
+    wanted = worth_a_look(context(space))
+    assert (~wanted).sum() == 5**3 and not wanted[18:23, 18:23, 18:23].any()
+    space.state[wanted] = FREE
+    assert alone(space, EAST)[0] == 0.0  # the shell of the occupied voxel stays, and is worth nothing
 
 
 def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -276,7 +276,7 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
     policy = bound(ActiveStructure(discovery="hole_area"))
     policy.reset(0)
     names = []
-    rich, poor = [[0.5, 0.0]] * 3, [[0.01, 0.0]] * 3  # poor: enough for phase II, not for phase I
+    rich, poor = [[0.5, 0.0]] * 3, [[0.02, 0.0]] * 3  # poor: enough for phase II, not for phase I
     for gains in [rich] * 40 + [poor] * (PATIENCE + 40) + [NOTHING] * (PATIENCE + 5):
         policy.act(observation(gains))
         names.append(policy.trace()["phase"])

@@ -18,16 +18,44 @@ def deficiency(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     become reconstructed: a hole up to the reach of `hole_area`, a patch that the map covers too coarsely from where its
     Gaussians would be replaced by finer ones. A hole in which some image showed something else, such as a window, does
     not count: no view will ever fill it.
+
+    A centre gets used to being looked at: a keyframe that had it in sight on the same terms, and after which it is
+    still there, has spent pixels on it in vain. What counts is the share that the view's own pixels have in all of
+    them (`pull`), so that looking again is worth half, a third, a quarter, and a look from much nearer nearly all.
     """
     holes, camera, poses = context.planes.deficiencies, context.camera, context.world_from_camera
     if not len(holes) or not len(poses):
         return np.zeros(len(poses))
+    taken = np.array([frame.world_from_camera for frame in context.mapper.keyframes]).reshape(-1, 4, 4)
+    views = np.concatenate([poses, taken])
     cosines, _ = cosines_in_sight(
-        holes.centres[:, None], holes.normals, camera, poses, context.volume,
+        holes.centres[:, None], holes.normals, camera, views, context.volume,
         farthest=np.minimum(refining_distance(context, holes.sizes), REACH),
     )  # fmt: skip
-    area = (cosines[:, :, 0] > 0) @ np.where(holes.explained, 0.0, holes.areas)
+    looks = pixels_per_area(cosines[:, :, 0], views, holes.centres)
+    area = pull(looks[: len(poses)], looks[len(poses) :].sum(axis=0)) @ np.where(holes.explained, 0.0, holes.areas)
     return area / largest_area(camera)
+
+
+def pixels_per_area(
+    cosines: np.ndarray,  # [V, D] between normal and line of sight, 0 where out of sight
+    views: np.ndarray,  # [V, 4, 4] world_from_camera
+    centres: np.ndarray,  # [D, 3]
+) -> np.ndarray:  # [V, D] 1 / m^2, times the squared focal length pixels per square metre
+    """How finely each view samples each patch of surface: cos / distance^2."""
+    squared = np.zeros(cosines.shape)
+    seen = np.nonzero(cosines)
+    squared[seen] = np.square(views[seen[0], :3, 3] - centres[seen[1]]).sum(axis=-1)
+    return np.divide(cosines, squared, out=np.zeros(cosines.shape), where=squared > 0)
+
+
+def pull(
+    looks: np.ndarray,  # [K, D] >= 0, of the candidates
+    spent: np.ndarray,  # [D] >= 0, of the keyframes that were taken
+) -> np.ndarray:  # [K, D] in 0..1
+    """Share of a candidate's look in it and all that was spent before; 0 without a look, 1 where nothing was spent."""
+    together = looks + spent
+    return np.divide(looks, together, out=np.zeros(together.shape), where=looks > 0)
 
 
 def refining_distance(context: FeatureContext, sizes: np.ndarray) -> np.ndarray:  # [D] metres

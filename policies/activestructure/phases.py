@@ -69,3 +69,27 @@ class PhaseMachine:
             return None
         self.index, self._empty = self.index + 1, 0
         return f"no view in the pool for {PATIENCE} decisions"
+
+
+_SAME_VIEW = 0.01  # metres, and the same of a unit vector: a keyframe's own pose comes back to the last digit or so
+
+
+class SentTo:
+    """Keyframes that phase III was sent to: one that still renders worst afterwards is not mended by going again.
+
+    A view is its position and its direction of looking.
+    """
+
+    def __init__(self) -> None:
+        self._views: list[np.ndarray] = []
+
+    def add(self, view: np.ndarray) -> None:  # [6] metres, unit vector
+        """Note the view that was chosen."""
+        self._views.append(np.array(view, dtype=np.float64))
+
+    def includes(self, views: np.ndarray) -> np.ndarray:  # [K, 6] -> [K] bool
+        """Which of these views it was sent to."""
+        if not self._views:
+            return np.zeros(len(views), dtype=bool)
+        difference = np.abs(views[:, None] - np.stack(self._views)[None]).max(axis=-1)
+        return np.asarray((difference < _SAME_VIEW).any(axis=1))

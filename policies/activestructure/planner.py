@@ -14,7 +14,7 @@ from activestructure_gym.policies.activestructure.information_gain import (
     information_gain,
     plane_view,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, in_pool
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, SentTo, in_pool
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
@@ -136,15 +136,15 @@ class ActiveStructure(StructurePolicy):
 
     def __init__(self, discovery: Discovery = "unknown_volume") -> None:
         super().__init__(discovery)
-        self._machine = PhaseMachine()
+        self._machine, self._sent = PhaseMachine(), SentTo()
 
     def reset(self, seed: int) -> None:
         """Begin with phase I."""
         super().reset(seed)
-        self._machine = PhaseMachine()
+        self._machine, self._sent = PhaseMachine(), SentTo()
 
     def act(self, observation: Observation) -> int:
-        """The best view of the present phase; in phase III the nearest of the keyframes that render worst."""
+        """The best view of the present phase; in phase III the nearest of the worst rendered keyframes, each once."""
         machine, planes = self._machine, plane_view(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid & ~candidates.revisit
@@ -161,14 +161,21 @@ class ActiveStructure(StructurePolicy):
         return self._choose(discovering(gain, observation), terms, observation, more)
 
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
-        """The nearest of the worst rendered keyframes on offer; discovery again once nine tenths of all are good."""
+        """The nearest of the worst rendered keyframes that it was not sent to yet; without one, discovery again.
+
+        Then, or once nine tenths of all are good, the episode is settled, and the trace says so.
+        """
         candidates = self.candidates(observation)
-        revisit = candidates.revisit & candidates.valid
+        views = np.concatenate([candidates.xyz, candidates.look], axis=1)
+        open_ = candidates.revisit & candidates.valid & ~self._sent.includes(views)
         lowest = float(observation["fidelity"][0])
-        more = {**more, "fidelity": lowest}
-        if revisit.any() and lowest < GOOD_PSNR:
-            return self._choose(revisit.astype(np.float64), terms, observation, more)
-        return self._choose(discovering(terms.total, observation), terms, observation, more)
+        settled = not open_.any() or lowest >= GOOD_PSNR
+        more = {**more, "fidelity": lowest, "settled": settled}
+        if settled:
+            return self._choose(discovering(terms.total, observation), terms, observation, more)
+        choice = self._choose(open_.astype(np.float64), terms, observation, more)
+        self._sent.add(views[choice])
+        return choice
 
 
 # Table 3 in its order; each rung adds one component.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.features.deficiency import refining_distance
+from activestructure_gym.features.deficiency import pixels_per_area, pull, refining_distance
 from activestructure_gym.features.hole_area import REACH, largest_area, solid_angles, taken_before
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.planes import Deficiencies
@@ -131,6 +131,46 @@ def test_a_coarse_patch_counts_from_where_its_gaussians_would_be_replaced() -> N
     distances = refining_distance(context([AHEAD]), np.array([0.1, 0.2, np.inf]))
     np.testing.assert_allclose(distances, [0.1 * focal / 3.6, 0.2 * focal / 3.6, np.inf])
     assert column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]]), coarse_ratio=None))[0] > 0
+
+
+def test_a_deficiency_that_was_looked_at_in_vain_loses_its_pull() -> None:
+    centre = np.array([3.0, 2.0, 2.0])
+    found, full = holes([centre]), 0.04 / WHOLE
+    nearer = look_along(HERE + [1.0, 0, 0], np.array([1.0, 0.0, 0.0]))  # 1 m away instead of 2: four times the pixels
+    views = context([AHEAD, nearer, BACK], found)
+    for times in range(4):
+        again = 1 / (1 + times)
+        np.testing.assert_allclose(
+            column("deficiency", context([AHEAD, nearer, BACK], found, mapper=views.mapper)),
+            [full * again, full * 4 / (4 + times), 0.0],
+            rtol=1e-6,
+        )
+        # One that looked elsewhere spends nothing.
+        views.mapper.keyframes += [SimpleNamespace(camera=SENSOR, world_from_camera=pose) for pose in (AHEAD, BACK)]
+
+
+def test_a_look_from_too_far_or_from_behind_something_spends_nothing() -> None:
+    focal = 0.5 * (SENSOR.fx + SENSOR.fy)
+    nearer = look_along(HERE + [0.5, 0, 0], np.array([1.0, 0.0, 0.0]))
+    coarse = holes([[3.0, 2.0, 2.0]], sizes=1.6 * 3.6 / focal)  # is replaced from 1.6 m on, and seen from 2 m
+    seen = context([nearer], coarse)
+    seen.mapper.keyframes.append(SimpleNamespace(camera=SENSOR, world_from_camera=AHEAD))
+    assert column("deficiency", seen)[0] == pytest.approx(0.04 / WHOLE)
+    hidden = context([nearer], holes([[3.0, 2.0, 2.0]]), state=np.where(slab(1.1, 1.3), OCCUPIED, FREE))
+    hidden.mapper.keyframes.append(SimpleNamespace(camera=SENSOR, world_from_camera=AHEAD))
+    assert column("deficiency", hidden)[0] == pytest.approx(0.04 / WHOLE)
+
+
+def test_pull_by_hand_and_falls_with_what_was_spent(rng: np.random.Generator) -> None:
+    eye = np.stack([AHEAD, BACK])
+    np.testing.assert_allclose(
+        pixels_per_area(np.array([[0.5, 0.0], [0.0, 0.0]]), eye, np.array([[3.0, 2.0, 2.0], [1.0, 2.0, 2.0]])),
+        [[0.5 / 4, 0.0], [0.0, 0.0]],
+    )
+    np.testing.assert_allclose(pull(np.array([[1.0, 3.0, 0.0, 0.0]]), np.array([1.0, 0, 2.0, 0.0])), [[0.5, 1, 0, 0]])
+    looks, spent, more = rng.uniform(0.1, 5, (8, 20)), rng.uniform(0, 5, 20), rng.uniform(0.1, 5, 20)
+    assert (pull(looks, spent + more) < pull(looks, spent)).all()
+    assert (pull(looks + more, spent) >= pull(looks, spent)).all()
 
 
 def test_space_known_to_be_free_to_the_end_hides_nothing() -> None:

@@ -32,7 +32,7 @@ from activestructure_gym.policies.activestructure.information_gain import (
     suppression,
     view_surprise,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PATIENCE, in_pool
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PATIENCE, SentTo, in_pool
 from tests.policies.binding import bound
 
 
@@ -285,15 +285,34 @@ def test_the_full_model_goes_through_its_phases_as_the_pools_run_empty() -> None
     assert names == expected
 
 
-def test_phase_three_revisits_until_the_keyframes_are_good() -> None:
+def test_phase_three_revisits_each_keyframe_once_until_they_are_good() -> None:
     policy = in_last_phase()
     gains, frames = [[0.3, 0.0], [0.6, 0.0], [0.0, 0.0]], [5.0, 5.0, 40.0]
-    below = observation(gains, frames=frames, revisit=(2,), fidelity=GOOD_PSNR - 0.1)
-    good = observation(gains, frames=frames, revisit=(2,), fidelity=GOOD_PSNR)
-    assert [policy.act(below), policy.act(good), policy.act(below)] == [2, 1, 2]
-    # A row that is masked is no keyframe to go to.
-    below["action_mask"][2] = 0
-    assert policy.act(below) == 1
+
+    def chosen(place: float, fidelity: float = GOOD_PSNR - 0.1, masked: bool = False) -> tuple[int, bool]:
+        observed = observation(gains, frames=frames, revisit=(2,), fidelity=fidelity)
+        observed["candidates"][2, CANDIDATE_FEATURES.index("x")] = place
+        observed["action_mask"][2] = not masked
+        return policy.act(observed), policy.trace()["settled"]
+
+    assert chosen(1.0) == (2, False)
+    assert chosen(1.0) == (1, True)  # it was there, and the keyframe is still the worst: nothing moves any more
+    assert chosen(2.0, fidelity=GOOD_PSNR) == (1, True)
+    assert chosen(2.0, masked=True) == (1, True)  # a row that is masked is no keyframe to go to
+    assert chosen(2.0) == (2, False)
+    policy.reset(0)
+    for _ in range(2 * PATIENCE):
+        policy.act(observation(NOTHING))
+    assert chosen(1.0) == (2, False)
+
+
+def test_a_keyframe_is_known_by_place_and_direction() -> None:
+    sent, view = SentTo(), np.array([1.0, 2.0, 1.5, 0.0, 1.0, 0.0])
+    others = np.stack([view, view + 1e-4, view + [0.02, 0, 0, 0, 0, 0], view + [0, 0, 0, 0.02, 0, 0]])
+    assert not sent.includes(others).any()
+    sent.add(view)
+    assert sent.includes(others).tolist() == [True, True, False, False]
+    assert sent.includes(others[:0]).shape == (0,)
 
 
 def test_the_trace_says_what_decided() -> None:

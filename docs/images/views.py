@@ -1,10 +1,10 @@
 """Makes views.jpg, README's first picture, of the report of a comparison:
 
-    asg compare --scenes "room,hotel_room.glb?up=z" --policies random,activestructure-a,activestructure --seeds 0,1,2 \\
-        --frames 300 --out runs/views
+    asg compare --scenes "room?seed=12,hotel_room.glb?up=z" --policies random,pixel_only,activestructure --out runs/views
     python docs/images/views.py runs/views
 
-Nobody picks seed or view: both are those that the report shows first (docs/guide/report.md).
+Nobody picks the view: it is the one that the report shows first (docs/guide/report.md). Several directories, of comparisons
+or of single runs, are read as one.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from activestructure_gym.evaluation.report.pictures import compare_strip
 from activestructure_gym.evaluation.report.results import gather
 
 
-def main(directory: Path) -> None:
+def main(directories: list[Path]) -> None:
     """The strips of all scenes, one below the other."""
-    results = gather([directory])
+    results = gather(directories)
     pages = []
     for scene in results.scenes:
         runs = results.foremost(scene)
@@ -33,4 +33,4 @@ def main(directory: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main([Path(name) for name in sys.argv[1:]])

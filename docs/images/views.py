@@ -1,10 +1,11 @@
 """Makes views.jpg, README's first picture, of the report of a comparison:
 
-    asg compare --scenes "room?seed=12,hotel_room.glb?up=z" --policies random,pixel_only,activestructure --out runs/views
+    asg compare --scenes "room?seed=12,hotel_room.glb?up=z" --policies random,pixel_only,activestructure \\
+        --out runs/views
     python docs/images/views.py runs/views
 
-Nobody picks the view: it is the one that the report shows first (docs/guide/report.md). Several directories, of comparisons
-or of single runs, are read as one.
+Nobody picks the view: it is the one that the report shows first (docs/guide/report.md). Several directories, of
+comparisons or of single runs, are read as one.
 """
 
 from __future__ import annotations

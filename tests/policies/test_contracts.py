@@ -136,7 +136,7 @@ def episode() -> Iterator[Episode]:
     context = FeatureContext(
         mapper=reconstruction.mapper, volume=reconstruction.volume, planes=reconstruction.planes,
         camera=reconstruction.scoring_camera, bounds=scene.bounds, coverage_alpha=0.5, max_range=10.0,
-        world_from_camera=reconstruction.candidates.world_from_camera,
+        world_from_camera=reconstruction.candidates.world_from_camera, agent=reconstruction.agent,
     )  # fmt: skip
     yield Episode(env, observations, observations[-4:], context, swapped)
     reconstruction.sensor = sensor

@@ -1,4 +1,4 @@
-"""The unknown surface behind a view's holes as the only score: rung E's first term, without any plane."""
+"""The unknown surface behind a view's holes as the only score."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("hole_area")
 class HoleArea(SharedGreedy):
-    """The first term of rung E alone: no Plane Scene Graph, no phases."""
+    """Area of the unknown behind what the map leaves uncovered: no Plane Scene Graph, no phases."""
 
     decides_by = "unseen area behind holes of the map"
-    source = "this project: the first term of activestructure alone"
+    source = "this project"
     required_gains = ("hole_area",)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import pytest
 
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
+from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH
 from activestructure_gym.planes import PLANE_FEATURES
 from activestructure_gym.policies import PixelOnly, make_policy
 from activestructure_gym.policies.activestructure import (
@@ -28,11 +30,13 @@ from activestructure_gym.policies.activestructure.information_gain import (
     GOOD_QUALITY,
     VISIBILITY_FLOOR,
     discount,
+    plane_view,
     structural_term,
     suppression,
     view_surprise,
 )
 from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PATIENCE, SentTo, in_pool
+from activestructure_gym.sensors.rgbd import SensorConfig
 from tests.policies.binding import bound
 
 
@@ -254,6 +258,17 @@ def test_every_rung_stands_on_any_gain_of_discovery(name: str, discovery: str, c
     rest = [0.0] * (len(policy.required_gains) - 1)
     policy.reset(0)
     assert bound(policy).act(observation([[0.2, *rest], [0.9, *rest], [0.5, *rest]])) == 1
+
+
+def test_a_view_into_nothing_but_unknown_space_counts_as_one_whole_image() -> None:
+    camera = SensorConfig().camera
+    x, y = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
+    solid_angle = 4 * math.asin(x * y / math.sqrt((1 + x**2) * (1 + y**2)))
+    depth = np.linspace(0, REACH, 10_001)
+    opened = solid_angle * np.trapezoid(depth**2 * np.exp(-depth / MEAN_DEPTH), depth)
+    policy = bound(ActiveStructureB(discovery="unknown_volume"))
+    terms = policy.terms(observation([[opened]]), plane_view(observation([[opened]])), Weights())
+    assert terms.total[0] == pytest.approx(1.0, rel=0.02)
 
 
 def test_an_unknown_gain_of_discovery_is_refused() -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts import Line, line_chart, span, standalone
 from activestructure_gym.evaluation.report.curves import curve_of
@@ -62,4 +63,9 @@ def told(run: Run, measure: str) -> str:
 
 
 if __name__ == "__main__":
-    main([Path(argument) for argument in sys.argv[1:]])
+    if len(sys.argv) < 2:
+        sys.exit("give the directory of a comparison: python docs/images/curves_2000.py DIR [DIR ...]")
+    try:
+        main([Path(argument) for argument in sys.argv[1:]])
+    except InputError as error:
+        sys.exit(f"curves_2000.py: {error}")

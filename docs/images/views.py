@@ -15,6 +15,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.report.pictures import compare_strip
 from activestructure_gym.evaluation.report.results import gather
 
@@ -34,4 +35,9 @@ def main(directories: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main([Path(name) for name in sys.argv[1:]])
+    if len(sys.argv) < 2:
+        sys.exit("give the directory of a comparison: python docs/images/views.py DIR [DIR ...]")
+    try:
+        main([Path(argument) for argument in sys.argv[1:]])
+    except InputError as error:
+        sys.exit(f"views.py: {error}")

@@ -19,7 +19,7 @@ from activestructure_gym.evaluation.report.layout import Judgement
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
-_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 10, 44
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 18, 10, 44
 _LABEL, _DIGIT = 24, 8  # to the left of a tick's text stands the axis' label
 _PANEL = (184, 104)  # of one policy among many
 _LETTERS = 27  # of a name beside or above a curve

@@ -99,16 +99,24 @@ class Decisions:
     def _settings(self) -> Settings:
         from activestructure_gym.config import known_preset
         from activestructure_gym.evaluation.benchmarks.decisions import Settings
+        from activestructure_gym.features import column_names
+        from activestructure_gym.policies import make_policy
 
+        played, policies = split_policies((self.played,)), split_policies(self.policies)
+        if len(played) != 1:
+            raise InputError(f"--played is one policy, got {len(played)}")
+        for name in (*played, *policies):
+            make_policy(name)
+        column_names(split_list(self.features))  # both refuse what there is not, before anything is written
         for name in ("frames", "first", "every"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name} must be at least 1, got {getattr(self, name)}")
         if self.quality < 0 or (self.pool is not None and self.pool < 1):
             raise InputError("--quality must be at least 0 and --pool at least 1")
         return Settings(
-            played=self.played,
+            played=played[0],
             features=split_list(self.features),
-            policies=split_policies(self.policies),
+            policies=policies,
             preset=known_preset("fast" if self.quick else self.preset),
             frames=40 if self.quick else self.frames,
             first=self.first,

@@ -42,6 +42,8 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
         ("--seeds -1", "a seed is a whole number"),
         ("--policies nobody", "unknown policy 'nobody'"),
         ("--policies reference:oracle", "'reference:oracle' is no policy: ask for it by --references oracle"),
+        ("--played reference:oracle", "'reference:oracle' is no policy"),
+        ("--played hole_area,random", "--played is one policy, got 2"),
         ("--played nobody", "unknown policy 'nobody'"),
         ("--features nothing", "unknown feature 'nothing'"),
         ("--scene nothing", "unknown scene 'nothing'"),
@@ -52,6 +54,8 @@ def test_what_cannot_be_is_refused_in_one_sentence(capsys, tmp_path, words, said
     (tmp_path / "file").write_text("")
     scene = [] if "--scene" in words else ["--scene", "box"]
     given = words.format(file=tmp_path / "file").split()
-    assert main(["bench", "decisions", *scene, *given]) == 2
+    out = [] if "--out" in words else ["--out", str(tmp_path / "out")]
+    assert main(["bench", "decisions", *scene, *given, *out]) == 2
     error = capsys.readouterr().err
+    assert "--scene" in words or not (tmp_path / "out").exists()
     assert said in error and error.startswith("asg: ") and error.count("\n") == 1

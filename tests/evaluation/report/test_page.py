@@ -268,7 +268,7 @@ def test_a_chart_can_be_read_off(path, browser):
     browser.ask("document.querySelector('svg.chart[data-frame]').scrollIntoView()")
     said = browser.ask(
         """(() => { const chart = document.querySelector('svg.chart[data-frame]'), box = chart.getBoundingClientRect();
-        const place = { clientX: box.left + box.width - 15, clientY: box.top + 9 };
+        const place = { clientX: box.left + box.width - 20, clientY: box.top + 9 };
         chart.dispatchEvent(new PointerEvent('pointermove', place));
         return document.querySelector('.reading').textContent; })()"""
     )

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 Method = Literal["bc", "rank", "ppo"]
 Reward = Literal["rate", "auc", "env"]
-ORACLE = "oracle"  # the teacher who knows the truth
+ORACLE = "oracle"  # the teacher who knows the truth of a view
+ORACLE_WAY = "oracle-way"  # and of the way to it
+WITH_TRUTH = (ORACLE, ORACLE_WAY)
 _WORLD_RANGES = {
     "layouts": "[1, 1000000]",
     "frames": "[1, 1000000]",
@@ -83,7 +85,7 @@ class TrainingConfig:
     validation_layouts: int = 36  # one episode on each
     validate_every: int = 10  # epochs, or PPO iterations
     # Learning from an expert.
-    teacher: str = ORACLE  # "oracle", or the gain a greedy expert goes by
+    teacher: str = ORACLE  # one of WITH_TRUTH, or the gain a greedy expert goes by
     episodes: int = 480  # of the expert
     explore: float = 0.25  # share of the expert's steps that are drawn at random, so that its mistakes are seen too
     # Of the soft labels, in shares of the best candidate's score. What PPO begins from draws from these probabilities:

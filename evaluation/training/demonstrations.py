@@ -18,9 +18,9 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.schema import Array, Mismatch, check_arrays, table
 from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
-from activestructure_gym.evaluation.training.config import ORACLE, TrainingConfig
+from activestructure_gym.evaluation.training.config import WITH_TRUTH, TrainingConfig
 from activestructure_gym.evaluation.training.layouts import layout_order
-from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores, teacher_gain
+from activestructure_gym.evaluation.training.oracle import expert_choice, expert_scores
 from activestructure_gym.evaluation.training.spreading import spread
 from activestructure_gym.evaluation.training.world import (
     STARTS,
@@ -143,7 +143,7 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
     """The content of file ``number``: the episodes of the expert on one layout."""
     world = config.world
-    extra = () if config.teacher == ORACLE else (config.teacher,)
+    extra = () if config.teacher in WITH_TRUTH else (config.teacher,)
     layouts = learning_layouts(world, "train", world.layouts, (*world.gains, *extra))
     rng = np.random.default_rng([config.seed, number])
     truth = learning_truth(layouts[layout_order(config.seed, len(layouts))[number % len(layouts)]])
@@ -172,11 +172,10 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         observation, info = env.reset(seed=int(rng.integers(2**31)))
     ended = not observation["action_mask"].any()
     while not ended:
-        gain = teacher_gain(config.teacher, env, observation)
-        scores = expert_scores(gain, observation)
+        scores = expert_scores(config.teacher, env, observation)
         valid = np.flatnonzero(observation["action_mask"])
         explores, drawn = rng.random() < config.explore, int(rng.choice(valid))
-        action = drawn if explores else expert_choice(gain, observation)
+        action = drawn if explores else expert_choice(scores, observation)
         state = {key: observation[key] for key in USED_KEYS}
         candidates = Candidates(observation, env.config.gains)
         state["candidate_gains"] = np.stack([candidates[name] for name in told], axis=1)

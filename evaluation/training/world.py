@@ -23,7 +23,8 @@ _PERFECT_SHARE = 0.3  # of the episodes have a sensor without noise, as the comp
 _DRAWN = ("sensor.depth_noise", "sensor.noise_multiplier", "sensor.edge_dropout")
 _NOISE_RANGE = (0.5, 2.0)  # times the noise of a Kinect
 _RATE_FRAMES = 5.0  # of the travel discount 1 / (1 + frames / 5) that all policies share
-_COLOUR_BLIND = ("pixel", "hole_area", "structure")  # gains that depend on no colour
+# Gains that depend on no colour.
+_COLOUR_BLIND = ("pixel", "hole_area", "structure", "unknown_volume", "unknown_volume_way")
 _SURFACE_SAMPLES = 12_000  # of a layout's surface, a quarter of the usual: they are found in a quarter of the time
 STARTS = 16  # without a candidate, then another layout
 

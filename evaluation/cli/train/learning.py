@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 def check(config: TrainingConfig) -> None:
     """Raise `InputError` for names of features or fields of the configuration that do not exist."""
-    from activestructure_gym.evaluation.training.config import ORACLE
+    from activestructure_gym.evaluation.training.config import WITH_TRUTH
     from activestructure_gym.evaluation.training.world import world_config
 
-    extra = () if config.teacher == ORACLE or config.method == "ppo" else (config.teacher,)
+    extra = () if config.teacher in WITH_TRUTH or config.method == "ppo" else (config.teacher,)
     world_config(config.world, (*config.world.gains, *extra))
 
 

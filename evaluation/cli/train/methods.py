@@ -82,7 +82,8 @@ class _FromExpert(Learning):
     """Options of the methods that learn from an expert."""
 
     teacher: Annotated[str, option("NAME")] = "oracle"
-    """oracle (the true new surface of every candidate), or the gain a greedy expert goes by (hole_area)."""
+    """oracle (the true new surface of every candidate), oracle-way (of the way there, per frame), or the gain a greedy
+    expert goes by (hole_area)."""
     episodes: int = 480
     """Episodes of the expert, two on each layout."""
     data: PathName = None

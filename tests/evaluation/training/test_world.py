@@ -118,7 +118,7 @@ def test_a_noisy_sensor_is_paid_for_what_is_there_and_not_for_looking_again(box:
 
 
 def test_without_light_nothing_that_is_learnt_from_changes() -> None:
-    world = replace(SMALL, frames=80, gains=("pixel", "hole_area", "structure"))
+    world = replace(SMALL, frames=80, gains=("pixel", "hole_area", "structure", "unknown_volume"))
     truth = learning_truth("apartment?rooms=1&seed=300000")
     lit, unlit = truth.scene, load_scene("apartment?rooms=1&seed=300000&lit=false")
     np.testing.assert_array_equal(lit.mesh.vertices, unlit.mesh.vertices)
@@ -182,6 +182,25 @@ def test_the_oracle_sees_what_the_sensor_then_sees(box: Scene) -> None:
     env.close()
 
 
+def test_the_way_shows_at_least_what_its_end_shows_and_costs_its_frames(box: Scene) -> None:
+    env = make_env(SMALL, box)
+    env.reset(seed=1)
+    episode = env.reconstruction
+    rates, ends = oracle.newly_seen_per_frame(env), oracle.newly_seen(env)
+    ways = episode.agent.ways(episode.volume, episode.candidates.world_from_camera)
+    for row, way in enumerate(ways):
+        whole = len(way.keyframes) > 0 and np.allclose(way.keyframes[-1], episode.candidates.world_from_camera[row])
+        assert not whole or rates[row] * way.frames > ends[row] - 0.005  # samples at the border of the image
+    assert rates[: len(ways)].max() > 0.001 and not rates[len(ways) :].any()
+    row = int(rates.argmax())
+    before, frames = env.coverage.share, episode.frames
+    env.step(row)
+    assert rates[row] * (episode.frames - frames) == pytest.approx(env.coverage.share - before, abs=0.04)
+    env.coverage.seen[:] = True
+    assert not oracle.newly_seen_per_frame(env).any()
+    env.close()
+
+
 def test_asking_the_oracle_changes_nothing_and_no_policy_can_ask(box: Scene) -> None:
     def observations(ask: bool) -> list[object]:
         env, found = make_env(SMALL, box), []
@@ -190,6 +209,7 @@ def test_asking_the_oracle_changes_nothing_and_no_policy_can_ask(box: Scene) -> 
             found.append((digest(observation), digest(info)))
             if ask:
                 oracle.newly_seen(env)
+                oracle.newly_seen_per_frame(env)
             observation, _, ended, truncated, info = env.step(0)
             if ended or truncated:
                 break

@@ -16,9 +16,9 @@ from activestructure_gym.policies.activestructure import (
 from activestructure_gym.policies.anm_s import AnmS
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
 from activestructure_gym.policies.candidates import Candidates
-from activestructure_gym.policies.fisherrf import FisherRF, FisherRFPure
+from activestructure_gym.policies.fisherrf import FisherRF, FisherRFCov
 from activestructure_gym.policies.frontier import Frontier
-from activestructure_gym.policies.gauss_mi import GaussMI, GaussMIPure
+from activestructure_gym.policies.gauss_mi import GaussMI, GaussMICov
 from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hgs_planner import HGSPlanner
@@ -30,16 +30,16 @@ from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.popgs import (
     CovTrace,
     CovTraceBlock,
-    CovTraceBlockPure,
-    CovTracePure,
+    CovTraceBlockCov,
+    CovTraceCov,
     InfoTrace,
-    InfoTracePure,
+    InfoTraceCov,
     LogDet,
     LogDetBlock,
-    LogDetBlockPure,
-    LogDetPure,
+    LogDetBlockCov,
+    LogDetCov,
     MinEig,
-    MinEigPure,
+    MinEigCov,
 )
 from activestructure_gym.policies.random import Random
 from activestructure_gym.policies.rt_guide import RTGuide
@@ -63,26 +63,26 @@ __all__ = [
     "Candidates",
     "CovTrace",
     "CovTraceBlock",
-    "CovTraceBlockPure",
-    "CovTracePure",
+    "CovTraceBlockCov",
+    "CovTraceCov",
     "FisherRF",
-    "FisherRFPure",
+    "FisherRFCov",
     "Frontier",
     "GSPlanner",
     "GaussMI",
-    "GaussMIPure",
+    "GaussMICov",
     "Greedy",
     "HGSPlanner",
     "HoleArea",
     "InfoTrace",
-    "InfoTracePure",
+    "InfoTraceCov",
     "Learned",
     "LogDet",
     "LogDetBlock",
-    "LogDetBlockPure",
-    "LogDetPure",
+    "LogDetBlockCov",
+    "LogDetCov",
     "MinEig",
-    "MinEigPure",
+    "MinEigCov",
     "Naruto",
     "PixelOnly",
     "Planner",

@@ -8,20 +8,20 @@ from activestructure_gym.policies.greedy import Greedy
 
 @POLICIES.register("fisherrf")
 class FisherRF(Greedy):
+    """argmax sum H_c / (H_train + lambda) and nothing else: the published selector."""
+
+    decides_by = "information of a view over that of all keyframes"
+    source = "Jiang et al., FisherRF, ECCV 2024"
+    required_gains = ("fisherrf",)
+
+
+@POLICIES.register("fisherrf_cov")
+class FisherRFCov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum H_c / (H_train + lambda); no travel term, like its selector.
 
     The feature `fisherrf`, formula and source there. Alone it is blind to what the map lacks, hence G_cov, `hole_area`.
     """
 
     decides_by = "information of a view over that of all keyframes, and unseen space"
-    source = "Jiang et al., FisherRF, ECCV 2024"
-    required_gains = ("fisherrf",)
-
-
-@POLICIES.register("fisherrf_pure")
-class FisherRFPure(Greedy):
-    """argmax sum H_c / (H_train + lambda) and nothing else: the published selector."""
-
-    decides_by = "information of a view over that of all keyframes"
-    source = "Jiang et al., FisherRF, ECCV 2024"
-    required_gains = ("fisherrf_pure",)
+    source = "this project, with the gain of Jiang et al., FisherRF, ECCV 2024"
+    required_gains = ("fisherrf_cov",)

@@ -8,20 +8,20 @@ from activestructure_gym.policies.greedy import Greedy
 
 @POLICIES.register("gauss_mi")
 class GaussMI(Greedy):
+    """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
+
+    decides_by = "how unreliable Gaussians are from a view's side"
+    source = "Xie et al., GauSS-MI, 2025"
+    required_gains = ("gauss_mi",)
+
+
+@POLICIES.register("gauss_mi_cov")
+class GaussMICov(Greedy):
     """argmax G_cov + lambda_o G_Q with G_Q = sum w_i c_dir (-log r_dir); no travel term.
 
     The feature `gauss_mi`, formula and source there; it holds the planner's own discount of revisited poses.
     """
 
     decides_by = "how unreliable Gaussians are from a view's side, and unseen space"
-    source = "Xie et al., GauSS-MI, 2025"
-    required_gains = ("gauss_mi",)
-
-
-@POLICIES.register("gauss_mi_pure")
-class GaussMIPure(Greedy):
-    """argmax sum w_i c_dir (-log r_dir) and nothing else: the published selector."""
-
-    decides_by = "how unreliable Gaussians are from a view's side"
-    source = "Xie et al., GauSS-MI, 2025"
-    required_gains = ("gauss_mi_pure",)
+    source = "this project, with the gain of Xie et al., GauSS-MI, 2025"
+    required_gains = ("gauss_mi_cov",)

@@ -9,7 +9,7 @@ those of a candidate B and d, and everything in units of the median of H,
 - ``popgs_min_eig``: growth of the least entry of each Gaussian (E), a negative control;
 - ``popgs_logdet_block``, ``popgs_cov_trace_block``: the same of H + lambda + B, one 6 x 6 block per Gaussian.
 
-Each is summed over the Gaussians. ``NAME_pure`` maximises that, ``NAME`` adds unseen space: G_cov + lambda_o G_Q.
+Each is summed over the Gaussians. ``NAME`` maximises that, ``NAME_cov`` adds unseen space: G_cov + lambda_o G_Q.
 """
 
 from __future__ import annotations
@@ -20,107 +20,107 @@ from activestructure_gym.policies.greedy import Greedy
 
 @POLICIES.register("popgs_logdet")
 class LogDet(Greedy):
-    """D-optimality and unseen space."""
-
-    decides_by = "the volume of the map's uncertainty, and unseen space"
-    source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet",)
-
-
-@POLICIES.register("popgs_logdet_pure")
-class LogDetPure(Greedy):
     """D-optimality."""
 
     decides_by = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet_pure",)
+    required_gains = ("popgs_logdet",)
+
+
+@POLICIES.register("popgs_logdet_cov")
+class LogDetCov(Greedy):
+    """D-optimality and unseen space."""
+
+    decides_by = "the volume of the map's uncertainty, and unseen space"
+    source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
+    required_gains = ("popgs_logdet_cov",)
 
 
 @POLICIES.register("popgs_cov_trace")
 class CovTrace(Greedy):
-    """Trace of the covariance and unseen space."""
-
-    decides_by = "the sum of the map's variances, and unseen space"
-    source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace",)
-
-
-@POLICIES.register("popgs_cov_trace_pure")
-class CovTracePure(Greedy):
     """Trace of the covariance."""
 
     decides_by = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace_pure",)
+    required_gains = ("popgs_cov_trace",)
+
+
+@POLICIES.register("popgs_cov_trace_cov")
+class CovTraceCov(Greedy):
+    """Trace of the covariance and unseen space."""
+
+    decides_by = "the sum of the map's variances, and unseen space"
+    source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
+    required_gains = ("popgs_cov_trace_cov",)
 
 
 @POLICIES.register("popgs_info_trace")
 class InfoTrace(Greedy):
-    """Trace of the information and unseen space."""
-
-    decides_by = "the sum of the map's information, and unseen space"
-    source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_info_trace",)
-
-
-@POLICIES.register("popgs_info_trace_pure")
-class InfoTracePure(Greedy):
     """Trace of the information."""
 
     decides_by = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_info_trace_pure",)
+    required_gains = ("popgs_info_trace",)
+
+
+@POLICIES.register("popgs_info_trace_cov")
+class InfoTraceCov(Greedy):
+    """Trace of the information and unseen space."""
+
+    decides_by = "the sum of the map's information, and unseen space"
+    source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
+    required_gains = ("popgs_info_trace_cov",)
 
 
 @POLICIES.register("popgs_min_eig")
 class MinEig(Greedy):
-    """E-optimality of every Gaussian and unseen space."""
-
-    decides_by = "the worst known parameter of every Gaussian, and unseen space"
-    source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_min_eig",)
-
-
-@POLICIES.register("popgs_min_eig_pure")
-class MinEigPure(Greedy):
     """E-optimality of every Gaussian."""
 
     decides_by = "the worst known parameter of every Gaussian"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_min_eig_pure",)
+    required_gains = ("popgs_min_eig",)
+
+
+@POLICIES.register("popgs_min_eig_cov")
+class MinEigCov(Greedy):
+    """E-optimality of every Gaussian and unseen space."""
+
+    decides_by = "the worst known parameter of every Gaussian, and unseen space"
+    source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
+    required_gains = ("popgs_min_eig_cov",)
 
 
 @POLICIES.register("popgs_logdet_block")
 class LogDetBlock(Greedy):
-    """D-optimality by blocks and unseen space."""
-
-    decides_by = "the volume of the map's uncertainty, by blocks, and unseen space"
-    source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet_block",)
-
-
-@POLICIES.register("popgs_logdet_block_pure")
-class LogDetBlockPure(Greedy):
     """D-optimality by blocks."""
 
     decides_by = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_logdet_block_pure",)
+    required_gains = ("popgs_logdet_block",)
+
+
+@POLICIES.register("popgs_logdet_block_cov")
+class LogDetBlockCov(Greedy):
+    """D-optimality by blocks and unseen space."""
+
+    decides_by = "the volume of the map's uncertainty, by blocks, and unseen space"
+    source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
+    required_gains = ("popgs_logdet_block_cov",)
 
 
 @POLICIES.register("popgs_cov_trace_block")
 class CovTraceBlock(Greedy):
-    """Trace of the covariance by blocks, and unseen space."""
-
-    decides_by = "the sum of the map's variances, by blocks, and unseen space"
-    source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace_block",)
-
-
-@POLICIES.register("popgs_cov_trace_block_pure")
-class CovTraceBlockPure(Greedy):
     """Trace of the covariance by blocks."""
 
     decides_by = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
-    required_gains = ("popgs_cov_trace_block_pure",)
+    required_gains = ("popgs_cov_trace_block",)
+
+
+@POLICIES.register("popgs_cov_trace_block_cov")
+class CovTraceBlockCov(Greedy):
+    """Trace of the covariance by blocks, and unseen space."""
+
+    decides_by = "the sum of the map's variances, by blocks, and unseen space"
+    source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
+    required_gains = ("popgs_cov_trace_block_cov",)

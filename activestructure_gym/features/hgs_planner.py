@@ -19,7 +19,7 @@ _STRIDE = 2  # pixels: neighbours look through the same voxels
 
 @FEATURES.register("hgs_planner", unit=ADAPTIVE, low=0.0)
 def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
-    """G = G_cov + lambda_o G_Q: `hgs_coverage` and `fisherrf_pure`, the more of the latter the more is observed."""
+    """G = G_cov + lambda_o G_Q: `hgs_coverage` and `fisherrf`, the more of the latter the more is observed."""
     return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
 
 

@@ -104,17 +104,17 @@ def share_below(values: np.ndarray) -> np.ndarray:  # [K] -> [K] in 0..1
 
 
 def register_both(name: str, unit: str = "per Gaussian of the map") -> Callable[[Compute], Feature]:
-    """Decorator of a score that is blind to unseen space: as ``NAME_pure``, and with `hole_area` for it as ``NAME``."""
+    """Decorator of a score that is blind to unseen space: as ``NAME``, and with `hole_area` for it as ``NAME_cov``."""
 
     def register(compute: Compute) -> Feature:
-        pure = FEATURES.register(f"{name}_pure", unit=unit, low=0.0)(compute)
+        alone = FEATURES.register(name, unit=unit, low=0.0)(compute)
 
         @wraps(compute)
         def with_coverage(context: FeatureContext) -> np.ndarray:  # [K]
-            return adaptive(context, hole_area(context), context.once(pure))
+            return adaptive(context, hole_area(context), context.once(alone))
 
-        with_coverage.__doc__ = f"G_cov + lambda_o G_Q with `hole_area` and `{name}_pure`; see `adaptive`."
-        FEATURES.register(name, unit=ADAPTIVE, low=0.0)(with_coverage)
-        return pure
+        with_coverage.__doc__ = f"G_cov + lambda_o G_Q with `hole_area` and `{name}`; see `adaptive`."
+        FEATURES.register(f"{name}_cov", unit=ADAPTIVE, low=0.0)(with_coverage)
+        return alone
 
     return register

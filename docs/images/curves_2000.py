@@ -34,7 +34,7 @@ FIRST = 100  # frames; the first views are a fifth of the surface and would flat
 def main(directories: Sequence[Path]) -> None:
     """Draw the curves of every run in these comparisons."""
     runs = gather(list(directories)).runs
-    names = [f"{run.job.policy}, {run.job.scene.partition('&')[0]}, seed {run.job.seed}" for run in runs]
+    names = [f"{run.policy}, {run.job.scene.partition('&')[0]}, seed {run.job.seed}" for run in runs]
     charts = []
     for row in ROWS:
         drawn = []

@@ -42,6 +42,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
+from activestructure_gym.evaluation.archive.old_names import current_name
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
@@ -51,7 +52,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+_READABLE = (2, FORMAT_VERSION)  # of 2 some policies had other names, see `old_names`
 DONE = ".done"
 CONFIG = "config.json"
 COMPARISON = "compare.json"
@@ -77,8 +79,8 @@ class Run:
 
     @cached_property
     def policy(self) -> str:
-        """Short name of the policy; a checkpoint's is without its folders."""
-        return policy_label(self.job.policy)
+        """Short name of the policy as it is called now; a checkpoint's is without its folders."""
+        return policy_label(current_name(self.job.policy, int(self.config.get("format", FORMAT_VERSION))))
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:
@@ -152,6 +154,8 @@ def damage_of(directory: Path, job: Job) -> str | None:
         run = read_done(directory, job)
         if run is None:
             return f"'{directory}' is not a finished run: it has no {DONE} file"
+        if run.policy != policy_label(job.policy):
+            return f"'{directory}' is of '{run.policy}', which was called '{job.policy}' when it was made"
         _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
     except InputError as error:
         return str(error)
@@ -203,10 +207,9 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
         # The format first: another one may have other names.
         content = found[name] = _read(directory, f"{name}.json", sums, schema.read_checked_json)
         version = content.get("format", FORMAT_VERSION) if isinstance(content, dict) else FORMAT_VERSION
-        if version != FORMAT_VERSION:
-            raise InputError(
-                f"'{directory}' has the run format {version}, this version reads {FORMAT_VERSION}; run it again"
-            )
+        if version not in _READABLE:
+            known = " and ".join(map(str, _READABLE))
+            raise InputError(f"'{directory}' has the run format {version}, this version reads {known}; run it again")
         _read(directory, f"{name}.json", {}, lambda path: check(content, ""))  # noqa: B023
     config = found["config"]
     if mark and config.get("hash", mark) != mark:

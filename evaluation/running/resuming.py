@@ -16,6 +16,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.old_names import renamed_among
 
 # What tells the cells of one grid apart; whatever else a job has is the same for all of them.
 _CELL = ("scene", "scene_hash", "policy", "seed")
@@ -27,6 +28,13 @@ def recorded_jobs(directory: Path) -> list[Job]:
     if record is None:
         return []
     jobs = jobs_of(record, directory)
+    renamed = renamed_among((job.policy for job in jobs), record.get("format", store.FORMAT_VERSION))
+    if renamed:
+        old, new = next(iter(renamed.items()))
+        raise InputError(
+            f"'{directory}' was begun when '{old}' was the name of what is '{new}' now: its finished runs can be read "
+            "(asg report), and what is added goes into a new comparison, another --out"
+        )
     if [job.name for job in jobs] != list(record["jobs"]):
         versions = record.get("versions") or {}
         raise InputError(

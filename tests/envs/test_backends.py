@@ -23,7 +23,7 @@ TINY = {
 def test_gains_agree() -> None:
     gains = []
     for backend in ("cpu", "reference"):
-        names = {"gains": ["pixel", "hole_area", "gauss_mi", "fisherrf", "activeinr"]}
+        names = {"gains": ["pixel", "hole_area", "gauss_mi_cov", "fisherrf_cov", "activeinr"]}
         overrides = {**TINY, **names, "mapper.backend": backend, "mapper.adam_epsilon": 1e-8, "frame_budget": 30}
         episode = Reconstruction(configure("fast", overrides))
         episode.start(ground_truth_of(load_scene("box")), seed=0)

@@ -32,11 +32,11 @@ def test_against_the_sum_over_all_parameters(two_walls, looks) -> None:
             ratios = view.numbers[:, columns] / (entries[view.indices] + 0.01 * unit)
             total += times * ratios.sum()
         expected.append(total / gaussians.count)
-    assert evaluate_features(("fisherrf_pure",), context)[:, 0] == pytest.approx(expected, rel=1e-5)
+    assert evaluate_features(("fisherrf",), context)[:, 0] == pytest.approx(expected, rel=1e-5)
 
 
 def test_blind_to_unseen_space_alone_but_not_with_coverage(two_walls, looks) -> None:
-    pure, whole, holes = evaluate_features(("fisherrf_pure", "fisherrf", "hole_area"), two_walls.context(*looks)).T
+    pure, whole, holes = evaluate_features(("fisherrf", "fisherrf_cov", "hole_area"), two_walls.context(*looks)).T
     assert pure[2] == 0.0 < pure[0] < pure[1]  # north has no Gaussians; the east wall is known better
     assert whole[2] == pytest.approx(1.0) and holes.argmax() == 2
     assert whole.argmax() == 2
@@ -50,7 +50,7 @@ def test_the_same_view_a_second_time_tells_less(two_walls, looks, frame_of) -> N
 
 
 def test_who_else_asks_changes_nothing(two_walls, looks) -> None:
-    names = ("fisherrf_pure", "popgs_logdet", "popgs_logdet_block_pure", "fisherrf")
+    names = ("fisherrf", "popgs_logdet_cov", "popgs_logdet_block", "fisherrf_cov")
     first = evaluate_features(names, two_walls.context(*looks))
     for column, name in enumerate(names):
         assert np.array_equal(evaluate_features((name,), two_walls.context(*looks))[:, 0], first[:, column])

@@ -28,7 +28,7 @@ def test_against_the_sum_over_gaussians(two_walls, looks) -> None:
         shares = direction_shares(gaussians.parameters[:3, view.indices].T.astype(float), pose[:3, 3])
         expected.append((view.weights[:, None] * shares * surprise[view.indices]).sum() / (16 * 12))
     assert gauss_mi(context) == pytest.approx(expected, rel=1e-4, abs=1e-6)
-    assert evaluate_features(("gauss_mi_pure",), context)[:, 0] == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    assert evaluate_features(("gauss_mi",), context)[:, 0] == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
 def test_unreliable_is_what_was_seen_wrong_or_never_from_there(two_walls, looks, frame_of) -> None:
@@ -37,7 +37,7 @@ def test_unreliable_is_what_was_seen_wrong_or_never_from_there(two_walls, looks,
     first = gauss_mi(two_walls.context(east, behind))
     assert first[1] > 10 * first[0]
     # Unseen space is worth nothing; with coverage it is.
-    pure, whole = evaluate_features(("gauss_mi_pure", "gauss_mi"), two_walls.context(*looks)).T
+    pure, whole = evaluate_features(("gauss_mi", "gauss_mi_cov"), two_walls.context(*looks)).T
     assert pure[2] == 0.0 and whole[2] > 0.1
 
 

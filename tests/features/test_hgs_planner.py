@@ -40,7 +40,7 @@ def test_transmitted_length_in_the_unknown_by_hand() -> None:
 
 
 def test_the_more_is_observed_the_more_the_fisher_term_decides(two_walls, looks) -> None:
-    names = ("hgs_planner", "hgs_coverage", "fisherrf_pure")
+    names = ("hgs_planner", "hgs_coverage", "fisherrf")
     two_walls.know(UNKNOWN)
     gain, unseen, _ = evaluate_features(names, two_walls.context(*looks)).T
     assert gain == pytest.approx(unseen / unseen.max()) and gain.argmax() == 2

@@ -50,7 +50,7 @@ def test_the_trace_of_the_information_likes_what_is_seen_and_near(two_walls, loo
     # It does not ask what is known: both walls alike, though one was seen three times; and the nearer, the better.
     nearer = look_along(np.array([1.2, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
     context = two_walls.context(*looks, nearer)
-    info, logdet = (evaluate_features((f"popgs_{name}_pure",), context)[:, 0] for name in ("info_trace", "logdet"))
+    info, logdet = (evaluate_features((f"popgs_{name}",), context)[:, 0] for name in ("info_trace", "logdet"))
     assert info[0] > 0.85 * info[1] and info.argmax() == 3
     assert logdet[0] < 0.75 * logdet[1] and logdet.argmax() == 1
 

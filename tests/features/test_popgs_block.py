@@ -62,7 +62,7 @@ def test_of_a_map_they_are_the_sums_over_its_gaussians(two_walls, looks) -> None
         logdets.append((np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]).sum() / gaussians.count)
         inverse = np.linalg.inv(before) - np.linalg.inv(after)
         traces.append(np.trace(inverse, axis1=1, axis2=2).sum() / gaussians.count)
-    found = evaluate_features(("popgs_logdet_block_pure", "popgs_cov_trace_block_pure"), context).T
+    found = evaluate_features(("popgs_logdet_block", "popgs_cov_trace_block"), context).T
     assert found[0] == pytest.approx(logdets, rel=1e-4) and found[1] == pytest.approx(traces, rel=1e-3)
     assert found[0, 2] == 0.0 < found[0, 0] < found[0, 1]
     # Correlated parameters tell less than the same ones taken as independent.

@@ -28,7 +28,7 @@ def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndar
     }
 
 
-@pytest.mark.parametrize("name", [name + form for name in NAMES for form in ("", "_pure")])
+@pytest.mark.parametrize("name", [name + form for name in NAMES for form in ("", "_cov")])
 def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
     policy = bound(POLICIES.get(name)())
     assert policy.required_gains == (name,) and name in FEATURES

@@ -144,7 +144,11 @@ def test_without_light_nothing_that_is_learnt_from_changes() -> None:
 def test_layouts_are_lit_where_a_colour_could_be_seen() -> None:
     assert learning_layouts(WorldConfig(), "train", 1) == ("apartment?rooms=1&seed=300000&lit=false",)
     assert learning_layouts(WorldConfig(), "validation", 1) == ("apartment?rooms=1&seed=100000&lit=false",)
-    for seeing in ({"preset": "default"}, {"gains": ("pixel", "fisherrf")}, {"overrides": (("mapper.iterations", 1),)}):
+    for seeing in (
+        {"preset": "default"},
+        {"gains": ("pixel", "fisherrf")},
+        {"overrides": (("mapper.iterations", 1),)},
+    ):
         assert learning_layouts(WorldConfig(**seeing), "train", 1) == ("apartment?rooms=1&seed=300000",)
     assert sees_colour(world_config(WorldConfig(), ("pixel", "rt_guide")))
 

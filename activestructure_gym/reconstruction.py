@@ -120,6 +120,7 @@ class Reconstruction:
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
+        self.stops: list[np.ndarray] = []  # poses where the way of each decision ended
         self.frames = 0
         self.metres = 0.0
         self.decisions = 0
@@ -144,6 +145,7 @@ class Reconstruction:
             motion=self.config.motion,
             distances=self.distances,
             rng=self._planning_rng,
+            stops=np.array(self.stops).reshape(-1, 4, 4),
         )
 
     @property
@@ -179,6 +181,7 @@ class Reconstruction:
                     # Blocked: the volume now knows better, and the same view is not tried a second time.
                     self.pool.drop(int(self.candidates.ids[index]))
             self.pool.mark_visited(self.pose)
+            self.stops.append(self.pose)
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
 

@@ -57,7 +57,7 @@ class GSPlanner(Planner):
     """
 
     decides_by = "unobserved volume behind transmittance, badly rendered surface"
-    source = "Jin et al., GS-Planner, IROS 2024"
+    source = "by the text of Jin et al., GS-Planner, IROS 2024"
     required_gains = ("gs_planner",)
 
     def __init__(self, travel: Travel = "native") -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from itertools import permutations
+from typing import Literal, get_args
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.candidates import Candidates
-from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.greedy import Greedy, Travel
 
-LOCAL_M = 3.0  # metres of path: half the local window of 6 x 6 m
+LOCAL_M = 3.0  # metres from the agent along x and along y: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the global parts
 WORTH = 0.05  # of a view into nothing but unknown space; a part with a better view than that is not done
 _MOST = 6  # parts of a tour that is searched through in full
+Sum = Literal["ranked", "raw"]
 
 
 @POLICIES.register("hgs_planner")
@@ -23,11 +26,23 @@ class HGSPlanner(Greedy):
     A view is worth going to while its G_cov is above `WORTH`. Parts that hold such views are visited in the order of
     the shortest tour, as long as there are any; at last the whole pool is scored by G. Revisits are not in the pool.
     With ``travel=shared`` there are no stages: G times the shared factor over the whole pool.
+
+    Parameters
+    ----------
+    sum
+        ``"ranked"`` makes the two terms comparable, G_cov as a share of the best and G_Q by its rank; ``"raw"`` adds
+        them as the text does, which names no unit.
     """
 
     decides_by = "unseen space through transmittance, Fisher information"
-    source = "Xu et al., HGS-Planner, ICRA 2025"
+    source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
     required_gains = ("hgs_planner", "hgs_coverage")
+
+    def __init__(self, travel: Travel = "native", sum: Sum = "ranked") -> None:
+        super().__init__(travel)
+        if sum not in get_args(Sum):
+            raise InputError(f"option sum must be {' or '.join(get_args(Sum))}, got '{sum}'")
+        self.required_gains = ("hgs_planner" if sum == "ranked" else "hgs_planner_raw", "hgs_coverage")
 
     def act(self, observation: Observation) -> int:
         """The valid row of the present stage with the highest G."""
@@ -35,9 +50,10 @@ class HGSPlanner(Greedy):
         if self.travel == "shared":
             return super().act(observation)
         candidates = self.candidates(observation)
-        gain, coverage, valid = candidates["hgs_planner"], candidates["hgs_coverage"], candidates.valid
+        name = self.required_gains[0]
+        gain, coverage, valid = candidates[name], candidates["hgs_coverage"], candidates.valid
         worth = valid & (coverage > WORTH)
-        near = worth & (candidates.path_length <= LOCAL_M)
+        near = worth & (np.abs(candidates.xyz[:, :2] - observation["pose"][:2]) <= LOCAL_M).all(axis=1)
         if near.any():
             stage, pool = "local", near
         elif worth.any():
@@ -45,7 +61,7 @@ class HGSPlanner(Greedy):
         else:
             stage, pool = "refine", valid
         choice = best_valid(np.where(pool, gain, -np.inf), observation)
-        self._trace = {"stage": stage, "hgs_planner": float(gain[choice]), "hgs_coverage": float(coverage[choice])}
+        self._trace = {"stage": stage, name: float(gain[choice]), "hgs_coverage": float(coverage[choice])}
         return choice
 
 

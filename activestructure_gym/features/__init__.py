@@ -20,7 +20,7 @@ from activestructure_gym.features.deficiency import deficiency
 from activestructure_gym.features.fisherrf import fisherrf
 from activestructure_gym.features.gauss_mi import gauss_mi
 from activestructure_gym.features.gs_planner import gs_planner
-from activestructure_gym.features.hgs_planner import hgs_coverage, hgs_planner
+from activestructure_gym.features.hgs_planner import hgs_coverage, hgs_planner, hgs_planner_raw
 from activestructure_gym.features.hole_area import hole_area
 from activestructure_gym.features.in_horizon import in_horizon
 from activestructure_gym.features.naruto import naruto, naruto_look
@@ -57,6 +57,7 @@ __all__ = [
     "gs_planner",
     "hgs_coverage",
     "hgs_planner",
+    "hgs_planner_raw",
     "hole_area",
     "in_horizon",
     "naruto",

@@ -10,7 +10,7 @@ from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.mapping.gaussian_map import COLOR
 from activestructure_gym.mapping.parts import MapParts
 
-# A view this near to one of the last so many poses gains less, the less the more recent that one is.
+# A view this near to one of the last so many views that were chosen gains less, the less the more recent that one is.
 NEAR_M, NEAR_DEG, REMEMBERED, FEW, FORGETTING = 0.3, 10.0, 100, 5, 0.95
 
 
@@ -33,8 +33,8 @@ def gauss_mi(context: FeatureContext) -> np.ndarray:  # [K]
         rows[COLOR.start, : gaussians.count] = seen_from(pose[:3, 3], rows[:3, : gaussians.count], surprise)
         picture = render(rows, gaussians.count, camera, pose, unseen=parts.unseen(camera, pose)).color
         gains[k] = picture[..., 0].mean(dtype=np.float64)
-    past = np.stack([frame.world_from_camera for frame in context.mapper.keyframes])
-    return gains * revisit_discount(context.world_from_camera, past)
+    chosen = np.zeros((0, 4, 4)) if context.agent is None else context.agent.stops
+    return gains * revisit_discount(context.world_from_camera, chosen)
 
 
 def seen_from(
@@ -52,13 +52,16 @@ def seen_from(
 
 def revisit_discount(
     world_from_camera: np.ndarray,  # [K, 4, 4]
-    past: np.ndarray,  # [T, 4, 4] poses so far, the last one the most recent
+    chosen: np.ndarray,  # [T, 4, 4] views that were chosen, the newest one last
 ) -> np.ndarray:  # [K] in 0..1
-    """1 - .95^k of the k-th most recent pose (k = 1, 2, ...) that a view repeats; 1 without one, or with few poses."""
+    """1 - .95^k of the k-th view chosen before the newest one (k = 1, 2, ...) that a view repeats.
+
+    1 without one, and while few were chosen. The newest one does not count.
+    """
     discount = np.ones(len(world_from_camera))
-    if len(past) <= FEW:
+    if len(chosen) <= FEW:
         return discount
-    for k, pose in enumerate(past[::-1][:REMEMBERED], start=1):
+    for k, pose in enumerate(chosen[-2::-1][:REMEMBERED], start=1):
         distance = np.linalg.norm(world_from_camera[:, :3, 3] - pose[:3, 3], axis=1)
         near = (distance < NEAR_M) & (np.degrees(rotation_angle(world_from_camera, pose)) < NEAR_DEG)
         discount[near] = np.minimum(discount[near], 1.0 - FORGETTING**k)

@@ -10,7 +10,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext, grid_rays
 from activestructure_gym.features.fisherrf import fisherrf
-from activestructure_gym.features.information import ADAPTIVE, adaptive
+from activestructure_gym.features.information import ADAPTIVE, adaptive, observed_share
 from activestructure_gym.features.registry import FEATURES
 
 RANGE = 5.0  # metres of depth that a view looks into (HGS-Planner's sensor)
@@ -21,6 +21,19 @@ _STRIDE = 2  # pixels: neighbours look through the same voxels
 def hgs_planner(context: FeatureContext) -> np.ndarray:  # [K]
     """G = G_cov + lambda_o G_Q: `hgs_coverage` and `fisherrf`, the more of the latter the more is observed."""
     return adaptive(context, context.once(hgs_coverage), context.once(fisherrf))
+
+
+@FEATURES.register("hgs_planner_raw", unit="m^3, plus weighted information", low=0.0)
+def hgs_planner_raw(context: FeatureContext) -> np.ndarray:  # [K]
+    """The same two terms as the text adds them, sums without a common unit.
+
+    V T over the unobserved voxels (m^3) on the rays of all pixels of the scoring camera, and lambda_o times
+    H_c / (H_train + lambda) over all parameters of all Gaussians.
+    """
+    on_ray = min(RANGE, context.max_range) * context.volume.config.voxel_size**2  # m^3 of voxels that a ray meets
+    volume = context.once(hgs_coverage) * on_ray * context.camera.width * context.camera.height
+    information = context.once(fisherrf) * max(1, context.mapper.map.count)
+    return volume + observed_share(context) * information
 
 
 @FEATURES.register("hgs_coverage", unit="share of the rays", low=0.0, high=1.0)

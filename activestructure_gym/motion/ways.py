@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -45,6 +45,7 @@ class Agent:
     motion: MotionConfig
     distances: DistanceMap  # from where it stands
     rng: np.random.Generator  # of the planner of paths; copied before use, so that nothing is drawn from it
+    stops: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # [D, 4, 4] where each decision has ended
 
     def least_frames(self, goals: np.ndarray) -> np.ndarray:  # [n, 4, 4] -> [n]
         """Frames it takes at least to reach each goal; inf where there is no way."""

@@ -27,17 +27,21 @@ class Nodes:
     region: np.ndarray  # [N]
     length: np.ndarray  # [N] metres of way
     here: np.ndarray  # [N] bool: the agent stands there
+    spent: np.ndarray  # [N] bool: it has stopped there before
 
 
 def node_scores(nodes: Nodes, late: bool = False) -> np.ndarray:  # [N] int64
-    """20 unarrived + 10 in horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed, and its late weights."""
+    """20 unarrived + 10 in horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed, and its late weights.
+
+    A node where it stopped before is worth 0, however much is missing there.
+    """
     information, volume = (
         np.ceil(10.0 * values / values.max(initial=1e-12)).astype(np.int64)
         for values in (nodes.information, nodes.volume)
     )
     weights = (LATE_HORIZON, LATE_INFORMATION, LATE_VOLUME) if late else (HORIZON, INFORMATION, VOLUME)
-    score = weights[0] * nodes.horizon + weights[1] * information + weights[2] * volume
-    return score + UNARRIVED * nodes.unarrived + FAILED * nodes.failed
+    score = weights[0] * nodes.horizon + weights[1] * information + weights[2] * volume + UNARRIVED * nodes.unarrived
+    return np.where(nodes.spent, 0, score) + FAILED * nodes.failed
 
 
 def choose_node(nodes: Nodes, scores: np.ndarray, late: np.random.Generator | None = None) -> int:

@@ -48,6 +48,7 @@ class ActiveSplat(Planner):
         self._failed = np.zeros((0, 3))  # metres
         self._stop = np.zeros(0)  # [3] metres, once known: where the agent went last, local views aside
         self._stops = np.zeros((0, 3))  # metres: the earlier ones that had local views
+        self._spent = np.zeros((0, 3))  # metres: all earlier ones
         self._looks = 0  # local views at this stop
         self._idle, self._late = 0, False  # node decisions in a row with nowhere to go; the late weights are in use
 
@@ -96,6 +97,7 @@ class ActiveSplat(Planner):
         choice = int(rows[np.lexsort((length[rows], -show[rows]))[0]])
         if not repeated:
             self._stops = np.vstack([self._stops, self._stop])
+        self._spent = np.vstack([self._spent, self._stop])
         self._stop, self._looks = xyz[choice], 0
         return choice
 
@@ -125,7 +127,11 @@ class ActiveSplat(Planner):
             region=region[first],
             length=np.array([length[r].min() for r in rows]),
             here=np.array([np.minimum(length[r], from_stop[r]).min() <= AT_NODE for r in rows], dtype=bool),
+            spent=np.array([self._is_spent(xyz[r]) for r in rows], dtype=bool),
         )
+
+    def _is_spent(self, positions: np.ndarray) -> bool:  # [n, 3]
+        return bool((np.linalg.norm((positions[:, None] - self._spent)[..., :2], axis=2) <= AT_NODE).any())
 
     def _has_failed(self, positions: np.ndarray) -> bool:  # [n, 3]
         return bool((np.linalg.norm(positions[:, None] - self._failed, axis=2) <= FAILED_M).any())

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from activestructure_gym import Reconstruction, configure, ground_truth_of, load_scene
 from activestructure_gym.features import evaluate_features
-from activestructure_gym.features.gauss_mi import gauss_mi, revisit_discount, seen_from
+from activestructure_gym.features.gauss_mi import FEW, FORGETTING, gauss_mi, revisit_discount, seen_from
 from activestructure_gym.geometry import look_along
 from activestructure_gym.mapping.reliability import direction_shares
 from activestructure_gym.splatting.fisher import view_information
@@ -49,6 +50,20 @@ def test_revisits_by_hand() -> None:
     candidates = np.stack([here, turned, away, back])
     assert revisit_discount(candidates, np.stack([here] * 5)) == pytest.approx([1.0] * 4)  # too few
     past = np.stack([back, here] + [look_along(np.array([0.0, 0.0, 5.0]), np.array([1.0, 0.0, 0.0]))] * 4)
-    assert revisit_discount(candidates, past) == pytest.approx([1 - 0.95**5, 1 - 0.95**5, 1.0, 1 - 0.95**6])
-    long_ago = np.concatenate([past, np.repeat(past[-1:], 96, axis=0)])
+    assert revisit_discount(candidates, past) == pytest.approx([1 - 0.95**4, 1 - 0.95**4, 1.0, 1 - 0.95**5])
+    long_ago = np.concatenate([past, np.repeat(past[-1:], 97, axis=0)])
     assert revisit_discount(candidates, long_ago) == pytest.approx([1.0] * 4)
+    newest = np.concatenate([past[2:], past[2:], candidates[:1]])
+    assert revisit_discount(candidates, newest) == pytest.approx([1.0] * 4)
+
+
+def test_the_memory_counts_views_that_were_chosen_and_no_keyframes_on_the_way() -> None:
+    config = configure("fast", {"frame_budget": 200, "gains": ("gauss_mi",), "keyframe_every": 2})
+    episode = Reconstruction(config)
+    episode.start(ground_truth_of(load_scene("box")), seed=0)
+    while episode.decisions < FEW + 1 and not episode.exhausted:
+        episode.visit(int(np.argmax(np.where(episode.candidates.revisit, -1.0, episode.candidates.path_length))))
+    stops = episode.agent.stops
+    assert len(stops) == episode.decisions == FEW + 1 < len(episode.keyframe_indices)
+    np.testing.assert_array_equal(stops[-1], episode.pose)
+    assert revisit_discount(stops[:1], stops)[0] == pytest.approx(1.0 - FORGETTING**FEW)

@@ -33,6 +33,7 @@ def nodes(count: int = 3, **changes: Any) -> Nodes:
         "region": np.ones(count),
         "length": np.arange(1.0, count + 1.0),
         "here": np.zeros(count, bool),
+        "spent": np.zeros(count, bool),
     }
     return Nodes(**{**values, **{name: np.array(value) for name, value in changes.items()}})
 
@@ -44,6 +45,17 @@ def test_the_score_by_hand() -> None:
     )  # fmt: skip
     # 20 + 2 x 10 + 5; 10 + 2 x ceil(2.5) + 10; 20 - 60
     assert node_scores(known).tolist() == [45, 26, -40]
+
+
+def test_a_node_where_it_stopped_is_worth_nothing() -> None:
+    # In horizon and with all that is missing it would have 40 against 23 of one that nobody was at.
+    known = nodes(
+        2, information=[400.0, 40.0], volume=[4.0, 0.1], unarrived=[False, True], horizon=[True, False],
+        spent=[True, False],
+    )  # fmt: skip
+    assert node_scores(known).tolist() == [0, 23]
+    assert choose_node(known, node_scores(known)) == 1
+    assert node_scores(known, late=True).tolist() == [0, 40]
 
 
 def test_the_late_score_by_hand() -> None:
@@ -162,6 +174,21 @@ def test_it_looks_around_before_it_goes_on_but_not_for_ever() -> None:
     assert modes == ["local"] * LOCAL_VIEWS + ["node", "node"]
     poor = observation([(0.5, 0.0), (3.0, 0.0)], node=[-1, 0], show=[0.9 * LOCAL_DEG2, 0.0], looks=[BACK, AHEAD])
     assert policy().act(poor) == 1
+
+
+def test_it_goes_on_to_where_it_has_not_stopped() -> None:
+    seen = observation(
+        [(2.0, 0.0), (4.0, 0.0), (6.0, 0.0)], node=[0, 1, 2], show=[9.0, 5.0, 5.0], information=[9.0, 1.0, 1.0],
+        visited=[0.0, 2 * UNARRIVED_M, 2 * UNARRIVED_M],
+    )  # fmt: skip
+    seen["candidate_gains"][:, COLUMNS.index("in_horizon")] = [1.0, 0.0, 0.0]
+    made, chosen = policy(), []
+    for _ in range(3):
+        chosen.append(made.act(seen))
+        seen["pose"][:3] = seen["candidates"][chosen[-1], :3]
+        lengths = np.linalg.norm(seen["candidates"][:, :2] - seen["pose"][:2], axis=1)
+        seen["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = lengths
+    assert chosen == [0, 1, 2]  # and not back to the first, whose riches are more
 
 
 def test_local_views_stay_around_the_stop() -> None:

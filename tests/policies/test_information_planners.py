@@ -25,6 +25,7 @@ def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndar
         "candidates": candidates,
         "candidate_gains": np.array(gains, np.float32).reshape(len(gains), -1),
         "action_mask": np.ones(len(gains), np.int8),
+        "pose": np.array([0, 0, 0, 0.5, 0.5, 0.5, 0.5], np.float32),
     }
 
 
@@ -41,7 +42,7 @@ def test_stages_of_hgs_planner() -> None:
     policy = bound(HGSPlanner())
     # G, G_cov: a near view, the best of all far away, a near one without anything unseen.
     gains = [[0.5, 0.1], [0.9, 0.3], [0.7, 0.0]]
-    ways = {"path_length": [2.0, 9.0, 1.0], "x": [1, 9, 1], "y": [1, 1, 1]}
+    ways = {"path_length": [5.0, 9.0, 1.0], "x": [1, 9, 1], "y": [1, 1, 1]}  # near is what is in the window
     assert policy.act(observation(gains, [20, 90, 10], **ways)) == 0
     assert policy.trace()["stage"] == "local"
     gains[0][1] = WORTH  # not above

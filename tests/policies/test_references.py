@@ -108,6 +108,7 @@ def test_a_revisit_is_gone_to_only_where_nothing_else_is_on_offer(name: str, tra
     policy = bound(POLICIES.get(name)(travel))
     row = {"rt_guide": [0.9, 0.5, 4.0]}.get(name, [0.9] * len(columns(policy)))
     better = observation([row, [0.1 * row[0], *row[1:]], row], [0.0, 2.0, 0.0], [1, 1, 0])
+    better["pose"] = np.array([0, 0, 0, 0.5, 0.5, 0.5, 0.5], np.float32)
     assert policy.act(better) == 0
     better["candidates"][0, REVISIT] = 1.0
     policy.reset(0)

@@ -6,10 +6,10 @@ those of a candidate B and d, and everything in units of the median of H,
 - ``popgs_logdet``: log(1 + d / (h + lambda)) (D);
 - ``popgs_cov_trace``: 1 / (h + lambda) - 1 / (h + lambda + d) (textbook A, called T in the paper);
 - ``popgs_info_trace``: d (textbook T, called A in the paper), a negative control;
-- ``popgs_min_eig``: growth of the least entry of each Gaussian (E), a negative control;
+- ``popgs_min_eig``: growth of the least entry of the whole map (E), a negative control;
 - ``popgs_logdet_block``, ``popgs_cov_trace_block``: the same of H + lambda + B, one 6 x 6 block per Gaussian.
 
-Each is summed over the Gaussians. ``NAME`` maximises that, ``NAME_cov`` adds unseen space: G_cov + lambda_o G_Q.
+The others are summed over the Gaussians. ``NAME`` maximises that, ``NAME_cov`` adds unseen space: G_cov + lambda_o G_Q.
 """
 
 from __future__ import annotations
@@ -74,18 +74,18 @@ class InfoTraceCov(Greedy):
 
 @POLICIES.register("popgs_min_eig")
 class MinEig(Greedy):
-    """E-optimality of every Gaussian."""
+    """E-optimality."""
 
-    decides_by = "the worst known parameter of every Gaussian"
+    decides_by = "the worst known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_min_eig",)
 
 
 @POLICIES.register("popgs_min_eig_cov")
 class MinEigCov(Greedy):
-    """E-optimality of every Gaussian and unseen space."""
+    """E-optimality and unseen space."""
 
-    decides_by = "the worst known parameter of every Gaussian, and unseen space"
+    decides_by = "the worst known parameter of the map, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_gains = ("popgs_min_eig_cov",)
 

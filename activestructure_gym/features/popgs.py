@@ -9,7 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
-from activestructure_gym.features.information import diagonal_gain, register_both
+from activestructure_gym.features.information import (
+    LAMBDA,
+    LOG_SCALE,
+    MEAN,
+    diagonal_gain,
+    diagonal_units,
+    informed_views,
+    register_both,
+    trained,
+)
 
 
 @register_both("popgs_logdet")
@@ -31,11 +40,20 @@ def popgs_info_trace(context: FeatureContext) -> np.ndarray:  # [K]
     return diagonal_gain(context, lambda known, seen: seen)
 
 
-@register_both("popgs_min_eig")
+@register_both("popgs_min_eig", unit="of what is known in the median")
 def popgs_min_eig(context: FeatureContext) -> np.ndarray:  # [K]
-    """E-optimality of every Gaussian: sum of the growth of its least informed parameter, min (h + d) - min h.
+    """E-optimality: growth of the least entry of the whole map, min (h + d) - min h.
 
-    The least entry of the whole map, as in the paper, is that of some Gaussian which no candidate sees: the same
-    number for all of them.
+    That entry is of some Gaussian which hardly any candidate sees, so most maps tell no two views apart by it.
     """
-    return diagonal_gain(context, lambda known, seen: (known + seen).min(axis=1) - known.min(axis=1))
+    columns, unit = diagonal_units(context, (MEAN, LOG_SCALE))
+    known = trained(context)[:, columns] / unit + LAMBDA
+    if not len(known):
+        return np.zeros(len(context.world_from_camera))
+    least = known.min(axis=1)  # of each Gaussian
+    found = []
+    for view in informed_views(context):
+        after = least.copy()
+        after[view.indices] = (known[view.indices] + view.numbers[:, columns] / unit).min(axis=1)
+        found.append(after.min() - least.min())
+    return np.array(found)

@@ -84,7 +84,7 @@ def hand_made(monkeypatch):
     The first one's is 4 by mean, 9 by log-scale, 2 by logit and 5 by colour, so these are the units. Two candidates:
     one tells of both one unit by mean and logit, the other one unit of everything.
     """
-    from activestructure_gym.features import information, popgs_block
+    from activestructure_gym.features import information, popgs, popgs_block
     from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation
 
     known = np.zeros((2, 24))
@@ -94,7 +94,7 @@ def hand_made(monkeypatch):
     told[1][:, DIAGONAL[3:]], told[1][:, 22] = 9, 5
     none = np.zeros((1, 1))
     views = [ViewInformation(none, none, none, none, np.arange(2), numbers) for numbers in told]
-    for module in (information, popgs_block):
+    for module in (information, popgs, popgs_block):
         monkeypatch.setattr(module, "informed_views", lambda context: iter(views))
     made = TwoWalls()
     made.mapper = SimpleNamespace(keyframe_information=lambda camera: known)

@@ -22,6 +22,7 @@ A comparison's directory::
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import hashlib
 import json
@@ -80,7 +81,16 @@ class Run:
     @cached_property
     def policy(self) -> str:
         """Short name of the policy as it is called now; a checkpoint's is without its folders."""
-        return policy_label(current_name(self.job.policy, int(self.config.get("format", FORMAT_VERSION))))
+        return policy_label(self._policy_now)
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the job with its policy called as it is now: one for the same job in runs of any format."""
+        return dataclasses.replace(self.job, policy=self._policy_now).hash
+
+    @property
+    def _policy_now(self) -> str:
+        return current_name(self.job.policy, int(self.config.get("format", FORMAT_VERSION)))
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:

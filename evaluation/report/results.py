@@ -169,7 +169,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
         else:
             raise InputError(f"'{directory}' is neither a comparison ({store.COMPARISON}) nor a finished run")
         for run in found:
-            runs.setdefault(run.job.hash, run)
+            runs.setdefault(run.key, run)
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
     labels = scene_labels({run.job.scene: run.job.scene_hash for run in runs.values()})

@@ -30,7 +30,7 @@ def run_trace(run: Run) -> Markup:
         summary=" · ".join(parts),
         timeline=timeline(run),
         table=html_table(trace_table(run)),
-        job=run.job.hash,
+        job=run.key,
         directory=run.directory.name,
     )
 

@@ -22,6 +22,9 @@ USED_KEYS = (
     "candidate_planes",
 )
 
+# Those of them that tell of the Plane Scene Graph.
+PLANE_KEYS = ("plane_features", "plane_mask", "plane_edges", "candidate_planes")
+
 # Least and most of every size: a checkpoint of a stranger must not fill the memory.
 LIMITS = {"planes": (1, 1024), "candidates": (1, 1024), "rounds": (0, 16)}
 MOST_GAINS = 64
@@ -35,6 +38,7 @@ class NetworkConfig:
     planes: int = 32  # channels of a plane
     candidates: int = 48  # channels of a candidate
     rounds: int = 2  # of passing messages between neighbouring planes
+    planes_told: bool = True  # False: the network is shown an empty Plane Scene Graph, for an ablation
 
     def __post_init__(self) -> None:
         gains = self.gains
@@ -49,6 +53,8 @@ class NetworkConfig:
                 raise InputError(
                     f"{name} of the network must be a whole number from {least} to {most}, got {shown(value)}"
                 )
+        if not isinstance(self.planes_told, bool):
+            raise InputError(f"planes_told of the network must be true or false, got {shown(self.planes_told)}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -58,6 +64,7 @@ class NetworkConfig:
     def from_dict(cls, content: Mapping[str, Any]) -> NetworkConfig:
         """The configuration that `as_dict` described; raises `InputError` for anything else."""
         known = {field.name for field in dataclasses.fields(cls)}
-        if not isinstance(content, Mapping) or set(content) != known:
+        # Checkpoints of before the ablation do not say that they are told of planes.
+        if not isinstance(content, Mapping) or set(content) | {"planes_told"} != known:
             raise InputError(f"a network is described by {', '.join(sorted(known))}, got {shown(content)}")
         return cls(**content)

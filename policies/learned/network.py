@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from activestructure_gym.policies.learned import features
-from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
+from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 
 MASKED = -1e8  # the score of a row without a candidate: finite, so that entropies stay finite
 
@@ -60,6 +60,8 @@ class CandidateNetwork(nn.Module):
         The critic only reads what the scorer has learnt to see: its errors do not reach the shared layers, so a
         policy that begins from a copied expert is not bent by a critic that knows nothing yet.
         """
+        if not self.config.planes_told:
+            observation = {**observation, **{key: torch.zeros_like(observation[key]) for key in PLANE_KEYS}}
         valid, present = observation["action_mask"], observation["plane_mask"]
         links = features.plane_links(observation)
         planes = torch.relu(self.plane_in(features.plane_inputs(observation)))

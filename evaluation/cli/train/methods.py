@@ -34,6 +34,8 @@ class Learning(Episodes):
     """Procedural apartments to train on; 240 if not given."""
     gains: Names = ("pixel", "hole_area")
     """What the policy is told about every candidate (see `asg features`)."""
+    planes_told: bool = True
+    """Whether the network sees the Plane Scene Graph; without it, an ablation."""
     noise: bool = True
     """Another sensor noise in every training episode; validation is without."""
     reward: Reward = "rate"

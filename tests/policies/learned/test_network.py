@@ -8,7 +8,7 @@ import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies.learned import features
-from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
+from activestructure_gym.policies.learned.config import PLANE_KEYS, USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import MASKED, CandidateNetwork, as_tensors, masked_pool
 
 
@@ -51,6 +51,24 @@ def test_renumbering_planes_changes_nothing(network, make_observation, rng) -> N
     moved["plane_edges"] = observation["plane_edges"][np.ix_(order, order)]
     moved["candidate_planes"] = observation["candidate_planes"][:, order]
     np.testing.assert_allclose(run(network, moved)[0], run(network, observation)[0], atol=1e-4)
+
+
+def test_without_planes_told_a_scene_with_planes_looks_like_one_without(make_observation) -> None:
+    torch.manual_seed(0)
+    blind = CandidateNetwork(NetworkConfig(planes_told=False))
+    with torch.no_grad():
+        blind.scorer[-1].weight.normal_()
+    sees = CandidateNetwork(NetworkConfig())
+    sees.load_state_dict(blind.state_dict())
+    observation = make_observation(planes=20)
+    bare = observation | {key: np.zeros_like(observation[key]) for key in PLANE_KEYS}
+    np.testing.assert_array_equal(run(blind, observation)[0], run(sees, bare)[0])
+    assert not np.allclose(run(blind, observation)[0], run(sees, observation)[0])
+    described = blind.config.as_dict()
+    assert NetworkConfig.from_dict(described) == blind.config
+    assert NetworkConfig.from_dict({k: v for k, v in described.items() if k != "planes_told"}) == NetworkConfig()
+    with pytest.raises(InputError, match="planes_told"):
+        NetworkConfig(planes_told=1)
 
 
 def test_more_empty_rows_change_nothing(network, make_observation) -> None:

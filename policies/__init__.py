@@ -25,6 +25,7 @@ from activestructure_gym.policies.hgs_planner import HGSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.learned import Learned
 from activestructure_gym.policies.naruto import Naruto
+from activestructure_gym.policies.next_best_sense import NextBestSense, NextBestSenseCov
 from activestructure_gym.policies.pairing import make_env_and_policy
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.popgs import (
@@ -84,6 +85,8 @@ __all__ = [
     "MinEig",
     "MinEigCov",
     "Naruto",
+    "NextBestSense",
+    "NextBestSenseCov",
     "PixelOnly",
     "Planner",
     "Policy",

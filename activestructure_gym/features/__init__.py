@@ -24,6 +24,7 @@ from activestructure_gym.features.hgs_planner import hgs_coverage, hgs_planner, 
 from activestructure_gym.features.hole_area import hole_area
 from activestructure_gym.features.in_horizon import in_horizon
 from activestructure_gym.features.naruto import naruto, naruto_look
+from activestructure_gym.features.next_best_sense import next_best_sense
 from activestructure_gym.features.pixel import pixel
 from activestructure_gym.features.popgs import popgs_cov_trace, popgs_info_trace, popgs_logdet, popgs_min_eig
 from activestructure_gym.features.popgs_block import popgs_cov_trace_block, popgs_logdet_block
@@ -62,6 +63,7 @@ __all__ = [
     "in_horizon",
     "naruto",
     "naruto_look",
+    "next_best_sense",
     "pixel",
     "popgs_cov_trace",
     "popgs_cov_trace_block",

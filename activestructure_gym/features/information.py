@@ -1,9 +1,10 @@
 """Shared parts of the information features: the prior, the candidates' information, the term for unseen space.
 
 H is the information matrix of the map, J^T J summed over pixels and colours (`activestructure_gym.splatting.fisher`):
-H_train of all keyframes, H_c of a candidate, both at the candidates' camera. Metres, logarithms and colours have other
-units, and one prior for all would mean something else in every map: so every entry is counted in units of what is known
-in the median about its kind, and the prior lambda is the same small share of that unit for all.
+H_train of all keyframes, H_c of a candidate, both at the candidates' camera; with ``of_depth`` of the rendered depth.
+Metres, logarithms and colours have other units, and one prior for all would mean something else in every map: so every
+entry is counted in units of what is known in the median about its kind, and the prior lambda is the same small share of
+that unit for all.
 
 Sources: [fisherrf], [popgs]; how large lambda may be: docs/notebook/groundwork.md.
 """
@@ -19,7 +20,7 @@ from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.hole_area import hole_area
 from activestructure_gym.features.registry import FEATURES, Compute, Feature
 from activestructure_gym.mapping.parts import MapParts
-from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, view_information
+from activestructure_gym.splatting.fisher import DIAGONAL, ViewInformation, depth_information, view_information
 
 LAMBDA = 1e-2  # of the unit
 LITTLE = 0.05  # of a view of nothing but unseen space (own choice)
@@ -34,19 +35,35 @@ def trained(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
     return context.mapper.keyframe_information(context.camera)
 
 
+def trained_of_depth(context: FeatureContext) -> np.ndarray:  # [N, 24] float64
+    """H_train of the rendered depth."""
+    return context.mapper.keyframe_information(context.camera, of_depth=True)
+
+
 def units(context: FeatureContext) -> np.ndarray:  # [4]
+    """`median_units` of H_train."""
+    return median_units(trained(context))
+
+
+def units_of_depth(context: FeatureContext) -> np.ndarray:  # [4]
+    """`median_units` of the depth's H_train."""
+    return median_units(trained_of_depth(context))
+
+
+def median_units(known: np.ndarray) -> np.ndarray:  # [N, 24] -> [4]
     """Unit per kind of parameter: median information over the Gaussians that have any; 1 without any.
 
     Of the mean over a Gaussian's entries of that kind: along the thin axis of a disk an entry is next to nothing.
     """
-    known = trained(context)
     entries = [known[:, columns].mean(axis=1) for columns in _COLUMNS]
     return np.array([np.median(entry[entry > 0]) if (entry > 0).any() else 1.0 for entry in entries])
 
 
-def diagonal_units(context: FeatureContext, kinds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
+def diagonal_units(
+    context: FeatureContext, kinds: tuple[int, ...], *, of_depth: bool = False
+) -> tuple[np.ndarray, np.ndarray]:  # [P], [P]
     """Columns of the diagonal entries of these kinds, and the unit of each."""
-    of_kind = context.once(units)
+    of_kind = context.once(units_of_depth if of_depth else units)
     columns = np.concatenate([_COLUMNS[kind] for kind in kinds])
     return columns, np.concatenate([np.full(len(_COLUMNS[kind]), of_kind[kind]) for kind in kinds])
 
@@ -59,18 +76,30 @@ def informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
         yield from view_information(gaussians.parameters, gaussians.count, context.camera, pose, unseen=unseen)
 
 
+def depth_informed_views(context: FeatureContext) -> Iterator[ViewInformation]:
+    """`informed_views` of the rendered depth."""
+    gaussians, parts = context.mapper.map, MapParts(context.mapper.map)
+    for pose in context.world_from_camera:
+        unseen = parts.unseen(context.camera, pose)
+        yield depth_information(gaussians.parameters, gaussians.count, context.camera, pose, unseen=unseen)
+
+
 def diagonal_gain(
     context: FeatureContext,
     criterion: Callable[[np.ndarray, np.ndarray], np.ndarray],
     kinds: tuple[int, ...] = (MEAN, LOG_SCALE),
+    *,
+    of_depth: bool = False,
 ) -> np.ndarray:  # [K]
     """Sum of ``criterion(h + lambda, d)`` over the parameters a candidate informs about, per Gaussian of the map.
 
     h and d [S, P]: diagonals of H_train and H_c in their units. What a candidate does not see must add nothing.
     """
-    columns, unit = diagonal_units(context, kinds)
-    prior = np.ascontiguousarray(trained(context)[:, columns] / unit + LAMBDA)
-    sums = [criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in informed_views(context)]
+    columns, unit = diagonal_units(context, kinds, of_depth=of_depth)
+    known = trained_of_depth(context) if of_depth else trained(context)
+    prior = np.ascontiguousarray(known[:, columns] / unit + LAMBDA)
+    views = depth_informed_views(context) if of_depth else informed_views(context)
+    sums = [criterion(prior[view.indices], view.numbers[:, columns] / unit).sum() for view in views]
     return np.array(sums) / max(1, len(prior))
 
 

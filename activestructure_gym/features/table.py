@@ -28,13 +28,16 @@ def ranges_in_words(feature: Feature) -> str:
 
 
 def feature_table() -> str:
-    """Markdown: the features of this package with their columns, units, ranges and files."""
+    """Markdown: the features of this package with their columns, units, ranges and files.
+
+    ``NAME_cov`` has no row of its own: its file is that of ``NAME``, and all of them have one unit.
+    """
     rows = ["| feature | columns | unit | range | file |", "|---|---|---|---|---|"]
     room = __name__.rpartition(".")[0]
     for name in FEATURES:
         feature = FEATURES.get(name)
         package, _, module = feature.__module__.rpartition(".")
-        if package == room:
+        if package == room and name.removesuffix("_cov") not in set(FEATURES) - {name}:
             words = (columns_in_words(feature), units_in_words(feature), ranges_in_words(feature))
             rows.append(f"| `{name}` | {' | '.join(words)} | `{module}.py` |")
     return "\n".join(rows)

@@ -25,7 +25,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.rows_by_id import RowsById
-from activestructure_gym.splatting.fisher import view_information
+from activestructure_gym.splatting.fisher import depth_information, view_information
 
 COLUMNS = 24  # of `ViewInformation.numbers`: the block's 21, opacity logit, squared weights (colour), weights
 RENDERS = 16  # of keyframes per decision
@@ -48,7 +48,7 @@ class KeyframeInformation:
     """The sum over the keyframes of the first 24 columns of `ViewInformation.numbers`, row by row as the map's columns.
 
     ``camera`` is the one the keyframes are rendered with: that of the candidates, so that both count the same pixels;
-    without it each keyframe's own.
+    without it each keyframe's own. ``of_depth`` asks about the rendered depth (`depth_information`).
     """
 
     def __init__(
@@ -56,11 +56,12 @@ class KeyframeInformation:
         gaussians: GaussianMap,
         *,
         camera: PinholeCamera | None = None,
+        of_depth: bool = False,
         budget_mb: float = BUDGET_MB,
     ) -> None:
         if budget_mb <= 0:
             raise ValueError(f"budget_mb must be above 0, got {budget_mb}")
-        self._map, self._camera, self._budget = gaussians, camera, budget_mb * 1e6
+        self._map, self._camera, self._of_depth, self._budget = gaussians, camera, of_depth, budget_mb * 1e6
         self._sum = RowsById(gaussians, COLUMNS)  # float64, since shares are taken out again
         self._shares: dict[int, _Share] = {}  # by keyframe, the stalest first
         self._bytes = 0
@@ -105,7 +106,10 @@ class KeyframeInformation:
     def _measure(self, index: int, frame: Frame, parts: MapParts | None) -> None:
         camera, pose = self._camera or frame.camera, frame.world_from_camera
         unseen = parts.unseen(camera, pose) if parts else None
-        (seen,) = view_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
+        if self._of_depth:
+            seen = depth_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
+        else:
+            (seen,) = view_information(self._map.parameters, self._map.count, camera, pose, unseen=unseen)
         before = self._shares.pop(index, None)
         if before is not None:
             rows = self._sum.rows_of(before.ids)

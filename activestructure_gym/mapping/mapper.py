@@ -83,8 +83,8 @@ class Mapper:
         self._rng = rng
         self._store = KeyframeStore(border_share=config.overlap_border)
         self._events = 0  # observations and refinements so far
-        self._information: dict[PinholeCamera, KeyframeInformation] = {}
-        self._informed: dict[PinholeCamera, tuple[int, np.ndarray]] = {}  # event, what was found then
+        self._information: dict[tuple[PinholeCamera, bool], KeyframeInformation] = {}
+        self._informed: dict[tuple[PinholeCamera, bool], tuple[int, np.ndarray]] = {}  # event, what was found then
         self._reliability: DirectionalReliability | None = None
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
@@ -191,16 +191,20 @@ class Mapper:
         self._movement = self._movement or Movement(self.map)
         return self._movement.metres()
 
-    def keyframe_information(self, camera: PinholeCamera) -> np.ndarray:  # [N, 24] float64, to be read only
+    def keyframe_information(
+        self, camera: PinholeCamera, *, of_depth: bool = False
+    ) -> np.ndarray:  # [N, 24] float64, to be read only
         """Fisher information of all keyframes about every Gaussian, as seen by ``camera`` (`KeyframeInformation`).
 
         Measured when somebody asks, and at most once between two mapping events: who else asks cannot change it.
         """
-        event, found = self._informed.get(camera, (-1, _NOTHING))
+        asked = camera, of_depth
+        event, found = self._informed.get(asked, (-1, _NOTHING))
         if event != self._events:
-            information = self._information.setdefault(camera, KeyframeInformation(self.map, camera=camera))
-            found = information.update(self.keyframes)
-            self._informed[camera] = self._events, found
+            if asked not in self._information:
+                self._information[asked] = KeyframeInformation(self.map, camera=camera, of_depth=of_depth)
+            found = self._information[asked].update(self.keyframes)
+            self._informed[asked] = self._events, found
         return found
 
     def reliability(self) -> np.ndarray:  # [N, 4] float64 log-odds, to be read only

@@ -103,6 +103,34 @@ def view_information(
     return (_of_view(given, pose, own, values, touch, options) for pose in poses)
 
 
+def depth_information(
+    parameters: np.ndarray,  # [14, capacity] float32, rows as in `cpu`
+    count: int,
+    camera: PinholeCamera,
+    world_from_camera: np.ndarray,  # [4, 4]
+    *,
+    unseen: np.ndarray | None = None,  # [chunks] bool, as in `cpu.render`
+) -> ViewInformation:
+    """`view_information` of one camera about the accumulated depth (sum of weight times depth) instead of the colours.
+
+    Depths take the place of a colour, which is exact for log-scales and opacity. A mean also carries its own depth: the
+    block gets the sum of squared weights times z z^T, z the derivative of the depth by the mean. Left out is the
+    product of the two ways, whose sums nobody keeps: of Gaussians that are whole in the picture it nearly cancels, for
+    its sign is that of the offset from the mean. ``blocks`` and ``logits`` alone mean anything; there are no channels.
+    Source: [next_best_sense], J^T J of the rendered depth.
+    """
+    axis = np.asarray(world_from_camera, dtype=np.float64)[:3, 2]  # of the camera: the derivative of the depth
+    depths = axis @ (parameters[:3, :count] - np.asarray(world_from_camera)[:3, 3:])
+    painted = fitted(parameters).copy()
+    painted[11:] = 0.0
+    painted[11, :count] = depths
+    (seen,) = view_information(painted, count, camera, world_from_camera, unseen=unseen)
+    row, column = np.triu_indices(6)
+    own = np.flatnonzero((row < 3) & (column < 3))
+    seen.blocks[:, own] += seen.colors[:, None] * (axis[row[own]] * axis[column[own]]).astype(np.float32)
+    return seen
+
+
 def _of_view(given, pose, channels, values, touch, options) -> ViewInformation:  # type: ignore[no-untyped-def]
     parameters, count, camera = given
     pooled = PooledWorkspace()

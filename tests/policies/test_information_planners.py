@@ -14,7 +14,7 @@ from activestructure_gym.policies.hgs_planner import WORTH, first_of_tour
 from tests.policies.binding import bound
 
 CRITERIA = ("logdet", "cov_trace", "info_trace", "min_eig", "logdet_block", "cov_trace_block")
-NAMES = ["fisherrf", "gauss_mi", *(f"popgs_{name}" for name in CRITERIA)]
+NAMES = ["fisherrf", "gauss_mi", "next_best_sense", *(f"popgs_{name}" for name in CRITERIA)]
 
 
 def observation(gains: list, frames: list, **features: Any) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ import torch
 from activestructure_gym.evaluation.benchmarks.splatting import make_workload
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import fisher_kernels, layout, render
-from activestructure_gym.splatting.fisher import DIAGONAL, full_blocks, view_information
+from activestructure_gym.splatting.fisher import DIAGONAL, depth_information, full_blocks, view_information
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, project_gaussians, rasterize_reference
 from activestructure_gym.splatting.simd import LANES
 
@@ -91,6 +91,45 @@ def test_blocks_are_those_of_autograd(kind, splats_of, settled):
         assert share(part).max() <= 3e-5 and np.median(share(part)) <= 5e-6
     logits = np.abs(found.logits[sure] / exact[:, 6, 6] - 1.0)
     assert logits.max() <= 3e-5 and np.median(logits) <= 5e-6
+
+
+def depth_jacobians(splats):
+    """Accumulated depth by (mean, log-scale, logit), [H * W, N, 7]: through the weights; by the mean's own depth."""
+    camera_from_world = splats.camera_from_world
+    own_depths = (splats.means @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])[:, 2]
+
+    def of(depths):
+        painted = torch.stack([depths] * 3, dim=1)
+        color, _, _ = rasterize_reference(*splats.tensors[:4], painted, camera_from_world, splats.camera)
+        picture = color[..., 0].reshape(-1)
+        leaves = (splats.means, splats.log_scales, splats.opacity_logits)
+        rows = torch.eye(picture.numel(), dtype=torch.float64)
+        by = torch.autograd.grad(picture, leaves, rows, retain_graph=True, is_grads_batched=True)
+        return torch.cat([by[0], by[1], by[2][..., None]], dim=-1).numpy()
+
+    whole, through_weights = of(own_depths), of(own_depths.detach())
+    return through_weights, whole - through_weights
+
+
+@pytest.mark.parametrize("kind", ["random", "border", "flat", "large"])
+def test_depth_blocks_are_those_of_autograd_but_for_the_product_of_the_two_ways(kind, splats_of, settled):
+    splats = few(splats_of, kind)
+    count = splats.means.shape[0]
+    parameters = splats.parameters(capacity=count + 5)
+    found = depth_information(parameters, count, splats.camera, splats.world_from_camera)
+    weight, _ = all_weights(splats)
+    sure = sure_of(splats, settled, weight)[found.indices]
+    through, own = (by[:, found.indices][:, sure] for by in depth_jacobians(splats))
+    exact = np.einsum("pni,pnj->nij", through, through) + np.einsum("pni,pnj->nij", own, own)
+    error = full_blocks(found.blocks)[sure] - exact[:, :6, :6]
+    for part in (slice(3), slice(3, 6)):
+        sizes = [np.linalg.norm(array[:, part, part], axis=(1, 2)) for array in (error, exact)]
+        assert (sizes[0] <= 1e-4 * sizes[1] + 1e-9).all()
+    logits = exact[:, 6, 6]
+    assert np.abs(found.logits[sure] - logits).max() <= 1e-4 * logits.max()
+    # What is left out, of the whole: the trace of the mean's block over all Gaussians.
+    whole = ((through + own)[..., :3] ** 2).sum()
+    assert np.trace(exact[:, :3, :3], axis1=1, axis2=2).sum() == pytest.approx(whole, rel=0.15)
 
 
 @pytest.mark.parametrize("kind", ["random", "behind", "border", "clamped", "pixel"])

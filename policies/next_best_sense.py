@@ -1,0 +1,24 @@
+"""Next Best Sense as a policy ([next_best_sense])."""
+
+from __future__ import annotations
+
+from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.greedy import Greedy
+
+
+@POLICIES.register("next_best_sense")
+class NextBestSense(Greedy):
+    """argmax .1 I_colour + I_depth and nothing else: the published selector of views."""
+
+    decides_by = "information of a view, above all of its depth, over that of all keyframes"
+    source = "Strong et al., Next Best Sense, ICRA 2025"
+    required_gains = ("next_best_sense",)
+
+
+@POLICIES.register("next_best_sense_cov")
+class NextBestSenseCov(Greedy):
+    """argmax G_cov + lambda_o G_Q with G_Q = .1 I_colour + I_depth; no travel term, like its selector."""
+
+    decides_by = "information of a view, above all of its depth, and unseen space"
+    source = "this project, with the gain of Strong et al., Next Best Sense, ICRA 2025"
+    required_gains = ("next_best_sense_cov",)

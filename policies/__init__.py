@@ -16,7 +16,7 @@ from activestructure_gym.policies.activestructure import (
 from activestructure_gym.policies.anm_s import AnmS
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
 from activestructure_gym.policies.candidates import Candidates
-from activestructure_gym.policies.fisherrf import FisherRF, FisherRFCov
+from activestructure_gym.policies.fisherrf import FisherRF, FisherRFCov, FisherRFPath
 from activestructure_gym.policies.frontier import Frontier
 from activestructure_gym.policies.gauss_mi import GaussMI, GaussMICov
 from activestructure_gym.policies.greedy import Greedy, Planner
@@ -68,6 +68,7 @@ __all__ = [
     "CovTraceCov",
     "FisherRF",
     "FisherRFCov",
+    "FisherRFPath",
     "Frontier",
     "GSPlanner",
     "GaussMI",

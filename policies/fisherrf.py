@@ -25,3 +25,15 @@ class FisherRFCov(Greedy):
     decides_by = "information of a view over that of all keyframes, and unseen space"
     source = "this project, with the gain of Jiang et al., FisherRF, ECCV 2024"
     required_gains = ("fisherrf_cov",)
+
+
+@POLICIES.register("fisherrf_path")
+class FisherRFPath(Greedy):
+    """argmax of the information on the way and at its end: the closed loop of the published active mapping.
+
+    The feature `fisherrf_path`, formula and source there: the 20 most informative views by themselves, then their ways.
+    """
+
+    decides_by = "information of a view and, each look counted as known to the next, of the way there"
+    source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
+    required_gains = ("fisherrf_path",)

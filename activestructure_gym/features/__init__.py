@@ -18,6 +18,7 @@ from activestructure_gym.features.confidence import confidence
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.deficiency import deficiency
 from activestructure_gym.features.fisherrf import fisherrf
+from activestructure_gym.features.fisherrf_path import fisherrf_path
 from activestructure_gym.features.gauss_mi import gauss_mi
 from activestructure_gym.features.gs_planner import gs_planner
 from activestructure_gym.features.hgs_planner import hgs_coverage, hgs_planner, hgs_planner_raw
@@ -53,6 +54,7 @@ __all__ = [
     "deficiency",
     "evaluate_features",
     "fisherrf",
+    "fisherrf_path",
     "floor_graph",
     "gauss_mi",
     "gs_planner",

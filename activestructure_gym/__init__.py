@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from activestructure_gym.policies import POLICIES, Policy, make_env_and_policy, make_policy
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import SCENES, Scene, load_scene
+    from activestructure_gym.sources import SOURCES, Source
     from activestructure_gym.splatting.api import rasterize
 
 _PLACES = {
@@ -55,6 +56,7 @@ _PLACES = {
     "policies": ("POLICIES", "Policy", "make_env_and_policy", "make_policy"),
     "reconstruction": ("Reconstruction",),
     "scenes": ("SCENES", "Scene", "load_scene"),
+    "sources": ("SOURCES", "Source"),
     "splatting.api": ("rasterize",),
 }
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}
@@ -64,6 +66,7 @@ __all__ = [
     "FEATURES",
     "POLICIES",
     "SCENES",
+    "SOURCES",
     "FeatureContext",
     "Frame",
     "GaussianMap",
@@ -78,6 +81,7 @@ __all__ = [
     "ReconstructionConfig",
     "ReconstructionEnv",
     "Scene",
+    "Source",
     "__version__",
     "compare",
     "configure",

@@ -17,6 +17,7 @@ from activestructure_gym.motion import MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sensors import SensorConfig
+from activestructure_gym.sources import make_stages
 from activestructure_gym.views import ViewConfig
 from activestructure_gym.volume import VolumeConfig
 
@@ -56,6 +57,7 @@ class ReconstructionConfig:
                 "common divisor"
             )
         object.__setattr__(self, "gains", column_names(self.gains))
+        make_stages(self.views.stages, self.views.max_candidates)
 
 
 Preset = Literal["fast", "default", "full", "paper"]

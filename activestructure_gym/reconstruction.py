@@ -26,6 +26,7 @@ from activestructure_gym.motion import Agent, DistanceMap, first_blocked, interp
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
+from activestructure_gym.sources import SourceContext, make_stages, offer, random_of
 from activestructure_gym.splatting.rasterizers import rasterizer
 from activestructure_gym.views import CandidatePool, CandidateTable
 from activestructure_gym.volume import VoxelVolume
@@ -76,6 +77,7 @@ class Reconstruction:
             max(1, round(config.sensor.width * config.views.scoring_scale)),
             max(1, round(config.sensor.height * config.views.scoring_scale)),
         )
+        self._sources = make_stages(config.views.stages, config.views.max_candidates)
 
     def start(self, truth: GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
         """Begin an episode in ``truth.scene`` and return its first keyframe.
@@ -87,7 +89,7 @@ class Reconstruction:
         """
         config, scene = self.config, truth.scene
         # One child per consumer: a policy's choices cannot shift the noise, nor the noise the paths.
-        choice, noise, mapping, planning, pool = np.random.SeedSequence(seed).spawn(5)
+        choice, noise, mapping, planning, pool, sources = np.random.SeedSequence(seed).spawn(6)
         if start_pose is None:
             poses = truth.free_space.start_poses
             start_pose = poses[np.random.default_rng(choice).integers(len(poses))]
@@ -117,6 +119,10 @@ class Reconstruction:
             clearance_m=config.motion.candidate_clearance,
         )
         self._planning_rng = np.random.default_rng(planning)
+        self._sources_seed = int(sources.generate_state(1)[0])
+        self.stage = 0  # of ``views.stages``
+        self.finished = False  # whether a row was chosen that ends the episode
+        self._offered = {0}  # stages that were on since a frame was last paid
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
@@ -161,17 +167,31 @@ class Reconstruction:
     def visit(self, index: int) -> Visit:
         """Walk to candidate ``index`` of the current table and map on the way.
 
+        A row may say something else: stay and optimise, look at a point on the way, end the episode, or offer another
+        stage, which costs no frame.
+
         An index beyond the table, and a view to which no path is found, cost one frame and leave the agent in place;
         the unreachable view leaves the pool. A path that newly seen space blocks ends before the obstacle.
         """
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres
         reached, keyframes = False, list[Frame]()
-        if not 0 <= index < len(self.candidates):
+        table = self.candidates
+        if not 0 <= index < len(table):
             self.frames += 1
+        elif table.ask[index] >= 0:
+            self.stage = int(table.ask[index])
+            self._offered.add(self.stage)
+            self._offer()
+            return Visit(True, 0, 0.0, ())
+        elif table.ends[index]:
+            reached = self.finished = True
+        elif table.stay[index]:
+            reached = self._stay(int(table.stay[index]))
+            self.stops.append(self.pose)
         else:
-            goal = self.candidates.world_from_camera[index]
-            poses = self._plan(goal)
+            point = table.look_at[index]
+            poses = self._plan(table.world_from_camera[index], None if np.isnan(point).any() else point)
             if poses is None:
                 self.pool.drop(int(self.candidates.ids[index]))
                 self.frames += 1
@@ -182,10 +202,12 @@ class Reconstruction:
                     self.pool.drop(int(self.candidates.ids[index]))
             self.pool.mark_visited(self.pose)
             self.stops.append(self.pose)
+        if self.frames > frames_before:
+            self._offered = {self.stage}
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
 
-    def _plan(self, goal: np.ndarray) -> np.ndarray | None:  # [T, 4, 4]
+    def _plan(self, goal: np.ndarray, look_at: np.ndarray | None) -> np.ndarray | None:  # [T, 4, 4]
         motion = self.config.motion
         with self._timed("planning"):
             path = plan_path(
@@ -196,7 +218,20 @@ class Reconstruction:
                 rng=self._planning_rng,
                 distances=self.distances,
             )
-            return None if path is None else interpolate(path, self.pose, goal, motion)
+            return None if path is None else interpolate(path, self.pose, goal, motion, look_at=look_at)
+
+    def _stay(self, rounds: int) -> bool:
+        """Optimise over all keyframes, in place, as long as the budget reaches; whether it reached for all rounds.
+
+        A frame has the share of the mapper's iterations that it has on a way.
+        """
+        wanted = rounds * self.config.keyframe_every
+        frames = min(wanted, self.config.frame_budget - self.frames)
+        self.trajectory += [self.pose] * frames
+        self.frames += frames
+        with self._timed("mapping"):
+            self.mapper.refine(round(self.config.mapper.iterations * frames / self.config.keyframe_every))
+        return frames == wanted
 
     def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
         """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached.
@@ -267,11 +302,43 @@ class Reconstruction:
             self.distances: DistanceMap = path_lengths(
                 self.volume, self.pose[:3, 3], min_clearance=config.motion.min_clearance
             )
-            self.candidates = self.pool.offer(self.volume, self.distances, self.decisions, self._revisits())
         with self._timed("planes"):
             live = self.mapper.map.parameters[:, : self.mapper.map.count]
             points = MapPoints.from_log_scales(live[MEAN], live[LOG_SCALE])
             self.planes.assess(space_state=self.volume.state_at, map_points=points)
+        self._offer()
+
+    def _offer(self) -> None:
+        """The table of the stage that is on, and its features; rows that ask for another stage have none."""
+        config = self.config
+        with self._timed("planning"):
+            revisits, agent = self._revisits(), self.agent
+
+            def context_of(name: str, room: int) -> SourceContext:
+                return SourceContext(
+                    mapper=self.mapper,
+                    volume=self.volume,
+                    planes=self.planes,
+                    camera=self.scoring_camera,
+                    bounds=self.scene.bounds,
+                    max_range=config.sensor.max_range,
+                    agent=agent,
+                    start=self.trajectory[0][:3, 3],
+                    clearance_m=config.motion.candidate_clearance,
+                    decision=self.decisions,
+                    pool=self.pool,
+                    revisits=revisits,
+                    room=room,
+                    rng=random_of(self._sources_seed, self.decisions, name),
+                )
+
+            self.candidates = offer(
+                config.views.stages[self.stage],
+                self._sources,
+                context_of,
+                rows=config.views.max_candidates,
+                asks=[stage for stage in range(len(config.views.stages)) if stage not in self._offered],
+            )
         with self._timed("gains"):
             context = FeatureContext(
                 mapper=self.mapper,
@@ -281,11 +348,12 @@ class Reconstruction:
                 bounds=self.scene.bounds,
                 coverage_alpha=config.views.coverage_alpha,
                 max_range=config.sensor.max_range,
-                world_from_camera=self.candidates.world_from_camera,
-                agent=self.agent,
+                world_from_camera=self.candidates.world_from_camera[: self.candidates.views],
+                agent=agent,
             )
-            self.gains = evaluate_features(config.gains, context)
-            self.visible = context.visible
+            asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
+            self.gains = np.pad(evaluate_features(config.gains, context), asks)
+            self.visible = np.pad(context.visible, asks)
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
         """Keyframe poses, worst rendered first."""

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from activestructure_gym.sensors import Frame
 
 CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length", "frames", "revisit")
+# Columns that follow where `ViewConfig.stages` names more than the shared pool, behind one for every source and every
+# stage; see `row_columns`.
+HOOK_FEATURES = ("stay", "fixates", "at_x", "at_y", "at_z")
 FARTHEST_M = 1000.0  # bound of every position and length in the observation
 LARGEST_GAIN = 1e6  # bound of every feature
 LARGEST_BYTES = (
@@ -31,6 +34,20 @@ LARGEST_BYTES = (
 def candidate_columns(*names: str) -> list[int]:
     """Columns of ``observation["candidates"]`` by name (`CANDIDATE_FEATURES`)."""
     return [CANDIDATE_FEATURES.index(name) for name in names]
+
+
+def row_columns(stages: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Names of the columns of ``observation["candidates"]`` with these stages.
+
+    ``from_<source>`` is 1 for the rows of that source and ``ask_<stage>`` for the row that asks for that stage, counted
+    from 0; ``stay`` the rounds of optimisation in place; ``fixates`` 1 where a point is looked at on the way, which
+    stands in ``at_x``, ``at_y``, ``at_z``. The shared pool alone has none of them.
+    """
+    if tuple(map(tuple, stages)) == (("pool",),):
+        return CANDIDATE_FEATURES
+    sources = tuple(dict.fromkeys(f"from_{name}" for stage in stages for name in stage))
+    asks = tuple(f"ask_{stage}" for stage in range(len(stages))) if len(stages) > 1 else ()
+    return (*CANDIDATE_FEATURES, *sources, *asks, *HOOK_FEATURES)
 
 
 def feature_columns(*names: str) -> tuple[str, ...]:
@@ -73,7 +90,7 @@ def gain_names(source: Any) -> tuple[str, ...]:
     """
     if isinstance(source, list | tuple) and all(isinstance(name, str) for name in source):
         return tuple(source)
-    space = getattr(source, "single_observation_space", getattr(source, "observation_space", source))
+    space = _space_of(source)
     table = space.spaces.get("candidate_gains") if isinstance(space, spaces.Dict) else space
     if isinstance(table, Table):
         return table.names
@@ -86,6 +103,17 @@ def gain_names(source: Any) -> tuple[str, ...]:
         f"which features stand in which column is told by an env, by its observation space or by a list of their names "
         f"as in info['gains'], got {shown(source)}"
     )
+
+
+def row_names(source: Any) -> tuple[str, ...]:
+    """Names of the columns of ``observation["candidates"]`` where ``source`` tells them; else the shared pool's."""
+    space = _space_of(source)
+    table = space.spaces.get("candidates") if isinstance(space, spaces.Dict) else None
+    return table.names if isinstance(table, Table) else CANDIDATE_FEATURES
+
+
+def _space_of(source: Any) -> Any:
+    return getattr(source, "single_observation_space", getattr(source, "observation_space", source))
 
 
 @dataclass(frozen=True)
@@ -121,8 +149,11 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     height, width = config.sensor.height, config.sensor.width
     K, G, P, F = config.views.max_candidates, len(config.gains), max_planes, len(PLANE_FEATURES)
     far = FARTHEST_M
-    columns_low = np.array([-far, -far, -far, -1, -1, -1, 0, 0, 0], np.float32)
-    columns_high = np.array([far, far, far, 1, 1, 1, far, 10 * far, 1], np.float32)
+    columns = row_columns(config.views.stages)
+    known = dict.fromkeys(("x", "y", "z", "at_x", "at_y", "at_z"), (-far, far))
+    known |= dict.fromkeys(("look_x", "look_y", "look_z"), (-1.0, 1.0))
+    known |= {"path_length": (0.0, far), "frames": (0.0, 10 * far), "stay": (0.0, far)}
+    bounds = np.array([known.get(name, (0.0, 1.0)) for name in columns], np.float32)
     f32, u8, i8 = np.float32, np.uint8, np.int8
     return {
         "rgb": Key((height, width, 3), u8, 0, 255, "sRGB", "colour image of the last keyframe"),
@@ -130,13 +161,13 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
         "pose": Key((7,), f32, [-far] * 3 + [-1] * 4, [far] * 3 + [1] * 4, "m, -", "world_from_camera: position, wxyz"),
         "budget": Key((1,), f32, 0, 1, "share", "frames left of the budget"),
         "candidates": Key(
-            (K, len(columns_low)),
+            (K, len(columns)),
             f32,
-            columns_low,
-            columns_high,
+            bounds[:, 0],
+            bounds[:, 1],
             "m",
-            ", ".join(CANDIDATE_FEATURES),
-            CANDIDATE_FEATURES,
+            ", ".join(columns),
+            columns,
         ),
         "candidate_gains": Key(
             (K, G), f32, -LARGEST_GAIN, LARGEST_GAIN, "-", "the features asked for, a column each or more", config.gains
@@ -192,13 +223,16 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
 
     config, table = reconstruction.config, reconstruction.candidates
     size, count = config.views.max_candidates, len(table)
-    candidates = np.zeros((size, len(CANDIDATE_FEATURES)), np.float32)
+    columns = row_columns(config.views.stages)
+    candidates = np.zeros((size, len(columns)), np.float32)
     candidates[:count, 0:3] = np.clip(table.world_from_camera[:, :3, 3], -FARTHEST_M, FARTHEST_M)
     candidates[:count, 3:6] = np.clip(table.world_from_camera[:, :3, 2], -1.0, 1.0)
     candidates[:count, 6] = np.minimum(table.path_length, FARTHEST_M)
     frames = least_frames(reconstruction.pose, table.world_from_camera, table.path_length, config.motion)
     candidates[:count, 7] = np.minimum(frames, 10 * FARTHEST_M)
     candidates[:count, 8] = table.revisit
+    if columns != CANDIDATE_FEATURES:
+        _fill_hooks(candidates[:count], columns, reconstruction)
     gains = np.zeros((size, len(config.gains)), np.float32)
     gains[:count] = np.clip(reconstruction.gains, -LARGEST_GAIN, LARGEST_GAIN)
     mask = np.zeros(size, np.int8)
@@ -228,3 +262,23 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
         "plane_tree": planes.tree,
         "candidate_planes": seen,
     }
+
+
+def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reconstruction) -> None:
+    """Write what only rows of other sources than the shared pool have."""
+    table, config = reconstruction.candidates, reconstruction.config
+    at = {name: place for place, name in enumerate(columns)}
+    for place, name in enumerate(dict.fromkeys(name for stage in config.views.stages for name in stage)):
+        rows[:, at[f"from_{name}"]] = (table.source == place) & (table.ask < 0)
+    for stage in range(len(config.views.stages)):
+        if f"ask_{stage}" in at:
+            rows[:, at[f"ask_{stage}"]] = table.ask == stage
+    fixates = ~np.isnan(table.look_at).any(axis=1)
+    rows[:, at["stay"]] = table.stay
+    rows[:, at["fixates"]] = fixates
+    rows[:, at["at_x"] : at["at_z"] + 1] = np.where(
+        fixates[:, None], np.clip(np.nan_to_num(table.look_at), -FARTHEST_M, FARTHEST_M), 0.0
+    )
+    # What costs another number of frames than a way.
+    rows[table.stay > 0, at["frames"]] = table.stay[table.stay > 0] * config.keyframe_every
+    rows[table.ends | (table.ask >= 0), at["frames"]] = 0.0

@@ -68,7 +68,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     ## Episode End
     1. Termination: the observed share of the surface reaches `coverage_target` (`info["is_success"]` is True).
-    2. Termination: no candidate is left.
+    2. Termination: no candidate is left, or a row was chosen that ends the episode (source `finish`).
     3. Truncation: the frame budget is used up.
 
     ## Arguments
@@ -204,7 +204,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             metres=visit.metres,
             invalid=invalid,
         )
-        terminated = self._covered or not len(episode.candidates)
+        terminated = self._covered or episode.finished or not len(episode.candidates)
         truncated = episode.exhausted
         self._ended = terminated or truncated
         info = self._info(terms, reached=visit.reached, invalid=invalid)

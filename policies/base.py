@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from activestructure_gym.envs.observation import feature_columns, gain_names
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, feature_columns, gain_names, row_names
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
 from activestructure_gym.registry import Registry
@@ -32,6 +32,7 @@ class Policy(ABC):
     # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.
     required_gains: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # of the features in the observation, once they are known
+    _rows: tuple[str, ...] = CANDIDATE_FEATURES  # columns of the candidate table
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
@@ -47,7 +48,7 @@ class Policy(ABC):
                 f"{type(self).__name__} needs the features {listed(missing)}, and the env offers {listed(names)}: make "
                 "the env with them in gains=..., or both at once with env, policy = make_env_and_policy(...)"
             )
-        self._columns = names
+        self._columns, self._rows = names, row_names(source)
 
     def reset(self, seed: int) -> None:
         """Begin an episode; every random choice of the policy comes from this seed."""
@@ -63,7 +64,7 @@ class Policy(ABC):
 
     def candidates(self, observation: Observation) -> Candidates:
         """The candidates by name, and their features where the policy is bound to the env that made the observation."""
-        return Candidates(observation, self._columns, type(self).__name__)
+        return Candidates(observation, self._columns, type(self).__name__, self._rows)
 
 
 def gains_of(policy: Policy) -> tuple[str, ...]:

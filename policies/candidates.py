@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from activestructure_gym.envs.observation import candidate_columns, feature_columns
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, candidate_columns, feature_columns
 from activestructure_gym.errors import InputError
 
 Observation = dict[str, np.ndarray]
@@ -27,6 +27,8 @@ class Candidates:
         them there are no features to be read.
     reader : str
         Who reads, for the errors.
+    rows : sequence of str
+        Names of the columns of ``candidates``: ``env.observation_space["candidates"].names``.
 
     Examples
     --------
@@ -38,9 +40,13 @@ class Candidates:
     """
 
     def __init__(
-        self, observation: Mapping[str, np.ndarray], columns: Sequence[str] | None = None, reader: str = "this policy"
+        self,
+        observation: Mapping[str, np.ndarray],
+        columns: Sequence[str] | None = None,
+        reader: str = "this policy",
+        rows: Sequence[str] = CANDIDATE_FEATURES,
     ) -> None:
-        self._observation, self._columns, self._reader = observation, columns, reader
+        self._observation, self._columns, self._reader, self._rows = observation, columns, reader, rows
 
     def __len__(self) -> int:
         return len(self._observation["action_mask"])
@@ -75,6 +81,42 @@ class Candidates:
         """Which rows hold a candidate."""
         return self._observation["action_mask"].astype(bool)
 
+    def offers(self, source: str) -> bool:
+        """Whether the environment has this candidate source, at any stage: ``"stay"``, ``"lattice?spacing_m=1"``."""
+        return f"from_{source}" in self._rows or (source == "pool" and tuple(self._rows) == CANDIDATE_FEATURES)
+
+    def source(self, name: str) -> np.ndarray:  # [K] bool
+        """Which rows come from this candidate source. Raises `InputError` if the environment does not have it."""
+        if not self.offers(name):
+            known = [column.removeprefix("from_") for column in self._rows if column.startswith("from_")] or ["pool"]
+            raise InputError(
+                f"{self._reader} asks for the candidate source '{name}', and the env it is bound to offers "
+                f"{listed(known)}: name it in views.stages of the configuration"
+            )
+        return self._row(f"from_{name}") > 0 if f"from_{name}" in self._rows else self.valid
+
+    def ask(self, stage: int) -> int | None:
+        """The row that asks for another stage; None where that stage is on or was on since a frame was paid."""
+        column = f"ask_{stage}"
+        rows = np.nonzero(self._row(column) > 0)[0] if column in self._rows else np.zeros(0, int)
+        return int(rows[0]) if len(rows) else None
+
+    @property
+    def stay(self) -> np.ndarray:  # [K]
+        """Rounds of optimisation in place instead of a way; 0 for a way."""
+        return self._row("stay") if "stay" in self._rows else np.zeros(len(self), np.float32)
+
+    @property
+    def looks_at(self) -> np.ndarray:  # [K, 3]
+        """Metres: the point that the camera keeps in its axis on the way; NaN where there is none."""
+        if "fixates" not in self._rows:
+            return np.full((len(self), 3), np.nan, np.float32)
+        points = np.stack([self._row(f"at_{axis}") for axis in "xyz"], axis=-1)
+        return np.where(self._row("fixates")[:, None] > 0, points, np.float32(np.nan))
+
+    def _row(self, column: str) -> np.ndarray:  # [K]
+        return self._table[:, list(self._rows).index(column)]
+
     def __getitem__(self, column: str) -> np.ndarray:  # [K]
         """The column of this full name, such as ``"hole_area"`` or ``"gs_planner_volume"``.
 
@@ -87,7 +129,7 @@ class Candidates:
         return self._columns_of(name, None)
 
     @property
-    def _table(self) -> np.ndarray:  # [K, 9]
+    def _table(self) -> np.ndarray:  # [K, 9 and more]
         return self._observation["candidates"]
 
     def _columns_of(self, asked: str, names: tuple[str, ...] | None) -> np.ndarray:  # [K, C]

@@ -14,6 +14,7 @@ import pytest
 from activestructure_gym.features import FEATURES
 from activestructure_gym.features.table import feature_table
 from activestructure_gym.policies import POLICIES, make_env_and_policy
+from activestructure_gym.sources import SOURCES
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -62,6 +63,28 @@ def test_third_party_policy_feature_and_scene_work_together(plugins: Path) -> No
         if terminated or truncated:
             break
     assert info["metres"] > 0 or info["keyframes"] > 1
+
+
+def test_an_own_candidate_source_is_one_short_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, use = blocks("docs/guide/own_source.md")
+    assert sum(bool(line.strip()) for line in source.splitlines()) < 20
+    (tmp_path / "my_source.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    shown: dict[str, Any] = {}
+    try:
+        exec(compile(use, "own_source.md", "exec"), shown)
+        env = shown["env"]
+        env.reset(seed=0)
+        episode = env.reconstruction
+        ahead = np.nonzero(episode.candidates.source == 1)[0][1]  # the first one is where it stands
+        towards = episode.candidates.world_from_camera[ahead, :3, 3] - episode.pose[:3, 3]
+        steps = towards @ episode.pose[:3, 2] / 0.3
+        np.testing.assert_allclose(towards, round(steps) * 0.3 * episode.pose[:3, 2], atol=1e-9)
+        *_, info = env.step(int(ahead))
+        assert info["reached"] and info["metres"] == pytest.approx(0.3 * steps)
+    finally:
+        SOURCES._entries.pop("ahead", None)
+        sys.modules.pop("my_source", None)
 
 
 def test_a_planner_with_a_feature_of_its_own_is_one_file(plugins: Path) -> None:

@@ -31,6 +31,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("planes",),
     ("views",),
     ("features",),
+    ("sources",),
     ("config",),
     ("reconstruction",),
     ("compile_ahead",),

@@ -13,6 +13,7 @@ from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
 _ROLL_TOLERANCE = 1e-5
+_NEAREST_M = 1e-3  # of a point that is looked at
 
 _RANGES = {
     "max_step_m": "[0.001, 100]",
@@ -59,12 +60,17 @@ def interpolate(
     start_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
     goal_pose: np.ndarray,  # [4, 4] world_from_camera, without roll
     config: MotionConfig | None = None,
+    *,
+    look_at: np.ndarray | None = None,  # [3] metres, world: what the camera looks at on the way
 ) -> np.ndarray:  # [T, 4, 4] world_from_camera, T >= 1: without the start, the last one is the goal
     """One pose per frame, each at most a step and a turn from the one before; all positions lie on the path.
 
     The number of frames is the smallest one possible: that of the steps, or of the turns where those take longer (then
     half of the waiting is done at the start, half at the end, as in ActiveGAMER). Within that number the camera looks
     along the motion as much as it can on paths longer than ``look_ahead_above``; on short ones it turns evenly.
+
+    With a point to look at, the camera turns to it before the first step, keeps it in its axis, waiting where the point
+    passes by faster than it can turn, and turns to the goal's own direction at the goal: more frames than the least.
     """
     config = config or MotionConfig()
     path = np.asarray(path, dtype=np.float64)
@@ -76,6 +82,11 @@ def interpolate(
     start_angles, goal_angles = yaw_pitch(start_pose), yaw_pitch(goal_pose)
 
     positions, headings = _along(path, config.max_step_m)
+    if look_at is not None:
+        positions, angles = _fixating(np.vstack([path[:1], positions]), start_angles, goal_angles, look_at, most)
+        poses = poses_at(positions, angles[:, 0], angles[:, 1])
+        poses[-1] = goal_pose
+        return poses
     turns = int(np.ceil(np.linalg.norm(_difference(goal_angles, start_angles)) / most - 1e-9))
     waiting = max(turns - len(positions), 0 if len(positions) else 1)
     before = waiting // 2
@@ -159,6 +170,40 @@ def _along(path: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
         positions.append(first * (1 - shares) + second * shares)
         headings.append(np.tile((second - first) / length, (count, 1)))
     return np.vstack(positions), np.vstack(headings)
+
+
+def _fixating(
+    places: np.ndarray,  # [M, 3] the start and then a step each
+    start: np.ndarray,
+    goal: np.ndarray,
+    point: np.ndarray,  # [3]
+    most: float,  # radians per frame
+) -> tuple[np.ndarray, np.ndarray]:  # [T, 3], [T, 2]
+    """Places and angles of a walk that waits where the point passes by faster than the camera turns."""
+    towards = np.asarray(point, dtype=np.float64) - places
+    level = np.hypot(towards[:, 0], towards[:, 1])
+    wanted = np.stack([np.arctan2(towards[:, 1], towards[:, 0]), np.arctan2(towards[:, 2], level)], axis=-1)
+    for n in np.nonzero(np.linalg.norm(towards, axis=1) < _NEAREST_M)[0].tolist():  # there is no direction to it
+        wanted[n] = wanted[n - 1] if n else start
+    wanted[level < _NEAREST_M, 0] = start[0]  # right above or below it every yaw looks at it
+    moves, angles, here = list[np.ndarray](), list[np.ndarray](), start
+
+    def turn(aim: np.ndarray, before: int, after: int) -> None:
+        """Turn to ``aim`` at the place ``before``; the last of the turns is made with the step to ``after``."""
+        nonlocal here
+        waiting = int(np.ceil(_length(_difference(aim.copy(), here)) / most - 1e-9))
+        for left in range(max(waiting, after - before), 0, -1):
+            here = here + _at_most(_difference(aim.copy(), here), most)
+            moves.append(places[after if left == 1 else before])
+            angles.append(here)
+
+    turn(wanted[0], 0, 0)
+    for n in range(1, len(places)):
+        turn(wanted[n], n - 1, n)
+    turn(goal, len(places) - 1, len(places) - 1)
+    if not moves:
+        return places[-1:], goal[None]
+    return np.array(moves), np.array(angles)
 
 
 def _look_ahead(headings: np.ndarray, start_angles: np.ndarray, most_pitch: float) -> np.ndarray:  # [M, 2]

@@ -8,17 +8,21 @@ spreads over positions and depends on seed and step only, never on any score.
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import fibonacci_directions, look_along
 from activestructure_gym.motion import DistanceMap
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
 
 _MOST_HEIGHTS = 64
+MOST_STAGES = 16
 _RANGES = {
     "lattice_step_m": "[0.05, 100]",
     "heights_m": "[-100, 100]",
@@ -30,6 +34,9 @@ _RANGES = {
     "scoring_scale": "(0, 1]",
     "coverage_alpha": "(0, 1)",
 }
+
+
+SHARED_STAGES = (("pool",),)  # what all planners are offered in a shared comparison
 
 
 @dataclass(frozen=True)
@@ -45,9 +52,12 @@ class ViewConfig:
     visited_angle_deg: float = 10.0  # ... and turned this little from it counts as visited (GauSS-MI's rule)
     scoring_scale: float = 0.5  # features render at this share of the size; half keeps the order (groundwork.md)
     coverage_alpha: float = 0.5  # a pixel is covered where the map's alpha exceeds this (M_c of Sec. 3.4)
+    # Candidate sources that are offered together; of several stages the first one is on, the others can be asked for.
+    stages: tuple[tuple[str, ...], ...] = SHARED_STAGES
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
+        object.__setattr__(self, "stages", _as_stages(self.stages))
         if len(self.heights_m) > _MOST_HEIGHTS:
             raise InputError(f"heights_m must be at most {_MOST_HEIGHTS} heights, got {len(self.heights_m)}")
         if self.max_revisits >= self.max_candidates:
@@ -55,6 +65,9 @@ class ViewConfig:
                 f"max_revisits ({self.max_revisits}) must stay below max_candidates ({self.max_candidates}): "
                 "revisits are offered in the same table"
             )
+
+
+_ROWS: Any = None  # stands for the usual value in every row
 
 
 @dataclass(frozen=True)
@@ -65,9 +78,31 @@ class CandidateTable:
     world_from_camera: np.ndarray  # [n, 4, 4] float64
     path_length: np.ndarray  # [n] float32 metres from the agent
     revisit: np.ndarray  # [n] bool: a stored keyframe's pose
+    source: np.ndarray = _ROWS  # [n] which of the sources offers it; -1 for a row that asks for a stage
+    look_at: np.ndarray = _ROWS  # [n, 3] metres: the point that is looked at on the way; NaN where none is
+    stay: np.ndarray = _ROWS  # [n] rounds of optimisation in place; 0 for a way
+    ends: np.ndarray = _ROWS  # [n] bool: ends the episode
+    ask: np.ndarray = _ROWS  # [n] the stage that is asked for; -1 for a view
+
+    def __post_init__(self) -> None:
+        usual = {"source": 0, "look_at": np.full(3, np.nan), "stay": 0, "ends": False, "ask": -1}
+        for name, value in usual.items():
+            if getattr(self, name) is _ROWS:
+                object.__setattr__(self, name, np.repeat(np.array([value]), len(self.ids), axis=0))
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @classmethod
+    def joined(cls, parts: Sequence[CandidateTable]) -> CandidateTable:
+        """The rows of all parts, in their order."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+    @property
+    def views(self) -> int:
+        """How many rows are views: those that ask for a stage stand at the end."""
+        return int((self.ask < 0).sum())
 
 
 class CandidatePool:
@@ -131,6 +166,8 @@ class CandidatePool:
         distances: DistanceMap,
         step: int,
         revisit_poses: np.ndarray,  # [R, 4, 4] keyframe poses, worst rendered first
+        *,
+        room: int | None = None,  # rows of the table; `ViewConfig.max_candidates` if None
     ) -> CandidateTable:
         """The table of this step: reachable open views (a neutral draw if they are too many), then revisits."""
         lengths = np.full(len(self.positions), np.inf, dtype=np.float32)
@@ -142,12 +179,13 @@ class CandidatePool:
             lengths[clear] = distances.at(self.positions[clear])
         reachable = np.isfinite(lengths)
 
-        revisits = revisit_poses[: self.config.max_revisits]
+        room = self.config.max_candidates if room is None else room
+        revisits = revisit_poses[: min(self.config.max_revisits, room)]
         revisit_length = distances.at(revisits[:, :3, 3]) if len(revisits) else np.zeros(0, np.float32)
         revisits, revisit_length = revisits[np.isfinite(revisit_length)], revisit_length[np.isfinite(revisit_length)]
 
         position, direction = np.nonzero(self._open & reachable[:, None])
-        room = self.config.max_candidates - len(revisits)
+        room -= len(revisits)
         if len(position) > room:
             chosen = self._draw(position, room, step)
             position, direction = position[chosen], direction[chosen]
@@ -177,3 +215,18 @@ class CandidatePool:
         rank[by_position] = np.arange(len(position)) - np.repeat(start, counts)
         tie = rng.random(len(self.positions))[position]  # random order of positions
         return np.sort(np.lexsort((tie, rank))[:count])
+
+
+def _as_stages(value: Any) -> tuple[tuple[str, ...], ...]:
+    """Stages of at least one source each, all different in a stage; raises `InputError`."""
+    if not isinstance(value, list | tuple):
+        raise InputError(f"views.stages must be a list of stages, each a list of sources, got {shown(value)}")
+    stages = tuple(tuple(stage) if isinstance(stage, list | tuple) else stage for stage in value)
+    for stage in stages:
+        if not isinstance(stage, tuple) or not stage or not all(isinstance(name, str) for name in stage):
+            raise InputError(f"every stage of views.stages must be a list of at least one source, got {shown(stage)}")
+        if len(set(stage)) < len(stage):
+            raise InputError(f"a stage of views.stages names a source twice: {', '.join(stage)}")
+    if not 1 <= len(stages) <= MOST_STAGES:
+        raise InputError(f"views.stages must be 1 to {MOST_STAGES} stages, got {len(stages)}")
+    return stages

@@ -118,6 +118,7 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
     from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes.library import imports_code
+    from activestructure_gym.sources import SOURCES, sources_in
 
     for job in jobs:
         if imports_code(job.scene):
@@ -128,6 +129,9 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
         for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
             if isinstance(name, str) and FEATURES.imports(name):
                 registry.refuse_code("feature", name, file)
+        for name in sources_in(dict(job.overrides)):
+            if SOURCES.imports(name):
+                registry.refuse_code("candidate source", name, file)
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

@@ -34,6 +34,7 @@ from activestructure_gym.features import FEATURES
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.policies.learned.checkpoint import LARGEST_WEIGHTS
 from activestructure_gym.registry import refuse_code
+from activestructure_gym.sources import SOURCES, sources_in
 
 if TYPE_CHECKING:
     import torch
@@ -69,6 +70,9 @@ def read_config(directory: Path) -> TrainingConfig:
     for name in (*config.world.gains, config.teacher, *(overrides if isinstance(overrides, tuple) else [overrides])):
         if isinstance(name, str) and FEATURES.imports(name):
             refuse_code("feature", name, file)
+    for name in sources_in(dict(config.world.overrides)):
+        if SOURCES.imports(name):
+            refuse_code("candidate source", name, file)
     return config
 
 

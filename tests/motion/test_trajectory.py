@@ -121,3 +121,23 @@ def test_newly_seen_obstacle_blocks_the_rest_of_the_way():
     assert first_blocked(volume, frames[stop:], 0.2, start=frames[stop - 1]) == 0
     turning = np.stack([look_along(frames[stop - 1][:3, 3], np.array([1.0, 0.1 * n, 0])) for n in range(5)])
     assert first_blocked(volume, turning, 0.2, start=frames[stop - 1]) is None
+
+
+@pytest.mark.parametrize(
+    "point", [(2.0, 3.0, 0.4), (1.5, 0.05, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 2.0), (-5.0, 0.0, 1.0)]
+)
+def test_a_point_that_is_looked_at_stays_in_the_axis_while_walking(point: tuple[float, float, float]) -> None:
+    path = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.0, 0.0]])
+    start, goal = look_along(path[0], [0.0, -1.0, 0.2]), look_along(path[-1], [-1.0, -1.0, 0.0])
+    frames = interpolate(path, start, goal, CONFIG, look_at=np.array(point))
+    poses = np.concatenate([start[None], frames])
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert steps.max() <= CONFIG.max_step_m + 1e-9
+    assert np.degrees(rotation_angle(poses[1:], poses[:-1])).max() <= CONFIG.max_turn_deg + 1e-6
+    np.testing.assert_allclose(frames[-1], goal, atol=1e-9)
+    towards = np.array(point) - frames[:, :3, 3]
+    far = np.linalg.norm(towards, axis=1)
+    walking = (steps > 1e-9) & (far > 1e-2)
+    cosine = (towards * frames[:, :3, 2]).sum(axis=1)[walking] / far[walking]
+    assert walking.sum() >= 29 and cosine.min() > 1 - 1e-9
+    assert len(interpolate(path[:1], start, start, CONFIG, look_at=path[0] + start[:3, 2])) == 1

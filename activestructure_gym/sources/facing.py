@@ -1,0 +1,143 @@
+"""Sources of views that face something: the frontier of what is known, and surface that the map is not sure of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from activestructure_gym.features.confidence import gaussian_confidence
+from activestructure_gym.mapping.sightings import sightings
+from activestructure_gym.ranges import check_ranges
+from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.places import looking
+from activestructure_gym.volume import VoxelVolume
+from activestructure_gym.volume.integration import FREE
+
+_SIDE = 2  # voxels per side of a region: 0.2 m at the default size, ActiveGS's voxels
+_MOST_REGIONS = 1000  # the nearest ones, of which views are sought
+
+
+@dataclass(frozen=True)
+class _Facing(Source):
+    """Views of regions, the nearest first: from free places 0.3 to 2 m away, within 60 degrees of their normal."""
+
+    nearest_m: float = 0.3
+    farthest_m: float = 2.0
+    per_region: int = 5
+    rows: int = 30
+
+    def __post_init__(self) -> None:
+        ranges = {"nearest_m": "[0, 100]", "farthest_m": "(0, 100]", "per_region": "[1, 1000]"}
+        check_ranges(self, {**ranges, "rows": f"[1, {MOST_ROWS}]"})
+
+    def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `_SIDE` voxels
+        """Which cells are to be looked at."""
+        raise NotImplementedError
+
+    def propose(self, context: SourceContext) -> Proposals:
+        """Up to ``per_region`` random places of every region."""
+        volume, rng = context.volume, context.rng
+        centres, normals = _facing_free(
+            self.regions(context), np.asarray(_coarse(volume.state == FREE).all(axis=-1)), volume
+        )
+        here = context.agent.pose[:3, 3]
+        order = np.argsort(np.linalg.norm(centres - here, axis=1), kind="stable")[:_MOST_REGIONS]
+        places = standing_places(context)
+        found: list[np.ndarray] = []
+        if len(places):
+            tree = cKDTree(places)
+            for region in order:
+                near = np.sort(np.array(tree.query_ball_point(centres[region], self.farthest_m), dtype=int))
+                away = places[near] - centres[region]
+                far = np.linalg.norm(away, axis=1)
+                good = (far >= self.nearest_m) & (away @ normals[region] >= 0.5 * far) & (far > 1e-6)
+                chosen = places[near[good]]
+                if len(chosen) > self.per_region:
+                    chosen = chosen[np.sort(rng.choice(len(chosen), self.per_region, replace=False))]
+                chosen = chosen[volume.sight_free(chosen, centres[region])] if len(chosen) else chosen
+                if len(chosen):
+                    found.append(looking(chosen, centres[region] - chosen))
+                if sum(map(len, found)) >= self.rows:
+                    break
+        return Proposals(np.concatenate(found) if found else np.zeros((0, 4, 4)))
+
+
+@SOURCES.register("frontier_facing")
+@dataclass(frozen=True)
+class FrontierFacing(_Facing):
+    """Views that face the frontier: unobserved space that has free space beside it."""
+
+    def regions(self, context: SourceContext) -> np.ndarray:
+        """Cells of which half or more is unobserved."""
+        return frontier_cells(context.volume)
+
+
+@SOURCES.register("roi")
+@dataclass(frozen=True)
+class RegionsOfInterest(_Facing):
+    """Views that face the frontier, or surface that the map is not confident of ([active_gs, code]).
+
+    Not confident of: cells with more than 5 Gaussians of confidence below 0.3 and opacity above 0.7. The normal of a
+    region is the mean direction to its free neighbours; that a place sees its region is asked for here, not there.
+    """
+
+    def regions(self, context: SourceContext) -> np.ndarray:
+        """The frontier's cells, and those of doubtful Gaussians."""
+        cells = frontier_cells(context.volume)
+        gaussians, volume = context.mapper.map, context.volume
+        doubtful = (gaussian_confidence(sightings(context.mapper)) < 0.3) & (gaussians.opacities > 0.7)
+        inside = volume.voxel_of(gaussians.means[doubtful]) // _SIDE
+        inside = inside[((inside >= 0) & (inside < np.array(cells.shape))).all(axis=1)]
+        count = np.zeros(cells.shape, dtype=np.int64)
+        np.add.at(count, tuple(inside.T), 1)
+        return cells | (count > 5)
+
+
+def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `_SIDE` voxels
+    """Cells of which half or more is unobserved, without the outermost layer, which lies beyond the workspace."""
+    inner = np.zeros(volume.shape, dtype=bool)
+    inner[1:-1, 1:-1, 1:-1] = volume.unobserved[1:-1, 1:-1, 1:-1]
+    return np.asarray(_coarse(inner).mean(axis=-1) >= 0.5)
+
+
+def standing_places(context: SourceContext) -> np.ndarray:  # [P, 3] metres
+    """Reachable places with a view's clearance at the heights that cameras may have, a cell apart."""
+    volume = context.volume
+    low, high = (
+        context.start[2] + end for end in (min(context.pool.config.heights_m), max(context.pool.config.heights_m))
+    )
+    reachable = context.agent.distances.reachable
+    places = reachable[np.abs(reachable[:, 2] - np.clip(reachable[:, 2], low, high)) <= 0.5 * volume.voxel_size]
+    places[:, 2] = np.clip(places[:, 2], low, high)
+    places = places[volume.clearance_at(places) >= context.clearance_m]
+    _, first = np.unique(volume.voxel_of(places) // _SIDE, axis=0, return_index=True)
+    return places[np.sort(first)]
+
+
+def _coarse(grid: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [X / 2, Y / 2, Z / 2, 8]
+    """The voxels of every whole cell."""
+    x, y, z = (size // _SIDE for size in grid.shape)
+    cells = grid[: x * _SIDE, : y * _SIDE, : z * _SIDE].reshape(x, _SIDE, y, _SIDE, z, _SIDE)
+    return cells.transpose(0, 2, 4, 1, 3, 5).reshape(x, y, z, _SIDE**3)
+
+
+def _facing_free(
+    cells: np.ndarray,  # [X, Y, Z] bool
+    free: np.ndarray,  # [X, Y, Z] bool
+    volume: VoxelVolume,
+) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
+    """Centres of those cells that have free ones among their 26 neighbours, and the mean direction to these."""
+    at = np.argwhere(cells & ~free)
+    padded = np.pad(free, 1)
+    towards = np.zeros((len(at), 3))
+    for step in np.ndindex(3, 3, 3):
+        offset = np.array(step) - 1
+        if offset.any():
+            beside = padded[tuple((at + step).T)]
+            towards += beside[:, None] * (offset / np.linalg.norm(offset))
+    length = np.linalg.norm(towards, axis=1)
+    kept = length > 1e-6
+    centres = volume.origin + (at[kept] + 0.5) * _SIDE * volume.voxel_size
+    return centres, towards[kept] / length[kept, None]

@@ -1,0 +1,154 @@
+"""The contract of every candidate source, and what each one promises by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.config import configure
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import rotation_angle
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.reconstruction import Reconstruction
+from activestructure_gym.scenes import load_scene
+from activestructure_gym.sources import SOURCES, Proposals, Source, make_source, source_names
+from activestructure_gym.sources.facing import frontier_cells, standing_places
+from activestructure_gym.volume import FREE
+
+SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 60}
+
+
+TURNS = "turns?count=7"
+
+
+def begin(*stages: tuple[str, ...], seed: int = 0, scene: str = "box", **changes: Any) -> Reconstruction:
+    config = configure("fast", {**SMALL, "views": {"stages": stages, "max_candidates": 96}, **changes})
+    run = Reconstruction(config)
+    run.start(ground_truth_of(load_scene(scene)), seed)
+    return run
+
+
+def rows_of(run: Reconstruction, name: str) -> np.ndarray:
+    place = source_names(run.config.views.stages).index(name)
+    return np.nonzero((run.candidates.source == place) & (run.candidates.ask < 0))[0]
+
+
+@pytest.fixture(params=sorted(SOURCES))
+def spec(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return f"{name}?rows=40" if make_source(name).rows > 90 and name != "pool" else name
+
+
+def test_every_source_offers_reachable_level_views_and_the_same_for_the_same_seed(spec: str) -> None:
+    first, again, other = begin((spec, TURNS)), begin((spec, TURNS)), begin((spec, TURNS), seed=3)
+    for run in (first, again, other):
+        run.visit(int(rows_of(run, TURNS)[3]))
+    rows, table = rows_of(first, spec), first.candidates
+    assert 1 <= len(rows) <= make_source(spec).rows
+    poses = table.world_from_camera[rows]
+    np.testing.assert_array_equal(poses, again.candidates.world_from_camera[rows_of(again, spec)])
+    assert np.isfinite(table.path_length[rows]).all()
+    np.testing.assert_allclose(
+        poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (len(rows), 1, 1)), atol=1e-9
+    )
+    assert np.abs(poses[:, 2, 0]).max() < 1e-9  # no roll
+    here = np.linalg.norm(poses[:, :3, 3] - first.pose[:3, 3], axis=1) < 1e-6
+    clear = first.volume.clearance_at(poses[:, :3, 3]) >= first.config.motion.candidate_clearance
+    assert (here | clear).all()
+
+
+def test_a_source_changes_nothing_for_the_pool_beside_it(spec: str) -> None:
+    plain, beside = begin(("pool",)), begin(("pool",), (spec if spec != "pool" else "turns",))
+    assert beside.candidates.ask[-1] == 1 and (beside.candidates.ask[:-1] < 0).all()
+    count = min(len(plain.candidates), beside.candidates.views)
+    np.testing.assert_array_equal(plain.candidates.ids[:count], beside.candidates.ids[:count])
+
+
+def test_the_lattice_is_exact_and_leaves_out_where_it_has_been() -> None:
+    run = begin(("lattice?spacing_m=0.5&directions=5&rows=90",))
+    start = run.trajectory[0][:3, 3]
+    steps = (run.candidates.world_from_camera[:, :3, 3] - start) / [0.5, 0.5, 1.0]
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    at_start = np.linalg.norm(run.candidates.world_from_camera[:, :3, 3] - start, axis=1) < 1e-9
+    assert at_start.sum() == 5  # no jitter, no draw: all directions of the place it stands at
+    chosen = run.candidates.world_from_camera[np.nonzero(at_start)[0][2]]
+    run.visit(int(np.nonzero(at_start)[0][2]))
+    now = run.candidates.world_from_camera
+    same = (np.linalg.norm(now[:, :3, 3] - start, axis=1) < 1e-9) & (rotation_angle(now, chosen) < 1e-6)
+    assert not same.any()
+
+
+def test_around_stays_in_its_ball_and_turns_on_its_place() -> None:
+    run = begin(("around?radius_m=0.4&rows=30", "turns?count=6"))
+    offset = run.candidates.world_from_camera[:, :3, 3] - run.pose[:3, 3]
+    assert 0.2 < np.linalg.norm(offset[rows_of(run, "around?radius_m=0.4&rows=30")], axis=1).max() <= 0.4
+    turns = run.candidates.world_from_camera[rows_of(run, "turns?count=6")]
+    assert np.abs(offset[rows_of(run, "turns?count=6")]).max() == 0.0
+    np.testing.assert_allclose(np.degrees(rotation_angle(turns[1:], turns[:-1])), 60.0, atol=1e-6)
+    ahead = run.pose[:3, 2].copy()
+    ahead[2] = 0.0
+    np.testing.assert_allclose(turns[0, :3, 2], ahead / np.linalg.norm(ahead), atol=1e-9)
+
+
+def test_views_of_the_frontier_face_unobserved_space_and_see_it() -> None:
+    run = begin(("frontier_facing?rows=40", "turns"))
+    rows = rows_of(run, "frontier_facing?rows=40")
+    poses, volume = run.candidates.world_from_camera[rows], run.volume
+    cells = np.argwhere(frontier_cells(volume))
+    centres = volume.origin + (cells + 0.5) * 2 * volume.voxel_size
+    for pose in poses:
+        away = centres - pose[:3, 3]
+        far = np.linalg.norm(away, axis=1)
+        ahead = (far >= 0.3) & (far <= 2.0 + 1e-9) & (away @ pose[:3, 2] >= far * (1 - 1e-9))
+        assert ahead.any() and volume.sight_free(pose[:3, 3], centres[ahead]).any()
+
+
+def test_places_to_stand_keep_to_the_heights_of_cameras() -> None:
+    run = begin(("turns",))
+    seen: dict[str, Any] = {}
+
+    @dataclass(frozen=True)
+    class Look(Source):
+        rows: int = 1
+
+        def propose(self, context):
+            seen["places"] = standing_places(context)
+            return Proposals(context.agent.pose[None])
+
+    run._sources = {"turns": Look()}
+    run._offer()
+    assert len(seen["places"]) > 10 and (run.volume.state_at(seen["places"]) == FREE).all()
+    assert np.ptp(seen["places"][:, 2]) < 1e-9  # heights_m = (0,) in `fast`
+
+
+def test_all_known_space_has_no_frontier() -> None:
+    run = begin(("frontier_facing", "turns"))
+    run.volume.state[:] = FREE
+    run.volume._changed()
+    run._refresh()
+    assert len(rows_of(run, "frontier_facing")) == 0 and len(rows_of(run, "turns")) == 8
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("lattise", "did you mean 'lattice'"),
+        ("turns?count=0", "count must be a whole number from 1 to 360"),
+        ("around?radius=2", "unknown option of source 'around' 'radius'"),
+        ("stay?rounds=-1", "rounds must be"),
+        ("roi?nearest_m=nan", "nearest_m must be"),
+    ],
+)
+def test_what_cannot_be_a_source_is_said(spec: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_source(spec)
+
+
+def test_proposals_are_checked() -> None:
+    with pytest.raises(InputError, match=r"poses \[n, 4, 4\]"):
+        Proposals(np.zeros((3, 4)))
+    with pytest.raises(InputError, match="points to look at"):
+        Proposals(np.tile(np.eye(4), (2, 1, 1)), look_at=np.zeros((1, 3)))

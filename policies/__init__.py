@@ -19,6 +19,7 @@ from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.fisherrf import FisherRF, FisherRFCov, FisherRFPath
 from activestructure_gym.policies.frontier import Frontier
 from activestructure_gym.policies.gauss_mi import GaussMI, GaussMICov
+from activestructure_gym.policies.gavis import Gavis
 from activestructure_gym.policies.greedy import Greedy, Planner
 from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hgs_planner import HGSPlanner
@@ -73,6 +74,7 @@ __all__ = [
     "GSPlanner",
     "GaussMI",
     "GaussMICov",
+    "Gavis",
     "Greedy",
     "HGSPlanner",
     "HoleArea",

@@ -20,6 +20,7 @@ from activestructure_gym.features.deficiency import deficiency
 from activestructure_gym.features.fisherrf import fisherrf
 from activestructure_gym.features.fisherrf_path import fisherrf_path
 from activestructure_gym.features.gauss_mi import gauss_mi
+from activestructure_gym.features.gavis import gavis
 from activestructure_gym.features.gs_planner import gs_planner
 from activestructure_gym.features.hgs_planner import hgs_coverage, hgs_planner, hgs_planner_raw
 from activestructure_gym.features.hole_area import hole_area
@@ -57,6 +58,7 @@ __all__ = [
     "fisherrf_path",
     "floor_graph",
     "gauss_mi",
+    "gavis",
     "gs_planner",
     "hgs_coverage",
     "hgs_planner",

@@ -36,6 +36,9 @@ class Sightings:
     nearness: np.ndarray  # [N] float64, sum of (1 - distance / 5 m) max(0, n v), n its normal on the side seen more
     concentration: np.ndarray  # [N] float64 0..1, length of the mean v: 1 where all looks came from one direction
     bins: np.ndarray  # [N, 2] uint64, the bins of `fibonacci_directions(DIRECTIONS)` that v fell into
+    sum: np.ndarray  # [N, 3] of v
+    products: np.ndarray  # [N, 6] sum of v v^T, upper triangle row by row
+    keyframes: int  # that there are
 
 
 def sightings(mapper: Mapper) -> Sightings:
@@ -47,7 +50,7 @@ def sightings(mapper: Mapper) -> Sightings:
     count = gaussians.count
     normals = np.zeros((count, 3)) if isotropic else shortest_axes(gaussians)
     boxes = block_boxes(gaussians.parameters, count)
-    looks, bins = np.zeros((count, 6)), np.zeros((count, 2), np.uint64)
+    looks, bins = np.zeros((count, 12)), np.zeros((count, 2), np.uint64)
     for frame in mapper.keyframes:
         camera = frame.camera
         seen = may_be_seen(boxes, camera, frame.world_from_camera)
@@ -55,8 +58,9 @@ def sightings(mapper: Mapper) -> Sightings:
         view = _View(invert_rigid(frame.world_from_camera), eye, camera.lens, frame.depth)
         _look(_Gaussians(gaussians.parameters, count, normals, isotropic), seen, view, bin_table(), looks, bins)
     number = looks[:, 0]
-    length = np.linalg.norm(looks[:, 3:], axis=1) / np.maximum(number, 1.0)
-    return Sightings(number.astype(np.int32), looks[:, 1:3].max(axis=1), length, bins)
+    length = np.linalg.norm(looks[:, 3:6], axis=1) / np.maximum(number, 1.0)
+    nearness, keyframes = looks[:, 1:3].max(axis=1), len(mapper.keyframes)
+    return Sightings(number.astype(np.int32), nearness, length, bins, looks[:, 3:6], looks[:, 6:], keyframes)
 
 
 def shortest_axes(gaussians: GaussianMap) -> np.ndarray:  # [N, 3] unit, world
@@ -99,7 +103,7 @@ def _look(
     seen: np.ndarray,  # [blocks] bool
     view: _View,
     table: np.ndarray,  # [cells, cells] int64
-    looks: np.ndarray,  # [N, 6] added to: 1, nearness in front, behind, sum of v
+    looks: np.ndarray,  # [N, 12] added to: 1, nearness in front, behind, v, products of v
     bins: np.ndarray,  # [N, 2] uint64, added to
 ) -> None:
     parameters, count, normals, isotropic = gaussians
@@ -132,6 +136,12 @@ def _look(
             looks[i, 3] += x
             looks[i, 4] += y
             looks[i, 5] += z
+            looks[i, 6] += x * x
+            looks[i, 7] += x * y
+            looks[i, 8] += x * z
+            looks[i, 9] += y * y
+            looks[i, 10] += y * z
+            looks[i, 11] += z * z
             total = abs(x) + abs(y) + abs(z)
             a, b = x / total, y / total
             if z < 0.0:

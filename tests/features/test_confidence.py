@@ -23,6 +23,9 @@ def test_confidence_by_hand() -> None:
         nearness=np.array([0.0, 0.3, 0.3, 4.0]),
         concentration=np.array([0.0, 1.0, 0.5, 0.2]),
         bins=np.zeros((4, 2), np.uint64),
+        sum=np.zeros((4, 3)),
+        products=np.zeros((4, 6)),
+        keyframes=9,
     )
     # Unseen: nothing. One side: s itself. Two sides: e^0.5 s. Much: no more than 1.
     np.testing.assert_allclose(gaussian_confidence(seen), [0.0, 0.3, 0.3 * np.exp(0.5), 1.0])

@@ -1,0 +1,22 @@
+"""GAVIS as a policy ([gavis])."""
+
+from __future__ import annotations
+
+from activestructure_gym.policies.base import POLICIES, Observation, nearest_of_best
+from activestructure_gym.policies.greedy import Planner
+
+
+@POLICIES.register("gavis")
+class Gavis(Planner):
+    """argmax of the entropy of a view's colours, of which only what was seen from its side is known; no travel term."""
+
+    decides_by = "entropy of what a view shows, known only where it was seen from that side"
+    source = "by a digest of Xue et al., GAVIS, CVPR 2026"
+    required_gains = ("gavis",)
+
+    def act(self, observation: Observation) -> int:
+        """The valid row with the highest score; of equals the one with the fewest frames."""
+        gain = self.candidates(observation)["gavis"]
+        choice = nearest_of_best(self.scores(gain, observation), observation)
+        self._trace = {"gavis": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
+        return choice

@@ -43,6 +43,7 @@ from activestructure_gym.policies.popgs import (
     MinEig,
     MinEigCov,
 )
+from activestructure_gym.policies.r3_recon import R3Recon
 from activestructure_gym.policies.random import Random
 from activestructure_gym.policies.rt_guide import RTGuide
 from activestructure_gym.policies.unknown_volume import UnknownVolume
@@ -93,6 +94,7 @@ __all__ = [
     "PixelOnly",
     "Planner",
     "Policy",
+    "R3Recon",
     "RTGuide",
     "Random",
     "UnknownVolume",

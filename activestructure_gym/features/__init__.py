@@ -30,6 +30,7 @@ from activestructure_gym.features.next_best_sense import next_best_sense
 from activestructure_gym.features.pixel import pixel
 from activestructure_gym.features.popgs import popgs_cov_trace, popgs_info_trace, popgs_logdet, popgs_min_eig
 from activestructure_gym.features.popgs_block import popgs_cov_trace_block, popgs_logdet_block
+from activestructure_gym.features.r3_recon import r3_recon
 from activestructure_gym.features.registry import FEATURES, Feature, column_names, evaluate_features
 from activestructure_gym.features.rt_guide import rt_guide
 from activestructure_gym.features.structure import structure
@@ -75,6 +76,7 @@ __all__ = [
     "popgs_logdet",
     "popgs_logdet_block",
     "popgs_min_eig",
+    "r3_recon",
     "rt_guide",
     "structure",
     "uncovered",

@@ -34,6 +34,7 @@ from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.mapping.reliability import DirectionalReliability
 from activestructure_gym.mapping.seeding import grid_pixels, missing_pixels, pixel_samples, seed_balls, seed_disks
+from activestructure_gym.mapping.surface_looks import SurfaceLooks
 from activestructure_gym.splatting import LossWeights, Rendering
 from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 
@@ -86,6 +87,7 @@ class Mapper:
         self._information: dict[tuple[PinholeCamera, bool], KeyframeInformation] = {}
         self._informed: dict[tuple[PinholeCamera, bool], tuple[int, np.ndarray]] = {}  # event, what was found then
         self._reliability: DirectionalReliability | None = None
+        self._surface_looks: SurfaceLooks | None = None
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
         self._movement: Movement | None = None
@@ -215,6 +217,11 @@ class Mapper:
         if self._reliability is None:
             self._reliability = DirectionalReliability(self.map, self.config.backend)
         return self._reliability.update(self.keyframes)
+
+    def surface_looks(self) -> SurfaceLooks:  # to be read only
+        """What all keyframes have seen of every 5 cm of surface; new ones are taken in when somebody asks."""
+        self._surface_looks = self._surface_looks or SurfaceLooks()
+        return self._surface_looks.update(self.keyframes)
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
         """Insert Gaussians where the map lacks them; what is coarser than they would be makes way.

@@ -85,11 +85,13 @@ def _explored(scene: str, preset: Preset, gaussians: int, frames: int, notify: C
 
 
 def _ask(env: Any) -> None:
-    """Update what planners keep of the keyframes: movement, reliability, information."""
+    """Update what planners keep of the keyframes: movement, reliability, information, looks."""
     mapper = env.reconstruction.mapper
     mapper.movement()
     mapper.reliability()
-    mapper.keyframe_information(env.reconstruction.scoring_camera)
+    for of_depth in (False, True):
+        mapper.keyframe_information(env.reconstruction.scoring_camera, of_depth=of_depth)
+    mapper.surface_looks()
 
 
 def _decision(env: Any, name: str) -> dict[str, float]:

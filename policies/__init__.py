@@ -25,6 +25,7 @@ from activestructure_gym.policies.gs_planner import GSPlanner
 from activestructure_gym.policies.hgs_planner import HGSPlanner
 from activestructure_gym.policies.hole_area import HoleArea
 from activestructure_gym.policies.learned import Learned
+from activestructure_gym.policies.magician import Magician
 from activestructure_gym.policies.naruto import Naruto
 from activestructure_gym.policies.next_best_sense import NextBestSense, NextBestSenseCov
 from activestructure_gym.policies.pairing import make_env_and_policy
@@ -86,6 +87,7 @@ __all__ = [
     "LogDetBlock",
     "LogDetBlockCov",
     "LogDetCov",
+    "Magician",
     "MinEig",
     "MinEigCov",
     "Naruto",

@@ -25,6 +25,7 @@ from activestructure_gym.features.gs_planner import gs_planner
 from activestructure_gym.features.hgs_planner import hgs_coverage, hgs_planner, hgs_planner_raw
 from activestructure_gym.features.hole_area import hole_area
 from activestructure_gym.features.in_horizon import in_horizon
+from activestructure_gym.features.magician import magician
 from activestructure_gym.features.naruto import naruto, naruto_look
 from activestructure_gym.features.next_best_sense import next_best_sense
 from activestructure_gym.features.pixel import pixel
@@ -66,6 +67,7 @@ __all__ = [
     "hgs_planner_raw",
     "hole_area",
     "in_horizon",
+    "magician",
     "naruto",
     "naruto_look",
     "next_best_sense",

@@ -47,6 +47,7 @@ from activestructure_gym.policies.popgs import (
 from activestructure_gym.policies.r3_recon import R3Recon
 from activestructure_gym.policies.random import Random
 from activestructure_gym.policies.rt_guide import RTGuide
+from activestructure_gym.policies.schedule import Schedule, Terms
 from activestructure_gym.policies.unknown_volume import UnknownVolume
 from activestructure_gym.policies.view_angle import ViewAngle
 
@@ -99,6 +100,8 @@ __all__ = [
     "R3Recon",
     "RTGuide",
     "Random",
+    "Schedule",
+    "Terms",
     "UnknownVolume",
     "ViewAngle",
     "canonical_policy",

@@ -8,6 +8,7 @@ import numpy as np
 
 from activestructure_gym.policies.base import POLICIES, Observation, only_new
 from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.schedule import Schedule
 
 
 @POLICIES.register("active_gs")
@@ -21,6 +22,12 @@ class ActiveGS(Greedy):
     decides_by = "unexplored voxels in sight, surface without confidence"
     source = "Jin et al., ActiveGS, RA-L 2025"
     required_gains = ("confidence",)
+    brings = Schedule(
+        stages=(("roi?rows=30", "around?rows=70"),),
+        candidates=100,
+        goal_keyframes=True,
+        budget="300 s at 1 m/s, 512 x 512 at 60 degrees",
+    )
     way: ClassVar[float] = 0.5  # weight of the path's share
 
     def act(self, observation: Observation) -> int:

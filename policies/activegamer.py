@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
+from activestructure_gym.policies.schedule import Schedule
 
 STAGES = ("coarse", "fine", "post-refinement")
 COARSE_STEP = 1.0  # m between the positions of the coarse lattice
@@ -56,6 +57,9 @@ class ActiveGAMER(Planner):
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_gains = ("uncovered",)
+    brings = Schedule(
+        mapper="splatam", clearance_m=0.5, budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)"
+    )
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)

@@ -11,6 +11,7 @@ import numpy as np
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES, feature_columns, gain_names, row_names
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.policies.candidates import Candidates, Observation, listed
+from activestructure_gym.policies.schedule import Schedule
 from activestructure_gym.registry import Registry
 from activestructure_gym.specs import parse_options, typed_options
 
@@ -29,6 +30,7 @@ class Policy(ABC):
 
     decides_by: ClassVar[str] = ""  # a line for lists; the first of the docstring where there is none
     source: ClassVar[str] = ""  # the paper, for lists
+    brings: ClassVar[Schedule] = Schedule()  # what it brings where planners are compared on their own terms
     # Features that the env evaluates for every candidate: the class's, or the policy's own where options decide.
     required_gains: tuple[str, ...] = ()
     _columns: tuple[str, ...] | None = None  # of the features in the observation, once they are known

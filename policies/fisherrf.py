@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
+from activestructure_gym.policies.schedule import Schedule
 
 
 @POLICIES.register("fisherrf")
@@ -37,3 +38,8 @@ class FisherRFPath(Greedy):
     decides_by = "information of a view and, each look counted as known to the next, of the way there"
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_gains = ("fisherrf_path",)
+    brings = Schedule(
+        stages=(("frontier_facing?rows=192", "around?radius_m=1&rows=64"),),
+        candidates=256,
+        budget="2000 steps of 5 cm and 5 degrees, 800 x 800, 60 iterations",
+    )

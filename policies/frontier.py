@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.active_gs import ActiveGS
 from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.schedule import Schedule
 
 
 @POLICIES.register("frontier")
@@ -13,3 +14,9 @@ class Frontier(ActiveGS):
     decides_by = "unexplored voxels in sight"
     source = "Jin et al., ActiveGS, RA-L 2025: its exploration alone"
     required_gains = ("unexplored",)
+    brings = Schedule(
+        stages=(("frontier_facing?rows=30", "around?rows=70"),),
+        candidates=100,
+        goal_keyframes=True,
+        budget=ActiveGS.brings.budget,
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.policies.base import Policy, gains_of, is_policy, make_policy
+from activestructure_gym.policies.schedule import NATIVE_PRESET, Schedule, Terms, schedule_of
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -20,6 +21,7 @@ def make_env_and_policy(
     *,
     env_id: str = ROOM,
     gains: Sequence[str] = (),
+    terms: Terms = "shared",
     **options: Any,
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """``gymnasium.make`` with the features that the policy asks for, and the policy bound to that env.
@@ -36,6 +38,9 @@ def make_env_and_policy(
         The environment; that of a room takes any scene.
     gains
         More features to put into the observation, behind those of the policy.
+    terms
+        ``"native"``: the policy brings its own candidate sources and schedule (`Schedule`), and the preset is ``full``
+        where none is given; what ``config`` says goes before.
     **options
         Everything else that ``gymnasium.make`` takes: ``preset``, ``frame_budget``, ``config``, ...
 
@@ -72,7 +77,20 @@ def make_env_and_policy(
         raise InputError(f"gains must be a list of names, got {shown(gains)}")
     if scene is not None:
         options["scene"] = scene
+    brought = schedule_of(policy, terms)
+    if terms == "native":
+        options = {"preset": NATIVE_PRESET, **options, "config": _with(brought, options.get("config"))}
     wanted = gains_of(policy)
     env = gym.make(env_id, gains=(*wanted, *(name for name in gains if name not in wanted)), **options)
     policy.bind(env)
     return env, policy
+
+
+def _with(brought: Schedule, config: Any) -> dict[str, Any]:
+    """What the policy brings, and what was asked for, which goes before."""
+    if config is not None and not isinstance(config, Mapping):
+        raise InputError(
+            'on terms="native" the policy changes the configuration: give config as a dictionary of the fields that '
+            f"shall differ, got {type(config).__name__}"
+        )
+    return {**brought.overrides(), **(config or {})}

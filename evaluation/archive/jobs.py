@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol, protocol_from
+from activestructure_gym.policies.schedule import Terms, schedule_of
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
+    from activestructure_gym.policies import Policy
 
 REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
 _HASH_DIGITS = 12
@@ -42,6 +44,7 @@ class Job:
     start_pose: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw deg; None = drawn by the seed
     protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what the map is measured by
     also: tuple[str, ...] = ()  # further protocols the finished map is measured by, with their usual constants
+    terms: Terms = "shared"  # native: with the policy's own candidate sources and schedule
 
     def __post_init__(self) -> None:
         for kind, name in (("scene", self.scene), ("policy", self.policy)):
@@ -52,6 +55,7 @@ class Job:
             raise InputError(f"the frame budget must be at least 1, got {self.frame_budget}: every frame costs one")
         if self.protocol.name in self.also:
             raise InputError(f"protocol '{self.protocol.name}' measures every run already; name only others")
+        schedule_of(None, self.terms)
         object.__setattr__(self, "also", tuple(sorted({get_protocol(name).name for name in self.also})))
         object.__setattr__(self, "overrides", tuple(sorted((str(k), v) for k, v in dict(self.overrides).items())))
 
@@ -80,7 +84,13 @@ class Job:
         content["overrides"] = dict(self.overrides)
         content["protocol"] = self.protocol.parameters()
         content["also"] = [get_protocol(name).parameters() for name in self.also]
+        if self.terms == "shared":  # as runs said nothing of terms when there were no others
+            del content["terms"]
         return content
+
+    def changes(self, policy: Policy | None) -> dict[str, Any]:
+        """All changes of the preset's fields: what the policy brings on these terms, and what was asked for."""
+        return schedule_of(policy, self.terms).overrides() | dict(self.overrides)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Job:

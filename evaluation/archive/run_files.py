@@ -41,7 +41,8 @@ JOB: Check = table(
         "frame_budget": maybe(number(1, whole=True)), "overrides": table(),
         "start_pose": maybe(each(number(-_FARTHEST, _FARTHEST), length=4)), "protocol": PROTOCOL,
         "also": each(PROTOCOL),
-    }
+    },
+    {"terms": text},
 )  # fmt: skip
 COMPARISON: Check = table(
     {"jobs": table(others=JOB)},

@@ -27,6 +27,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_trust,
 )
 from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
+from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.running.comparison import Comparison, Result
@@ -53,6 +54,11 @@ class Compare:
     (
         "Who decides by the ground truth, to show what could be reached, and is no policy: oracle (one step, all views "
         "of the pool, what they show first), oracle-quality (later what they mend in the map)."
+    )
+    terms: Terms = "shared"
+    (
+        "shared: everybody gets the same candidates, keyframes and mapper; native: each brings its own, at 2000 frames "
+        "of 320 x 180 (preset full) if not said otherwise."
     )
     preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
     """What `asg config PRESET` prints."""
@@ -200,7 +206,8 @@ def _comparison(options: Compare) -> Comparison:
         policies=split_policies(options.policies),
         references=split_list(options.references),
         seeds=parse_seeds(options.seeds),
-        preset=known_preset(options.preset or "default"),
+        preset=known_preset(options.preset or (NATIVE_PRESET if options.terms == "native" else "default")),
+        terms=options.terms,
         frame_budget=options.frames,
         overrides=parse_overrides(options.set),
         start_pose=parse_start(options.start),
@@ -218,8 +225,9 @@ def _announce(
         _counted(policies, "policy", "policies"),
         _counted(len(comparison.seeds), "seed"),
     ]
-    line = f"[bold]{' x '.join(parts)}[/], preset {comparison.preset}, {frames} per run, into {escape(str(directory))}"
-    console.print(line if jobs > 1 else f"[bold]one run[/], preset {comparison.preset}, into {escape(str(directory))}")
+    conditions = f"{comparison.terms} terms, preset {comparison.preset}"
+    line = f"[bold]{' x '.join(parts)}[/], {conditions}, {frames} per run, into {escape(str(directory))}"
+    console.print(line if jobs > 1 else f"[bold]one run[/], {conditions}, into {escape(str(directory))}")
     if demo:
         console.print("[dim]This is the demo; `asg compare --help` shows how to choose scenes and policies.")
 

@@ -117,6 +117,20 @@ def machine_text(results: Results) -> str:
     )
 
 
+def terms_text(results: Results) -> list[str]:
+    """What every policy brought, where they are compared on their own terms."""
+    if results.runs[0].job.terms == "shared":
+        return []
+    told = []
+    for name in results.policies:
+        config = next(run for run in results.runs if run.policy == name).config["configuration"]
+        stages = " or ".join(" + ".join(stage) for stage in config["views"]["stages"])
+        every = config["keyframe_every"]
+        frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a way"
+        told.append(f"`{name}` views of `{stages}`, mapper `{config['mapper']['name']}`, a keyframe {frames}")
+    return [f"Native terms: every policy with candidate views and a schedule of its own. {'; '.join(told)}."]
+
+
 def definitions(results: Results) -> list[str]:
     """All texts of this module, a paragraph each; code stands between backticks."""
-    return [*protocol_texts(results), *statistics_text(), machine_text(results)]
+    return [*terms_text(results), *protocol_texts(results), *statistics_text(), machine_text(results)]

@@ -60,7 +60,8 @@ def _header(results: Results, title: str, anchor: str) -> Markup:
     facts = [
         f"{counted(len(results.runs), 'finished run')}: {counted(len(results.scenes), 'scene')}, "
         f"{counted(len(results.policies), 'policy', 'policies')}, {counted(len(results.seeds), 'seed')}",
-        f"preset {first.job.preset}, {first.config['configuration']['frame_budget']} frames per run",
+        f"{first.job.terms} terms, preset {first.job.preset}, "
+        f"{first.config['configuration']['frame_budget']} frames per run",
         f"protocol {' and '.join(first.protocols)}",
     ]
     return render(

@@ -145,6 +145,7 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
     for run in runs:
         job = run.job.as_dict()
         flat = {name: job[name] for name in ("preset", "frame_budget", "start_pose")}
+        flat["terms"] = run.job.terms
         flat |= {f"set {name}": value for name, value in job["overrides"].items()}
         flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
         for name, value in flat.items():

@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.running.engines import Limits, Listener, Out
 from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
 from activestructure_gym.evaluation.running.warmup import warming_up
+from activestructure_gym.policies.schedule import Terms, schedule_of
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -40,6 +41,7 @@ class Comparison:
     protocol: StandardProtocol = field(default_factory=StandardProtocol)  # what maps are measured by
     also_protocols: Sequence[str] = ()  # every finished map is measured by these too
     references: Sequence[str] = ()  # names of those who see the ground truth, beside the policies
+    terms: Terms = "shared"  # native: every policy with its own candidate sources and schedule
     recorded: Mapping[str, str] = field(default_factory=dict)  # content hashes of scenes that are gone on with
 
     def __post_init__(self) -> None:
@@ -65,6 +67,7 @@ class Comparison:
             start_pose=first.start_pose,
             protocol=first.protocol,
             also_protocols=first.also,
+            terms=first.terms,
             recorded={job.scene: job.scene_hash for job in jobs},
         )
 
@@ -104,6 +107,7 @@ class Comparison:
                 start_pose=self.start_pose,
                 protocol=self.protocol,
                 also=tuple(self.also_protocols),
+                terms=self.terms,
             )
             for seed in self.seeds
             for scene in self.scenes
@@ -120,7 +124,9 @@ class Comparison:
         if self.frame_budget is not None:
             changes["frame_budget"] = self.frame_budget
         for spec in self.policies:
-            configure(self.preset, changes | {"gains": tuple(make_policy(spec).required_gains)})
+            policy = make_policy(spec)
+            brought = schedule_of(policy, self.terms).overrides()
+            configure(self.preset, brought | changes | {"gains": tuple(policy.required_gains)})
         for seed in self.seeds:
             Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
         return list(dict.fromkeys(canonical_policy(spec) for spec in self.policies))

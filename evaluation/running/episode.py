@@ -187,11 +187,11 @@ def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
         preset=job.preset,
         frame_budget=job.frame_budget,
         gains=tuple(policy.required_gains),
-        config=dict(job.overrides),
+        config=job.changes(policy),
         coverage_target=None,
         start_pose=job.start_pose,
     )
-    policy.bind(env.config.gains)
+    policy.bind(env)
     return policy, env
 
 

@@ -13,6 +13,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.comparison import Comparison, Result, check_output, run_comparison
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.episode import Progress
+from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
 
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
@@ -40,7 +41,8 @@ def compare(
     out: str | os.PathLike[str],
     *,
     seeds: Sequence[int] = (0,),
-    preset: Preset = "default",
+    preset: Preset | None = None,
+    terms: Terms = "shared",
     frame_budget: int | None = None,
     config: Mapping[str, Any] | None = None,
     start_pose: tuple[float, float, float, float] | None = None,
@@ -67,7 +69,9 @@ def compare(
     seeds
         Whole numbers from 0 on.
     preset
-        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``.
+        ``"fast"``, ``"default"``, ``"full"`` or ``"paper"``; ``"default"`` if not given, on native terms ``"full"``.
+    terms
+        ``"shared"`` (the same candidates, keyframes and mapper) or ``"native"`` (what each policy brings).
     frame_budget
         Frames of every episode, the first one included; the preset's if not given.
     config
@@ -112,7 +116,8 @@ def compare(
         scenes=scenes,
         policies=policies,
         seeds=seeds,
-        preset=preset,
+        preset=preset or (NATIVE_PRESET if terms == "native" else "default"),
+        terms=terms,
         frame_budget=frame_budget,
         overrides=config or {},
         start_pose=start_pose,

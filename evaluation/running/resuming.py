@@ -60,7 +60,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
 def conditions(job: Job) -> dict[str, Any]:
     """The conditions that a job shares with all others of its comparison, in JSON's types."""
     content: dict[str, Any] = json.loads(json.dumps(store.plain(job.as_dict())))
-    return {key: value for key, value in content.items() if key not in _CELL}
+    return {"terms": "shared"} | {key: value for key, value in content.items() if key not in _CELL}
 
 
 def _check_conditions(before: Mapping[str, Any], asked: Mapping[str, Any], directory: Path) -> None:

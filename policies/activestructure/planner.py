@@ -18,6 +18,7 @@ from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, Phase
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
+from activestructure_gym.policies.schedule import SPLATAM
 
 Discovery = Literal["pixel", "hole_area", "unknown_volume"]
 # The column that stands for IG_px and what of it counts 1: a whole image, the largest hole area, and the volume (m^3)
@@ -46,6 +47,7 @@ class StructurePolicy(Policy):
         the terms of the planes alone.
     """
 
+    brings = SPLATAM
     weights: ClassVar[Weights] = Weights()
     deficiencies: ClassVar[bool] = False  # whether IG_def is a term of it
 
@@ -93,6 +95,7 @@ class ActiveStructureA(PixelOnly):
 
     decides_by = "uncovered pixels"
     source = "ActiveStructure, rung A of Table 3"
+    brings = SPLATAM
 
 
 @POLICIES.register("activestructure-b")

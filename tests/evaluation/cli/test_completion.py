@@ -42,7 +42,7 @@ def bash_script():
         (["bench", "gr"], {"growth", "grid"}),
         (["bench", "policies", "--q"], {"--quick"}),
         (["train", "p"], {"ppo"}),
-        (["train", "bc", "--no-"], {"--no-noise"}),
+        (["train", "bc", "--no-"], {"--no-noise", "--no-planes-told"}),
         (["policies", "naru"], {"naruto"}),
         (["scenes", "apart"], {"apartment"}),
         (["cache", "cl"], {"clear"}),

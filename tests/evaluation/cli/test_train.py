@@ -81,7 +81,7 @@ def test_options_become_a_configuration() -> None:
     assert config.world.gains == ("pixel", "structure") and config.world.overrides == (("sensor.width", 64),)
     listed = training_config(Bc(set=("views.heights_m=[0.0,0.4]",)))
     assert TrainingConfig.from_dict(json.loads(json.dumps(listed.as_dict()))) == listed
-    with pytest.raises(InputError, match="is told pixel, hole_area, not pixel, structure"):
+    with pytest.raises(InputError, match="is told pixel, hole_area, unknown_volume, unknown_volume_way, not pixel"):
         training_config(Ppo(start=str(SHIPPED), gains=("pixel,structure",)))
     assert training_config(Ppo(start=str(SHIPPED))).world.gains == ("pixel", "hole_area")
     with pytest.raises(InputError, match="belongs to ppo"):

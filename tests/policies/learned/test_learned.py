@@ -55,7 +55,11 @@ def test_found_by_every_form_of_its_name(checkpoint: Path) -> None:
 
 def test_our_own_ships_with_the_package() -> None:
     kind = POLICIES.get("learned")
-    assert kind.spec == "learned" and kind.checkpoint == SHIPPED and set(kind.required_gains) == {"pixel", "hole_area", "unknown_volume", "unknown_volume_way"}
+    assert (
+        kind.spec == "learned"
+        and kind.checkpoint == SHIPPED
+        and set(kind.required_gains) == {"pixel", "hole_area", "unknown_volume", "unknown_volume_way"}
+    )
     assert sum(path.stat().st_size for path in SHIPPED.parent.iterdir()) < 2_000_000
     told = json.loads(SHIPPED.with_suffix(".json").read_text())["trained"]
     assert told["configuration"]["seed"] == 0 and "validation/normalised" in told["log"]

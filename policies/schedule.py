@@ -1,0 +1,60 @@
+"""What a planner brings besides its rule when it is compared on its own terms: views, keyframes, mapper, clearance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from activestructure_gym.errors import InputError, unknown_name
+
+Terms = Literal["shared", "native"]
+# What everybody gets on native terms where a planner does not say otherwise: the paper's budget, at a size that a CPU
+# maps in minutes (the preset `full`).
+NATIVE_PRESET: Literal["full"] = "full"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A planner's own candidate sources and schedule, as changes of the configuration. None leaves what is usual."""
+
+    mapper: str | None = None  # a recipe of `MAPPERS`, such as ``splatam``
+    stages: tuple[tuple[str, ...], ...] | None = None  # candidate sources, see ``views.stages``
+    candidates: int | None = None  # rows of the table
+    keyframe_every: int | None = None  # frames
+    goal_keyframes: bool = False  # a frame is mapped at the end of a way alone
+    iterations: int | None = None  # of the mapper per keyframe
+    clearance_m: float | None = None  # of a view to all that is not known to be free
+    changes: Mapping[str, Any] = field(default_factory=dict)  # further fields of the configuration
+    budget: str = ""  # what its paper spends, for people: frames, image size, iterations
+
+    def overrides(self) -> dict[str, Any]:
+        """The changes of the configuration, by field."""
+        every = 10**6 if self.goal_keyframes else self.keyframe_every  # the last frame of a way always is a keyframe
+        given = {
+            "mapper.name": self.mapper,
+            "views.stages": self.stages,
+            "views.max_candidates": self.candidates,
+            "keyframe_every": every,
+            "mapper.iterations": self.iterations,
+            "motion.candidate_clearance": self.clearance_m,
+        }
+        return {name: value for name, value in given.items() if value is not None} | dict(self.changes)
+
+
+def schedule_of(policy: Any, terms: Terms) -> Schedule:
+    """What ``policy``, a class or an object, brings on these terms: nothing on shared ones.
+
+    Raises `InputError` for terms that do not exist, and for a declaration that is no `Schedule`.
+    """
+    if terms not in get_args(Terms):
+        raise unknown_name("terms", str(terms), get_args(Terms))
+    brought = getattr(policy, "brings", Schedule())
+    if not isinstance(brought, Schedule):
+        name = getattr(policy, "__name__", type(policy).__name__)
+        raise InputError(f"what {name} brings must be a Schedule, got {type(brought).__name__}")
+    return brought if terms == "native" else Schedule()
+
+
+# All active systems that the paper compares, and its own, map by SplaTAM's recipe (Sec. 4.1).
+SPLATAM = Schedule(mapper="splatam", budget="2000 frames of 1200 x 680 (Sec. 4.1)")

@@ -1,0 +1,90 @@
+"""What policies bring on native terms: usable by every registered one, and nothing on shared terms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.config import configure
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.running.episode import build
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.policies import POLICIES, Policy, Schedule, make_env_and_policy
+from activestructure_gym.policies.schedule import schedule_of
+from activestructure_gym.scenes import load_scene
+
+SMALL = {"sensor": {"width": 48, "height": 27}, "mapper.iterations": 1}
+
+
+@pytest.mark.parametrize("name", [name for name in POLICIES if schedule_of(POLICIES.get(name), "native") != Schedule()])
+def test_what_a_policy_brings_is_a_configuration_that_it_can_play(name: str) -> None:
+    brought = POLICIES.get(name).brings
+    config = configure("full", brought.overrides())
+    assert brought.mapper in (None, config.mapper.name) and config.frame_budget == 2000
+    env, policy = make_env_and_policy(name, "box", terms="native", preset="fast", frame_budget=30, config=SMALL)
+    stages = env.unwrapped.config.views.stages  # type: ignore[attr-defined]
+    assert stages == (brought.stages or (("pool",),))
+    policy.reset(0)
+    observation, info = env.reset(seed=0)
+    for _ in range(60):
+        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        assert not info["invalid_action"]
+        if terminated or truncated:
+            break
+    assert info["frames"] > 1
+    env.close()
+
+
+def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
+    assert Schedule().overrides() == {}
+    full = Schedule(
+        mapper="splatam",
+        stages=(("turns",),),
+        candidates=9,
+        iterations=3,
+        clearance_m=0.5,
+        changes={"sensor.width": 64},
+    )
+    assert full.overrides() == {
+        "mapper.name": "splatam", "views.stages": (("turns",),), "views.max_candidates": 9, "mapper.iterations": 3,
+        "motion.candidate_clearance": 0.5, "sensor.width": 64,
+    }  # fmt: skip
+    config = configure("fast", Schedule(goal_keyframes=True).overrides())
+    assert config.keyframe_every > config.frame_budget
+
+
+class Bringer(Policy):
+    """Turns on its place."""
+
+    brings = Schedule(stages=(("turns?count=5",),), goal_keyframes=True)
+
+    def act(self, observation):
+        return int(np.flatnonzero(observation["action_mask"])[1])
+
+
+def test_a_job_on_native_terms_has_another_hash_and_the_policys_configuration() -> None:
+    spec = "tests.policies.test_schedule:Bringer"
+    shared = Job("box", spec, 0, preset="fast", frame_budget=20)
+    native = Job("box", spec, 0, preset="fast", frame_budget=20, terms="native")
+    assert "terms" not in shared.as_dict() and shared.hash != native.hash
+    assert Job.from_dict(native.as_dict()) == native and Job.from_dict(shared.as_dict()) == shared
+    known = ground_truth_of(load_scene("box"))
+    assert build(shared, known)[1].config.views.stages == (("pool",),)
+    policy, env = build(native, known)
+    assert env.config.views.stages == (("turns?count=5",),)
+    changed = Job("box", spec, 0, preset="fast", overrides=(("keyframe_every", 7),), terms="native")
+    assert build(changed, known)[1].config.keyframe_every == 7  # what was asked for goes before
+    observation, _ = env.reset(seed=0)
+    *_, info = env.step(policy.act(observation))
+    # 72 degrees are 8 frames, of which the last alone is a keyframe.
+    assert (info["frames"], info["keyframes"]) == (9, 2) and env.action_masks().sum() == 5
+
+
+def test_wrong_terms_and_declarations_are_said() -> None:
+    with pytest.raises(InputError, match="did you mean 'native'"):
+        Job("box", "random", 0, terms="nativ")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="what Odd brings must be a Schedule"):
+        schedule_of(type("Odd", (), {"brings": {"mapper": "splatam"}}), "native")
+    with pytest.raises(InputError, match="give config as a dictionary"):
+        make_env_and_policy(Bringer, "box", terms="native", config=configure("fast"))

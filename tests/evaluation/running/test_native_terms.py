@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,33 +16,21 @@ from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.resuming import conditions
 
 BRINGER = "tests.policies.test_schedule:Bringer"
-SMALL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
+PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
+USUAL: dict[str, Any] = {"preset": "fast", "frame_budget": 25, "engine": "inline", "protocol": PROTOCOL}
 
 
 def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path) -> None:
-    result = compare(
-        ["box"], [BRINGER, "random"], tmp_path / "runs", preset="fast", frame_budget=15, terms="native", engine="inline",
-        protocol=SMALL,
-    )  # fmt: skip
+    result = compare(["box"], [BRINGER, "random"], tmp_path / "runs", terms="native", **USUAL)
     assert not result.failed
     stages = {run.policy: run.config["configuration"]["views"]["stages"] for run in open_comparison(tmp_path / "runs")}
     assert stages == {BRINGER: [["turns?count=5"]], "random": [["pool"]]}
-    results = gather([tmp_path / "runs"])
-    (told,) = terms_text(results)
+    (told,) = terms_text(gather([tmp_path / "runs"]))
     assert f"`{BRINGER}` views of `turns?count=5`, mapper `default`, a keyframe at the end of a way" in told
     assert "`random` views of `pool`, mapper `default`, a keyframe every 20 frames" in told
     with pytest.raises(InputError, match="terms was native, asked for is shared"):
-        compare(
-            ["box"],
-            ["random"],
-            tmp_path / "runs",
-            preset="fast",
-            frame_budget=15,
-            engine="inline",
-            protocol=SMALL,
-            resume=True,
-        )
-    compare(["box"], ["random"], tmp_path / "shared", preset="fast", frame_budget=15, engine="inline", protocol=SMALL)
+        compare(["box"], ["random"], tmp_path / "runs", **USUAL, resume=True)
+    compare(["box"], ["random"], tmp_path / "shared", **USUAL)
     with pytest.raises(InputError, match="terms"):
         gather([tmp_path / "runs", tmp_path / "shared"])
     assert conditions(result.runs[0].job)["terms"] == "native"

@@ -13,6 +13,7 @@ from activestructure_gym.policies.activestructure import (
     ActiveStructureC,
     ActiveStructureD,
 )
+from activestructure_gym.policies.aiisrfe import Aiisrfe
 from activestructure_gym.policies.anm_s import AnmS
 from activestructure_gym.policies.base import POLICIES, Policy, canonical_policy, make_policy, travel_discount
 from activestructure_gym.policies.candidates import Candidates
@@ -64,6 +65,7 @@ __all__ = [
     "ActiveStructureB",
     "ActiveStructureC",
     "ActiveStructureD",
+    "Aiisrfe",
     "AnmS",
     "Candidates",
     "CovTrace",

@@ -13,6 +13,7 @@ without registering, in every worker process. The table in docs/guide/observatio
 from activestructure_gym.features.activeinr import activeinr, activeinr_proxy
 from activestructure_gym.features.activepolicy import activepolicy
 from activestructure_gym.features.activesplat import activesplat
+from activestructure_gym.features.aiisrfe import aiisrfe
 from activestructure_gym.features.anm_s import anm_s, anm_s_proxy
 from activestructure_gym.features.confidence import confidence
 from activestructure_gym.features.context import FeatureContext
@@ -50,6 +51,7 @@ __all__ = [
     "activeinr_proxy",
     "activepolicy",
     "activesplat",
+    "aiisrfe",
     "anm_s",
     "anm_s_proxy",
     "column_names",

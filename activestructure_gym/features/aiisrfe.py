@@ -1,0 +1,130 @@
+"""What the mode-switching planner of Zeng et al. asks: which frontier a view serves, and how unsure its surface is."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.features.blending import blended
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.gs_planner import LOSS_KEYFRAMES, spread
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.unknown_volume import worth_a_look
+from activestructure_gym.geometry.camera import Lens
+from activestructure_gym.mapping import Mapper
+from activestructure_gym.volume import FREE, VoxelVolume
+
+CLUSTER = 2.0  # metres, side of the cubes that large frontiers are cut into (own choice)
+LEAST = 5  # voxels of a frontier (own choice)
+NEAR = 3.0  # metres from the agent (own choice)
+
+
+@FEATURES.register(
+    "aiisrfe",
+    columns=("frontier", "near", "total", "uncertainty"),
+    unit=("index", "clusters", "clusters", "mean squared colour error"),
+    low=(-1.0, 0.0, 0.0, 0.0),
+)
+def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
+    """Which frontier a view is the one for, or -1; how many frontiers are near the agent, and in all; and the mean over
+    pixels of the colour uncertainty of the surface in sight.
+
+    A frontier is a connected cluster of free voxels beside space that nobody has looked into. The view for it is the
+    candidate that has most of its voxels in sight; one that nobody has in sight is none. Near are those whose middle is
+    within 3 m of the agent. The uncertainty of a place is the mean squared error of the rendered colour there, what the
+    variance of a learned colour tends to. Source: [aiisrfe], by abstract and digest.
+    """
+    poses, keyframes = context.world_from_camera, context.mapper.keyframes
+    table = np.zeros((len(poses), 4))
+    table[:, 0] = -1.0
+    voxels, cluster = frontiers(context)
+    clusters = int(cluster.max(initial=-1)) + 1
+    if len(poses) and clusters:
+        counts = _in_sight(context, voxels, cluster, clusters)
+        served = counts.max(axis=0) > 0
+        middles = np.stack([voxels[cluster == c].mean(axis=0) for c in range(clusters)])
+        here = keyframes[-1].world_from_camera[:3, 3] if context.agent is None else context.agent.pose[:3, 3]
+        near = np.linalg.norm(middles - here, axis=1) <= NEAR
+        for c in np.flatnonzero(served)[::-1]:  # a view for two frontiers is the first one's
+            table[counts[:, c].argmax(), 0] = c
+        table[:, 1], table[:, 2] = (near & served).sum(), served.sum()
+    if len(poses):
+        unsure = voxel_colour_errors(context.mapper, context.volume)
+        table[:, 3] = blended(context, _of_gaussians(context, unsure)).mean(axis=(1, 2))
+    return table
+
+
+def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 3] metres, [F] cluster
+    """Frontier voxels, and the clusters 0, 1, ... that they belong to, cut into cubes."""
+    volume = context.volume
+    wanted = context.once(worth_a_look)
+    edge = (volume.state == FREE) & ndimage.binary_dilation(wanted, np.ones((3, 3, 3), bool))
+    labels, _ = ndimage.label(edge, np.ones((3, 3, 3), bool))
+    voxels = np.argwhere(edge)
+    centres = volume.center_of(voxels)
+    cubes = np.floor((centres - volume.origin) / CLUSTER).astype(np.int64)
+    parts = np.column_stack([labels[tuple(voxels.T)], cubes])
+    _, cluster, sizes = np.unique(parts, axis=0, return_inverse=True, return_counts=True)
+    cluster = cluster.ravel()
+    kept = sizes[cluster] >= LEAST
+    return centres[kept], np.unique(cluster[kept], return_inverse=True)[1].ravel()
+
+
+def _in_sight(context: FeatureContext, voxels: np.ndarray, cluster: np.ndarray, clusters: int) -> np.ndarray:  # [K, C]
+    reach = min(context.max_range, context.volume.config.max_range)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, np.float32(reach))
+    poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
+    return _count(voxels, cluster, clusters, poses, context.camera.lens, np.minimum(surface, np.float32(reach)))
+
+
+@kernel
+def _count(
+    centres: np.ndarray,  # [F, 3] metres
+    cluster: np.ndarray,  # [F] int64
+    clusters: int,
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    lens: Lens,
+    surface: np.ndarray,  # [K, h, w] float32 metres of depth
+) -> np.ndarray:  # [K, C] voxels of each cluster in front of the surface
+    count, height, width = surface.shape
+    result = np.zeros((count, clusters), np.int64)
+    for k in range(count):
+        pose = poses[k]
+        for f in range(len(centres)):
+            x, y, z = centres[f, 0] - pose[0, 3], centres[f, 1] - pose[1, 3], centres[f, 2] - pose[2, 3]
+            deep = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z
+            if not deep > 0.0:
+                continue
+            u = lens[0] * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / deep + lens[2]
+            v = lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / deep + lens[3]
+            if 0.0 <= u < width and 0.0 <= v < height and deep < surface[k, int(v), int(u)]:
+                result[k, cluster[f]] += 1
+    return result
+
+
+def voxel_colour_errors(mapper: Mapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32
+    """Mean squared error of the rendered colours over what 16 keyframes saw in each voxel; 0 where they saw nothing."""
+    sums, number = np.zeros(volume.state.size), np.zeros(volume.state.size)
+    for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
+        frame = mapper.keyframes[index]
+        color = mapper.render(frame.camera, frame.world_from_camera).color
+        measured = frame.depth > 0
+        error = ((color - frame.rgb / 255.0) ** 2).mean(axis=-1)[measured]
+        pose = frame.world_from_camera
+        points = frame.camera.backproject(frame.depth)[measured].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        inside = volume.contains(points)
+        flat = np.ravel_multi_index(tuple(volume.voxel_of(points[inside]).T), volume.shape)
+        sums += np.bincount(flat, error[inside], len(sums))
+        number += np.bincount(flat, minlength=len(sums))
+    return (sums / np.maximum(number, 1.0)).astype(np.float32).reshape(volume.shape)
+
+
+def _of_gaussians(context: FeatureContext, table: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [N] float32
+    """What stands in the voxel of each Gaussian's mean."""
+    means, volume = context.mapper.map.means, context.volume
+    values = np.zeros(len(means), np.float32)
+    inside = volume.contains(means)
+    values[inside] = table[tuple(volume.voxel_of(means[inside]).T)]
+    return values

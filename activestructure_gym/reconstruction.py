@@ -22,6 +22,7 @@ from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
+from activestructure_gym.mapping.make import make_mapper
 from activestructure_gym.motion import Agent, DistanceMap, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
@@ -100,7 +101,7 @@ class Reconstruction:
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
-        self.mapper = Mapper(config.mapper, np.random.default_rng(mapping))
+        self.mapper = make_mapper(config.mapper, np.random.default_rng(mapping))
         # The volume's margins are made for Kinect noise; a noisier sensor widens them.
         multiplier = max(1.0, config.sensor.noise_multiplier) if config.sensor.depth_noise != "none" else 1.0
         widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * multiplier})

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from activestructure_gym.errors import unknown_name
+from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
 from activestructure_gym.mapping.tracking import TrackingConfig
 from activestructure_gym.ranges import check_ranges
@@ -39,6 +39,28 @@ _RANGES = {
     "prune_steps": "[-1, 100000]",
     "max_gaussians": "[1, 100000000]",
 }  # fmt: skip
+
+_RANGES_OF_MONOGS = {
+    "mean_rate_end": "(0, 1000]",
+    "mean_rate_steps": "[1, 1e9]",
+    **dict.fromkeys(("color_share", "least_overlap"), "[0, 1]"),
+    "roundness_weight": "[0, 1e6]",
+    **dict.fromkeys(("seed_share", "first_seed_share"), "(0, 1]"),
+    **dict.fromkeys(("point_size", "prune_size"), "(0, 1000]"),
+    "first_rounds": "[1, 1000]",
+    "random_views": "[0, 1000]",
+    **dict.fromkeys(("prune_every", "prune_after"), "[1, 1e6]"),
+}
+_RANGES_OF_GAUSSIAN_SLAM = {
+    "roundness_weight": "[0, 1e6]",
+    **dict.fromkeys(("current_share", "submap_seed_share"), "(0, 1]"),
+    "submap_edge_share": "[0, 1]",
+    "submap_metres": "(0, 1000]",
+    "submap_degrees": "(0, 180]",
+    "submap_rounds": "[1, 1000]",
+    "behind": "[0.9, 1.1]",
+    "nearest_seed": "[0, 1]",
+}
 
 # What each recipe changes of the defaults below.
 _RECIPES: Mapping[str, Mapping[str, Any]] = {
@@ -140,8 +162,10 @@ class MapperConfig:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)  # of the pose of every keyframe; off by default
 
     def __post_init__(self) -> None:
-        if self.name not in _RECIPES:
-            raise unknown_name("mapper", self.name, _RECIPES)
+        if self.name not in _NAMES:
+            raise unknown_name("mapper", self.name, _NAMES)
+        if not isinstance(self, _SYSTEMS.get(self.name, MapperConfig)):
+            raise InputError(f"mapper '{self.name}' has fields of its own: start from MAPPERS['{self.name}']")
         if self.backend not in BACKENDS:
             raise unknown_name("mapper backend", self.backend, BACKENDS)
         check_ranges(self, _RANGES)
@@ -159,4 +183,96 @@ class MapperConfig:
         return rates
 
 
-MAPPERS: dict[str, MapperConfig] = {name: MapperConfig(name=name, **changes) for name, changes in _RECIPES.items()}
+HARMONIC = 0.28209479177387814  # of degree 0: where colours are learnt as its factor, a step of it is a step of colour
+
+
+@dataclass(frozen=True)
+class MonoGSConfig(MapperConfig):
+    """MonoGS with depth, on given poses ([monogs, code], `configs/rgbd`): `activestructure_gym.mapping.monogs`.
+
+    Fields of `MapperConfig` about seeding by spacing and view selection mean nothing here.
+    """
+
+    name: str = "monogs"
+    seed_spacing: float | None = None
+    seed_opacity: float = 0.5
+    iterations: int = 10  # per keyframe, each over the whole window (with a process of its own for mapping)
+    mean_rate: float = 9.6e-4  # metres per step: 1.6e-4 times the extent of 6 m
+    mean_rate_end: float = 9.6e-6  # metres per step, after ``mean_rate_steps``
+    mean_rate_steps: int = 30_000  # over which the rate of the means falls from one to the other
+    quaternion_rate: float = 1e-3
+    log_scale_rate: float = 6e-3
+    opacity_rate: float = 5e-2
+    color_rate: float = 2.5e-3 * HARMONIC
+    refine_shapes: bool = True
+    normalised_depth: bool = False
+    window: int = 10  # keyframes that every step renders
+    prune_opacity: float = 0.7  # Gaussians below go, when they are judged
+    psnr_refresh: int = 0
+    color_share: float = 0.95  # of the colour term in the loss; the rest is depth, in metres
+    roundness_weight: float = 10.0  # of the mean deviation of an axis from a Gaussian's mean axis, metres
+    seed_share: float = 0.125  # of a keyframe's pixels (there 1/64 of 1200 x 680, more than a picture here has)
+    first_seed_share: float = 0.25  # of the first keyframe's pixels (there 1/32)
+    point_size: float = 0.05  # metres, at most; and times the median depth
+    first_rounds: int = 7  # times the iterations, for the first keyframe (1050 / 150)
+    random_views: int = 2  # keyframes outside of the window, in every step
+    least_overlap: float = 0.4  # of what two keyframes see: below, the older one leaves the window
+    prune_every: int = 150  # steps
+    prune_after: int = 50  # steps that a Gaussian took part in before it is judged, and of the first judgement
+    prune_size: float = 0.6  # metres, sigma: a tenth of the extent of 6 m
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, _RANGES_OF_MONOGS)
+
+
+@dataclass(frozen=True)
+class GaussianSLAMConfig(MapperConfig):
+    """Gaussian-SLAM on given poses ([gaussian_slam, code], `configs/Replica`): `mapping.gaussian_slam`.
+
+    Fields of `MapperConfig` about seeding by spacing and view selection mean nothing here.
+    """
+
+    name: str = "gaussian_slam"
+    seed_spacing: float | None = None
+    seed_opacity: float = 0.5
+    covered_alpha: float = 0.6
+    in_front_factor: float = 40.0
+    in_front_floor: float = 0.0
+    iterations: int = 20  # per keyframe (there 100; own choice, for a CPU)
+    image_weight: float = 1.0
+    l1_share: float = 0.8
+    depth_weight: float = 1.0
+    normalised_depth: bool = False
+    mean_rate: float = 1e-4
+    quaternion_rate: float = 1e-3
+    log_scale_rate: float = 5e-3
+    opacity_rate: float = 5e-2
+    color_rate: float = 2.5e-3 * HARMONIC  # in the second half of an event; in the first one colours stay
+    refine_shapes: bool = True
+    adam_reset: bool = True
+    prune_opacity: float = 0.1  # in the middle and at the end of an event
+    psnr_refresh: int = 0
+    roundness_weight: float = 1.0  # of the mean deviation of an axis from a Gaussian's mean axis, metres
+    current_share: float = 0.4  # of the steps look at the current keyframe, the others at those of its sub-map
+    submap_metres: float = 0.5  # from the pose a sub-map began at; beyond, the next one begins
+    submap_degrees: float = 50.0  # the same, for any of the three Euler angles
+    submap_rounds: int = 2  # times the iterations, for the first keyframe of a sub-map (there 10)
+    submap_seed_share: float = 0.25  # of its pixels (there 600,000 of 816,000; own choice, for a CPU)
+    submap_edge_share: float = 0.06  # as many more, drawn by the size of the picture's gradient (50,000 of 816,000)
+    behind: float = 1.005  # times the depth that was measured stand the seeds
+    nearest_seed: float = 3.2e-4  # metres to a Gaussian of the sub-map, at least (1e-7 m^2)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, _RANGES_OF_GAUSSIAN_SLAM)
+
+
+# Mappers with an optimiser or a map of their own, which more fields are needed for.
+_SYSTEMS: dict[str, type[MapperConfig]] = {"monogs": MonoGSConfig, "gaussian_slam": GaussianSLAMConfig}
+_NAMES = (*_RECIPES, *_SYSTEMS)
+
+MAPPERS: dict[str, MapperConfig] = {
+    **{name: MapperConfig(name=name, **changes) for name, changes in _RECIPES.items()},
+    **{name: kind() for name, kind in _SYSTEMS.items()},
+}

@@ -119,11 +119,7 @@ class Mapper:
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
         """Make ``frame`` a keyframe, seed what the map lacks there and optimise (default: ``config.iterations``)."""
-        shape = (frame.camera.height, frame.camera.width)
-        if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
-            raise ValueError(
-                f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
-            )
+        check_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
@@ -137,7 +133,7 @@ class Mapper:
         losses, pruned = self._optimize(views)
         # The new keyframe itself, which has no value yet, and those that have waited longest.
         self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
-        return _report(
+        return summed_up(
             self.map.count,
             views,
             losses,
@@ -154,16 +150,10 @@ class Mapper:
 
         Learns colours alone, unless ``config.refine_shapes``.
         """
-        indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
-        if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
-            raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
+        views = self._rounds(iterations, keyframe_indices)
         self._events += 1
-        views: list[int] = []
-        while len(indices) and len(views) < iterations:
-            views += self._rng.permutation(indices).tolist()
-        del views[iterations:]
         losses, pruned = self._optimize(views, refining=True)
-        return _report(self.map.count, views, losses, pruned)
+        return summed_up(self.map.count, views, losses, pruned)
 
     def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
         """Render the map from a pose: colour [H, W, 3], accumulated depth [H, W], alpha [H, W]."""
@@ -222,6 +212,16 @@ class Mapper:
         """What all keyframes have seen of every 5 cm of surface; new ones are taken in when somebody asks."""
         self._surface_looks = self._surface_looks or SurfaceLooks()
         return self._surface_looks.update(self.keyframes)
+
+    def _rounds(self, iterations: int, keyframe_indices: Sequence[int] | None) -> list[int]:
+        """So many looks at the given keyframes (None: all), in shuffled rounds."""
+        indices = np.arange(len(self.keyframes)) if keyframe_indices is None else np.asarray(keyframe_indices, int)
+        if len(indices) and not (0 <= indices.min() and indices.max() < len(self.keyframes)):
+            raise ValueError(f"keyframe indices must lie in 0..{len(self.keyframes) - 1}, got {indices.tolist()}")
+        views: list[int] = []
+        while len(indices) and len(views) < iterations:
+            views += self._rng.permutation(indices).tolist()
+        return views[:iterations]
 
     def _seed(self, frame: Frame, unseen: np.ndarray | None) -> tuple[int, int, int, float]:
         """Insert Gaussians where the map lacks them; what is coarser than they would be makes way.
@@ -383,7 +383,7 @@ class Mapper:
                 self.map.count,
                 frame.camera,
                 frame.world_from_camera,
-                _unit_rgb(frame),
+                unit_rgb(frame),
                 frame.depth,
                 weights=self._weights,
                 learning_rates=rates,
@@ -420,8 +420,17 @@ class Mapper:
             camera, pose = frame.camera, frame.world_from_camera
             unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
             shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
-            error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - _unit_rgb(frame)), dtype=np.float64))
+            error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - unit_rgb(frame)), dtype=np.float64))
             self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
+
+
+def check_frame(frame: Frame) -> None:
+    """Raise `ValueError` where pictures and camera of a frame have different sizes."""
+    shape = (frame.camera.height, frame.camera.width)
+    if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
+        raise ValueError(
+            f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
+        )
 
 
 def largest_adam_step(beta1: float, beta2: float) -> float:
@@ -433,7 +442,7 @@ def largest_adam_step(beta1: float, beta2: float) -> float:
     return (1.0 - beta1) / np.sqrt((1.0 - beta2) * rest) if rest > 0 else np.inf
 
 
-def _report(
+def summed_up(
     count: int,
     views: list[int],
     losses: np.ndarray,
@@ -445,6 +454,7 @@ def _report(
     new_share: float = 0.0,
     psnr: float = float("nan"),
 ) -> MappingReport:
+    """The report of an event with the losses [steps, 3] (colour, depth, ssim) of its steps."""
     means = losses.mean(axis=0) if len(losses) else np.full(3, np.nan)
     return MappingReport(
         added=added,
@@ -461,5 +471,6 @@ def _report(
     )
 
 
-def _unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
+def unit_rgb(frame: Frame) -> np.ndarray:  # [H, W, 3] float32 0..1
+    """The colours of a frame as the optimiser compares them."""
     return frame.rgb * np.float32(1.0 / 255.0)

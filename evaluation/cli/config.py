@@ -42,14 +42,14 @@ class Config:
         if self.json:
             return print_json(dataclasses.asdict(chosen))
         defaults = dict(leaves(ReconstructionConfig()))
-        before, after, meanings = dict(leaves(preset)), dict(leaves(chosen)), dict(_meanings(chosen))
+        before, after, texts = dict(leaves(preset)), dict(leaves(chosen)), dict(meanings(chosen))
         table = plain_table(f"Preset {self.preset}", "field", "value", "default", "meaning")
         for name, value in after.items():
-            style = "bold" if value != before[name] else None
-            default = "" if value == defaults[name] else _shown(defaults[name])
-            table.add_row(*map(escape, (name, _shown(value), default, meanings[name])), style=style)
+            style = "bold" if name not in before or value != before[name] else None
+            default = "" if name not in defaults or value == defaults[name] else _shown(defaults[name])
+            table.add_row(*map(escape, (name, _shown(value), default, texts[name])), style=style)
         print_listed(table, "Where nothing stands under default, the value is it. Changes: --set FIELD=VALUE")
-        changes = [name for name, value in after.items() if value != before[name]]
+        changes = [name for name, value in after.items() if name in before and value != before[name]]
         for name in changes:
             print(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
         return 0
@@ -65,12 +65,14 @@ def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:
             yield before + field.name, value
 
 
-def _meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
-    notes = field_notes(type(config))
+def meanings(config: Any, before: str = "") -> Iterator[tuple[str, str]]:
+    """What every field is, by its dotted name; a field set anew by a subclass may keep what it was."""
+    lineage = reversed(type(config).__mro__[:-1])
+    notes = {name: note for kind in lineage for name, note in field_notes(kind).items() if note}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
-            yield from _meanings(value, f"{before}{field.name}.")
+            yield from meanings(value, f"{before}{field.name}.")
         else:
             yield before + field.name, notes.get(field.name, "")
 

@@ -7,8 +7,9 @@ import pytest
 
 from activestructure_gym.config import ReconstructionConfig, configure
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.config import field_notes, leaves
+from activestructure_gym.evaluation.cli.config import field_notes, leaves, meanings
 from activestructure_gym.features import FEATURES
+from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 
 
@@ -107,6 +108,14 @@ def test_every_field_has_a_meaning():
 
     silent = [name for name, note in walk(ReconstructionConfig()) if not note]
     assert not silent
+
+
+@pytest.mark.parametrize("name", list(MAPPERS))
+def test_every_mapper_s_fields_are_listed_with_a_meaning(capsys, name):
+    found = json.loads(said(capsys, "config", "--set", f"mapper.name={name}", "--json"))
+    assert set(found["mapper"]) == {field.name for field in dataclasses.fields(MAPPERS[name])}
+    assert said(capsys, "config", "--set", f"mapper.name={name}").count("mapper.") > 40
+    assert all(meaning for _, meaning in meanings(ReconstructionConfig(mapper=MAPPERS[name])))
 
 
 def test_notes_are_read_wherever_they_stand():

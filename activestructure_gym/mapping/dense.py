@@ -1,0 +1,217 @@
+"""Mapping as systems in torch do it: a loss over pictures, autograd, and Adam on every Gaussian, in view or not.
+
+What MonoGS and Gaussian-SLAM share on given poses: an event seeds from the new keyframe, takes its steps, and prunes.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from activestructure_gym.geometry import invert_rigid
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.config import MapperConfig
+from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
+from activestructure_gym.mapping.mapper import Mapper, MappingReport, check_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.reduced import reduced
+from activestructure_gym.splatting import LossWeights
+from activestructure_gym.splatting.api import Rasterization, rasterize
+from activestructure_gym.splatting.torch_losses import MappingLoss, mapping_loss
+
+# Of a picture, the colours [H, W, 3] and the depth [H, W] it should have.
+LookLoss = Callable[[Rasterization, torch.Tensor, torch.Tensor], MappingLoss]
+
+_NEIGHBOURS = 3
+# The colours alone, as 3D Gaussian splatting learns them ([kerbl2023]): what both systems refine a finished map by.
+_REFINING = LossWeights(image=1.0, l1_share=0.8, depth=0.0, normalised_depth=False)
+
+
+class DenseMapper(Mapper):
+    """A mapper whose steps move every Gaussian by torch's Adam. Subclasses seed, and say what an event learns from."""
+
+    @abstractmethod
+    def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
+        """New Gaussians [14, n] for a keyframe that is not stored yet, and the share of its pixels the map lacked."""
+
+    @abstractmethod
+    def _event(self, index: int, iterations: int) -> tuple[list[int], np.ndarray, int]:
+        """Learn from the newest keyframe: those looked at, the losses of every look [looks, 3], how many went."""
+
+    def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
+        """Make ``frame`` a keyframe, seed by the system's own rule and optimise (default: ``config.iterations``)."""
+        check_frame(frame)
+        iterations = self.config.iterations if iterations is None else iterations
+        self._events += 1
+        self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
+        with one_thread():
+            block, new_share = self._seeds(frame)
+            added, left_out = self._append(block)
+            index = self._store.append(reduced(frame, self.config.keyframe_reduction), new_share=new_share)
+            self._begin_event()
+            views, losses, pruned = self._event(index, iterations)
+            self._end_event()
+        self._measure_psnr(self._store.stalest(1 + self.config.psnr_refresh))
+        return summed_up(
+            self.map.count,
+            views,
+            losses,
+            pruned,
+            added=added,
+            left_out=left_out,
+            new_share=new_share,
+            psnr=self._store.psnr[index],
+        )
+
+    def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
+        """Optimise the whole map over all keyframes (or the given ones), in shuffled rounds, by their colours alone."""
+        views = self._rounds(iterations, keyframe_indices)
+        self._events += 1
+        losses = np.full((len(views), 3), np.nan)
+        with one_thread():
+            self._begin_event()
+            self.map.reset_moments()
+            for step, view in enumerate(views):
+                rows = leaf(self.map.parameters[:, : self.map.count])
+                losses[step] = self._look(rows, view, _refining_loss)
+                self._step(rows, slice(0, self.map.count), self.config.learning_rates(refining=True), step + 1)
+            self._end_event()
+        return summed_up(self.map.count, views, losses, 0)
+
+    def _append(self, block: np.ndarray) -> tuple[int, int]:
+        """Insert what there is room for, an even choice of it; how many those are, and how many found none."""
+        bound, count = self.config.max_gaussians, block.shape[1]
+        room = count if bound is None else min(count, max(0, bound - self.map.count))
+        if room < count:
+            block = block[:, np.linspace(0, count, room, endpoint=False, dtype=int)]
+        self.map.append(block)
+        return room, count - room
+
+    def _hiding(self, frame: Frame) -> np.ndarray | None:
+        return None
+
+    def _look(self, rows: torch.Tensor, view: int, compare: LookLoss) -> tuple[float, float, float]:
+        """Add to the gradient of ``rows`` what a keyframe says; its colour and depth error and SSIM."""
+        frame = self.keyframes[view]
+        shown = drawn(rows, frame, self.config)
+        loss = compare(
+            shown, torch.from_numpy(unit_rgb(frame)).to(shown.color), torch.from_numpy(frame.depth).to(shown.color)
+        )
+        loss.total.backward()  # type: ignore[no-untyped-call]
+        return loss.color, loss.depth, loss.ssim
+
+    def _step(
+        self,
+        rows: torch.Tensor,  # [14, n] with its gradient
+        columns: slice,  # of the map, which the rows are
+        rates: np.ndarray,  # [14]
+        number: int | np.ndarray,  # of this step since the moments were 0; [14] where rows began at different times
+    ) -> None:
+        config, gaussians = self.config, self.map
+        assert rows.grad is not None
+        adam_step(
+            gaussians.parameters[:, columns],
+            gaussians.first_moment[:, columns],
+            gaussians.second_moment[:, columns],
+            rows.grad.cpu().numpy(),
+            rates=rates,
+            number=number,
+            betas=(config.adam_beta1, config.adam_beta2),
+            epsilon=config.adam_epsilon,
+        )
+        gaussians.touched()
+
+    def _transparent(self, threshold: float, start: int = 0) -> np.ndarray:  # [count] bool
+        """Gaussians from a column on whose opacity is below the threshold, or not a number."""
+        logits = self.map.parameters[OPACITY_LOGIT, : self.map.count]
+        with np.errstate(divide="ignore"):  # thresholds of 0 and 1
+            least = np.log(threshold) - np.log1p(-threshold)
+        return (np.arange(self.map.count) >= start) & ~(logits >= least)
+
+    def _begin_event(self) -> None:
+        if self._movement is not None:
+            self._movement.begin()
+
+    def _end_event(self) -> None:
+        if self._movement is not None:
+            self._movement.end()
+
+
+def _refining_loss(shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor) -> MappingLoss:
+    return mapping_loss(shown.color, shown.depth, shown.alpha, rgb, depth, _REFINING)
+
+
+def leaf(parameters: np.ndarray) -> torch.Tensor:  # [14, n] -> [14, n]
+    """A copy that autograd follows, laid out as the kernels read it."""
+    count = parameters.shape[1]
+    padded = np.zeros((ROWS, -(-max(1, count) // 16) * 16), np.float32)
+    padded[:, :count] = parameters
+    return torch.from_numpy(padded)[:, :count].requires_grad_()
+
+
+def drawn(rows: torch.Tensor, frame: Frame, config: MapperConfig) -> Rasterization:
+    """Gaussians [14, n] as the camera of a keyframe sees them."""
+    pose = torch.from_numpy(invert_rigid(frame.world_from_camera)).to(rows)
+    if config.backend == "gsplat":
+        rows, pose = rows.cuda(), pose.cuda()
+    return rasterize(
+        rows[:3].T,
+        rows[3:7].T,
+        rows[7:10].T,
+        rows[10],
+        rows[11:].T,
+        camera_from_world=pose,
+        camera=frame.camera,
+        backend=config.backend,
+    )
+
+
+def roundness(rows: torch.Tensor) -> torch.Tensor:  # [14, n] -> metres
+    """Mean deviation of an axis from the mean axis of its Gaussian: 0 for balls ([monogs, code])."""
+    scales = rows[7:10].exp()
+    return (scales - scales.mean(dim=0)).abs().mean()
+
+
+def adam_step(
+    parameters: np.ndarray,  # [14, n], changed in place
+    first_moment: np.ndarray,  # [14, n], changed in place
+    second_moment: np.ndarray,  # [14, n], changed in place
+    gradient: np.ndarray,  # [14, n]
+    *,
+    rates: np.ndarray,  # [14]
+    number: int | np.ndarray,
+    betas: tuple[float, float],
+    epsilon: float,
+) -> None:
+    """One step of Adam with its bias correction ([adam], algorithm 1), as `torch.optim.Adam` takes it."""
+    first, second = betas
+    count = np.broadcast_to(np.asarray(number, np.float64), ROWS)[:, None]
+    first_moment += np.float32(1.0 - first) * (gradient - first_moment)
+    second_moment += np.float32(1.0 - second) * (np.square(gradient) - second_moment)
+    size = (rates.astype(np.float64)[:, None] / (1.0 - first**count)).astype(np.float32)
+    root = np.sqrt(second_moment / (1.0 - second**count).astype(np.float32))
+    parameters -= size * first_moment / (root + np.float32(epsilon))
+
+
+def spacing_squared(points: np.ndarray, around: np.ndarray) -> np.ndarray:  # [n, 3], [m, 3] -> [n] m^2
+    """Mean squared distance of every point to its three nearest others among ``around``, which holds it, too."""
+    if len(around) < 2:
+        return np.full(len(points), np.nan)
+    nearest = min(_NEIGHBOURS + 1, len(around))
+    distances, _ = cKDTree(around).query(points, k=nearest)
+    return np.square(distances[:, 1:]).mean(axis=1)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Sums of torch in one order, whatever the number of cores; the kernels are the same with any."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,109 @@
+"""What every mapper with an optimiser of its own keeps to: `Mapper`'s protocol, and same frames, same bytes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from activestructure_gym import ReconstructionEnv
+from activestructure_gym.errors import InputError
+from activestructure_gym.mapping import MAPPERS, MapperConfig
+from activestructure_gym.mapping.make import make_mapper
+
+SYSTEMS = [name for name, config in MAPPERS.items() if type(config) is not MapperConfig]
+
+
+def _mapper(name, seed=0, **changes):
+    return make_mapper(dataclasses.replace(MAPPERS[name], **changes), np.random.default_rng(seed))
+
+
+def _mapped(name, frames, **changes):
+    mapper = _mapper(name, **changes)
+    reports = [mapper.observe(frame) for frame in frames]
+    return mapper, reports
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_same_frames_same_bytes_with_any_number_of_threads(name, room_frames):
+    found, usual = [], torch.get_num_threads()
+    for threads in (2, 1):
+        torch.set_num_threads(threads)
+        mapper, reports = _mapped(name, room_frames[:3], iterations=3)
+        found.append((mapper.map.parameters[:, : mapper.map.count].tobytes(), repr(reports)))
+        assert torch.get_num_threads() == threads
+    torch.set_num_threads(usual)
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_report_says_what_happened(name, room_frames):
+    mapper, reports = _mapped(name, room_frames[:3], iterations=3)
+    count = 0
+    for index, report in enumerate(reports):
+        count += report.added - report.pruned - report.replaced
+        assert report.count == count
+        assert report.left_out == 0 and 0 <= report.new_share <= 1
+        assert set(report.views) <= set(range(index + 1)) and index in report.views
+        assert np.isfinite([report.color_loss, report.depth_loss, report.psnr]).all()
+    assert len(mapper.keyframes) == 3 and mapper.map.count == count
+    assert len(mapper.keyframe_psnr()) == 3
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_refining_makes_the_keyframes_look_better(name, room_frames):
+    mapper, _ = _mapped(name, room_frames[:3], iterations=3)
+    before = mapper.keyframe_psnr(renders=None).mean()
+    report = mapper.refine(12)
+    assert sorted(report.views) == sorted([0, 1, 2] * 4)
+    assert mapper.keyframe_psnr(renders=None).mean() > before
+    with pytest.raises(ValueError, match="keyframe indices must lie in 0..2"):
+        mapper.refine(1, keyframe_indices=[3])
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_bound_holds(name, room_frames):
+    mapper, reports = _mapped(name, room_frames[:3], iterations=1, max_gaussians=500)
+    assert mapper.map.count <= 500 and reports[0].left_out > 0
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_frame_without_a_return_changes_nothing(name, room_frames):
+    mapper = _mapper(name, iterations=2)
+    blind = dataclasses.replace(room_frames[0], depth=np.zeros_like(room_frames[0].depth))
+    assert mapper.observe(blind).added == 0 and mapper.map.count == 0
+    mapper.observe(room_frames[0])
+    assert mapper.map.count > 0
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_fields_of_a_system_are_its_own(name):
+    with pytest.raises(InputError, match=f"mapper '{name}' has fields of its own"):
+        MapperConfig(name=name)
+    own = {field.name for field in dataclasses.fields(MAPPERS[name])} - {
+        field.name for field in dataclasses.fields(MapperConfig)
+    }
+    assert own
+    for field in own:
+        with pytest.raises(InputError, match=field):
+            dataclasses.replace(MAPPERS[name], **{field: -1})
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_an_episode_runs_on_it(name):
+    """With features that read the Gaussians, on the smallest pictures."""
+    env = ReconstructionEnv(
+        scene="box",
+        preset="fast",
+        frame_budget=25,
+        gains=("pixel", "hole_area"),
+        config={"mapper.name": name, "mapper.iterations": 1, "sensor.width": 48, "sensor.height": 27},
+    )
+    _, info = env.reset(seed=0)
+    ended = False
+    while not ended:
+        _, _, terminated, truncated, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))
+        ended = terminated or truncated
+    assert info["frames"] == 25 and info["gaussians"] > 0
+    assert type(env.reconstruction.mapper) is type(_mapper(name))
+    env.close()

@@ -8,9 +8,9 @@ from scipy import ndimage
 from activestructure_gym.compiling import kernel
 from activestructure_gym.features.blending import blended
 from activestructure_gym.features.context import FeatureContext
-from activestructure_gym.features.gs_planner import LOSS_KEYFRAMES, spread
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unknown_volume import worth_a_look
+from activestructure_gym.features.voxel_errors import squared_colour_error, voxel_sums
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.mapping import Mapper
 from activestructure_gym.volume import FREE, VoxelVolume
@@ -106,19 +106,8 @@ def _count(
 
 def voxel_colour_errors(mapper: Mapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32
     """Mean squared error of the rendered colours over what 16 keyframes saw in each voxel; 0 where they saw nothing."""
-    sums, number = np.zeros(volume.state.size), np.zeros(volume.state.size)
-    for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
-        frame = mapper.keyframes[index]
-        color = mapper.render(frame.camera, frame.world_from_camera).color
-        measured = frame.depth > 0
-        error = ((color - frame.rgb / 255.0) ** 2).mean(axis=-1)[measured]
-        pose = frame.world_from_camera
-        points = frame.camera.backproject(frame.depth)[measured].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        inside = volume.contains(points)
-        flat = np.ravel_multi_index(tuple(volume.voxel_of(points[inside]).T), volume.shape)
-        sums += np.bincount(flat, error[inside], len(sums))
-        number += np.bincount(flat, minlength=len(sums))
-    return (sums / np.maximum(number, 1.0)).astype(np.float32).reshape(volume.shape)
+    sums, number = voxel_sums(mapper, volume, squared_colour_error)
+    return (sums / np.maximum(number, 1.0)).astype(np.float32)
 
 
 def _of_gaussians(context: FeatureContext, table: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [N] float32

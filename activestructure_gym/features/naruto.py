@@ -1,4 +1,4 @@
-"""NARUTO's goal score and look-at list ([naruto]), on a volume of Gaussians."""
+"""NARUTO's goal score and look-at list ([naruto]), with the uncertainty that its loss tends to."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.voxel_errors import squared_depth_error, voxel_sums
 from activestructure_gym.volume import FREE, VoxelVolume
 
-EPSILON = 1.0  # opacity times looks: one look at one opaque Gaussian halves the uncertainty
+INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # sigma of a place that no ray has taught anything
+FLOOR = 0.01  # the least sigma
 POOL = 4000  # most uncertain voxels, of which TARGETS are kept
 TARGETS = 300
 POOL_SHARE = 0.035  # of the grid's voxels, where that is less: 4000 of room0's 80 x 48 x 30
@@ -25,7 +27,7 @@ class Targets:
     """The uncertain places of a step and who sees them."""
 
     positions: np.ndarray  # [T, 3] metres, world, the most uncertain first
-    sigma: np.ndarray  # [T] in (0, 1 / EPSILON]
+    sigma: np.ndarray  # [T] m^2
     seen: np.ndarray  # [K, T] bool, from every candidate's position
 
 
@@ -56,8 +58,8 @@ def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
 
 def find_targets(context: FeatureContext) -> Targets:
     """T and its visibility; share it by ``context.once(find_targets)``."""
-    gaussians, volume = context.mapper.map, context.volume
-    voxels, sigma = uncertainty(volume, gaussians.means, gaussians.opacities)
+    volume = context.volume
+    voxels, sigma = uncertainty(volume, *voxel_sums(context.mapper, volume, squared_depth_error))
     voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
     kept = chosen(voxel_ids, sigma, volume.state.size)
     positions = volume.center_of(voxels[kept])
@@ -67,25 +69,32 @@ def find_targets(context: FeatureContext) -> Targets:
 
 def uncertainty(
     volume: VoxelVolume,
-    means: np.ndarray,  # [N, 3] metres, world
-    opacities: np.ndarray,  # [N] 0..1
+    errors: np.ndarray,  # [X, Y, Z] m^2, sum of the squared depth errors of what was seen in each voxel
+    pixels: np.ndarray,  # [X, Y, Z] of how many pixels
 ) -> tuple[np.ndarray, np.ndarray]:  # [V, 3] voxels near the surface, sigma [V]
-    """sigma(x) = 1 / (EPSILON + sum over the Gaussians k at x of o_k hits_k), in front of the surface; 0 elsewhere.
+    """sigma(x) = mean squared depth error of the surface at x, at least `FLOOR`, in front of the surface; 0 elsewhere.
+
+    [naruto, code] learns sigma = softplus(u) + .01 from (D - D_measured)^2 / (2 U) + 1/2 log U with U = sum w^2 sigma
+    over a ray, one step of rate 1 per keyframe: it tends to the mean squared error of the rendered depth, and where no
+    ray has come it stays `INITIAL`, softplus(3) + .01. This is what it tends to, with the weight of a ray in one place.
 
     Near the surface are the free voxels beside one that is not free: there a surface is, or for all one knows may be.
-    hits_k is the number of images in which the voxel of Gaussian k was seen. At x are the Gaussians in x, in the voxels
-    beside it that are not free, and in those beside these: a voxel that the surface merely touches can stay unknown.
+    At x are what was seen in x, in the voxels beside it that are not free, and in those beside these: a voxel that the
+    surface merely touches can stay unknown. A surface that none of the pixels saw has the mean of all that they saw.
     """
     free = volume.state == FREE
-    inside = volume.contains(means)
-    voxel = np.ravel_multi_index(tuple(volume.voxel_of(means[inside]).T), volume.shape)
-    opacity = np.bincount(voxel, weights=opacities[inside], minlength=free.size).reshape(volume.shape)
-    evidence = opacity * volume.weight
-    behind = np.where(free, 0.0, evidence)
-    behind = np.where(free, 0.0, behind + _beside(behind))
     voxels = np.argwhere(free & (_beside((~free).astype(np.float64)) > 0))
     at = tuple(voxels.T)
-    return voxels, 1.0 / (EPSILON + evidence[at] + _beside(behind)[at])
+
+    def around(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> [V]
+        behind = np.where(free, 0.0, values)
+        behind = np.where(free, 0.0, behind + _beside(behind))
+        return np.asarray(values[at] + _beside(behind)[at])
+
+    looks = around(pixels)
+    mean = errors.sum() / max(pixels.sum(), 1.0)
+    unmeasured = np.where(around(volume.occupied.astype(np.float64)) > 0, max(mean, FLOOR), INITIAL)
+    return voxels, np.where(looks > 0, np.maximum(around(errors) / np.maximum(looks, 1.0), FLOOR), unmeasured)
 
 
 def _beside(values: np.ndarray) -> np.ndarray:  # [X, Y, Z] -> sum over the 6 neighbours

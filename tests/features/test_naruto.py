@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.features.naruto import LISTED, POOL, TARGETS, chosen, find_targets, uncertainty, visible
+from activestructure_gym.features.naruto import (
+    FLOOR,
+    INITIAL,
+    LISTED,
+    POOL,
+    TARGETS,
+    chosen,
+    find_targets,
+    uncertainty,
+    visible,
+)
+from activestructure_gym.features.voxel_errors import squared_depth_error, voxel_sums
 from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.sensors import Frame
 from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
 
 X = np.array([1.0, 0.0, 0.0])
@@ -24,64 +37,88 @@ def box(size: tuple[float, float, float]) -> VoxelVolume:
     return volume
 
 
-def gaussians(means: np.ndarray, opacities: np.ndarray) -> SimpleNamespace:
-    return SimpleNamespace(means=np.reshape(means, (-1, 3)), opacities=np.asarray(opacities, float))
+class Shown(NamedTuple):
+    """Keyframes and what the map shows of each: the errors that the uncertainty is learnt from."""
+
+    keyframes: list[Frame]
+    depths: list[np.ndarray]
+
+    def render(self, camera: PinholeCamera, pose: np.ndarray) -> SimpleNamespace:
+        row = next(i for i, frame in enumerate(self.keyframes) if frame.world_from_camera is pose)
+        depth = self.depths[row]
+        return SimpleNamespace(depth=0.5 * depth, alpha=np.full_like(depth, 0.5), color=None)
 
 
-def context(volume: VoxelVolume, positions: list, cloud: SimpleNamespace) -> FeatureContext:
+CAMERA = PinholeCamera(1, 1, 1.0, 1.0, 0.5, 0.5)  # one pixel, straight ahead
+
+
+def look(eye: list, direction: list, measured: float, shown: float) -> tuple[Frame, np.ndarray]:
+    pose = look_along(np.array(eye, float), np.array(direction, float))
+    depth = np.full((1, 1), measured, np.float32)
+    return Frame(np.zeros((1, 1, 3), np.uint8), depth, pose, CAMERA), np.full((1, 1), shown, np.float32)
+
+
+def mapper(*looks: tuple[Frame, np.ndarray]) -> Shown:
+    return Shown([frame for frame, _ in looks], [depth for _, depth in looks])
+
+
+def context(volume: VoxelVolume, positions: list, shown: Shown) -> FeatureContext:
     return FeatureContext(
-        mapper=SimpleNamespace(map=cloud), volume=volume, planes=None, camera=PinholeCamera.from_size(40, 24),
+        mapper=shown, volume=volume, planes=None, camera=PinholeCamera.from_size(40, 24),
         bounds=np.array([[0.0, 0, 0], [4.0, 4, 4]]), coverage_alpha=0.5, max_range=10.0,
         world_from_camera=np.stack([look_along(np.array(p, float), X) for p in positions]),
     )  # fmt: skip
 
 
-NOTHING = gaussians(np.zeros((0, 3)), np.zeros(0))
+NOTHING = mapper()
 
 
-def sigma_at(volume: VoxelVolume, cloud: SimpleNamespace, voxel: tuple) -> float:
-    voxels, sigma = uncertainty(volume, cloud.means, cloud.opacities)
+def sigma_at(volume: VoxelVolume, shown: Shown, voxel: tuple) -> float:
+    voxels, sigma = uncertainty(volume, *voxel_sums(shown, volume, squared_depth_error))
     (row,) = np.flatnonzero((voxels == voxel).all(axis=1))
     return float(sigma[row])
 
 
 def test_near_the_surface_are_the_free_voxels_beside_one_that_is_not() -> None:
     volume = box((1.0, 1.0, 1.0))
+    volume.state[volume.state == OCCUPIED] = UNKNOWN
     volume.state[5, 5, 5] = UNKNOWN
-    voxels, sigma = uncertainty(volume, NOTHING.means, NOTHING.opacities)
+    none = np.zeros(volume.shape)
+    voxels, sigma = uncertainty(volume, none, none)
     assert (volume.state[tuple(voxels.T)] == FREE).all()
     # A shell of 10^3 - 8^3 voxels and the six around the unknown one; nothing was ever seen there.
     assert len(voxels) == 1000 - 512 + 6
-    np.testing.assert_array_equal(sigma, 1.0)
+    np.testing.assert_array_equal(sigma, INITIAL)
+    assert pytest.approx(3.0586, abs=1e-4) == INITIAL
 
 
 def test_sigma_by_hand() -> None:
     volume = box((1.0, 1.0, 1.0))
-    wall, front, beyond = (0, 5, 5), (1, 5, 5), (2, 5, 5)
-    assert volume.state[wall] == OCCUPIED
-    volume.weight[wall], volume.weight[front] = 3.0, 2.0
-    cloud = gaussians(volume.center_of(np.array([wall, wall, front])), [0.9, 0.6, 0.5])
-    # 3 looks at .9 + .6 behind, 2 looks at .5 in the voxel itself.
-    assert sigma_at(volume, cloud, front) == pytest.approx(1 / (1 + 3 * 1.5 + 2 * 0.5))
-    # Its neighbour along the wall has the Gaussians of the wall one voxel further on.
-    assert sigma_at(volume, cloud, (1, 6, 5)) == pytest.approx(1 / (1 + 3 * 1.5))
-    assert sigma_at(volume, cloud, (1, 7, 5)) == 1.0
+    eye = volume.center_of(np.array([8, 5, 5])).tolist()
+    depth = 0.75  # to the middle of voxel (0, 5, 5), less half of one
+    wrong = mapper(look(eye, [-1, 0, 0], depth, depth + 0.3), look(eye, [-1, 0, 0], depth, depth - 0.4))
+    assert sigma_at(volume, wrong, (1, 5, 5)) == pytest.approx(0.5 * (0.3**2 + 0.4**2))
+    # Its neighbour along the wall has the same pixels one voxel further on; the next one has a surface that no pixel
+    # saw, for which the mean of all stands.
+    assert sigma_at(volume, wrong, (1, 6, 5)) == pytest.approx(0.125)
+    assert sigma_at(volume, wrong, (1, 7, 5)) == pytest.approx(0.125)
     # One voxel that stayed unknown lies in front of the wall.
-    volume.state[front] = UNKNOWN
-    assert sigma_at(volume, cloud, beyond) == pytest.approx(1 / (1 + 3 * 1.5 + 2 * 0.5))
-    # Gaussians in free space, away from the surface, say nothing about it; nor do those beyond the grid.
-    floater = gaussians([[0.5, 0.5, 0.5], [9.0, 0, 0]], [1.0, 1.0])
-    assert uncertainty(volume, floater.means, floater.opacities)[1].min() == 1.0
+    volume.state[1, 5, 5] = UNKNOWN
+    assert sigma_at(volume, wrong, (2, 5, 5)) == pytest.approx(0.125)
+    # Right to a centimetre: the least there is.
+    assert sigma_at(volume, mapper(look(eye, [-1, 0, 0], depth, depth + 0.01)), (2, 5, 5)) == FLOOR
 
 
-def test_more_looks_and_more_opacity_leave_less_uncertainty() -> None:
-    volume = box((1.0, 1.0, 1.0))
-    at = volume.center_of(np.array([0, 5, 5]))
-    values = []
-    for looks, opacity in ((1, 0.5), (2, 0.5), (2, 0.9)):
-        volume.weight[0, 5, 5] = looks
-        values.append(sigma_at(volume, gaussians(at, [opacity]), (1, 5, 5)))
-    assert values[0] > values[1] > values[2]
+def test_of_two_walls_that_were_looked_at_as_often_the_badly_rendered_one_is_uncertain() -> None:
+    """Counting looks told them to be equal."""
+    volume = box((2.0, 2.0, 2.0))
+    eye = volume.center_of(np.array([10, 10, 10])).tolist()
+    good, bad = look(eye, [-1, 0, 0], 0.95, 0.96), look(eye, [1, 0, 0], 1.1, 1.6)
+    shown = mapper(good, bad)
+    assert sigma_at(volume, shown, (1, 10, 10)) == FLOOR
+    assert sigma_at(volume, shown, (20, 10, 10)) == pytest.approx(0.25, rel=1e-5)
+    # And a second look that is as good as the first leaves as much uncertainty as one.
+    assert sigma_at(volume, mapper(good, good, bad), (1, 10, 10)) == FLOOR
 
 
 def test_targets_are_of_the_most_uncertain_and_the_same_whatever_their_order(rng: np.random.Generator) -> None:
@@ -122,7 +159,8 @@ def test_visible_by_hand() -> None:
 def test_goal_score_and_list_by_hand() -> None:
     volume = box((3.0, 2.0, 2.0))
     positions = [[1.05, 1.05, 1.05], [1.05, 1.05, 1.05], [2.55, 1.05, 1.05]]
-    ctx = context(volume, positions, gaussians([[0.05, 1.05, 1.05]] * 3, [0.5] * 3))
+    volume.state[0] = UNKNOWN  # nobody looked at one of the walls
+    ctx = context(volume, positions, mapper(look([1.05, 1.05, 1.05], [1, 0, 0], 1.9, 2.4)))
     targets = ctx.once(find_targets)
     expected = np.zeros(3)
     lists: list[list[int]] = [[], [], []]
@@ -157,13 +195,12 @@ def test_behind_the_end_of_the_list_stands_the_candidate_itself() -> None:
 def test_targets_far_from_reach_make_every_goal_worthless() -> None:
     """The pathology: all targets go to a large unknown region that nobody can see from up close."""
     volume = box((8.0, 4.0, 4.0))
-    walls = volume.center_of(np.argwhere(volume.state == OCCUPIED))
-    cloud = gaussians(walls, np.full(len(walls), 0.5))
+    cloud = mapper(look([1.05, 2.05, 2.05], [-1, 0, 0], 1.0, 1.0))
     near = [[1.05, 2.05, 2.05], [2.05, 2.05, 2.05]]
-    # The walls nearby, of one look, are worth going to.
+    # The walls nearby, well rendered, are worth going to.
     assert (evaluate_features(("naruto",), context(volume, near, cloud))[:, 0] > 0).all()
     volume.state[50:-1, 1:-1, 1:-1] = UNKNOWN
     volume.state[50:-1:2, 1:-1:2, 1:-1:2] = FREE  # thousands of uncertain voxels, all enclosed
     ctx = context(volume, near, cloud)
-    assert ctx.once(find_targets).sigma.min() == 1.0
+    assert ctx.once(find_targets).sigma.min() == INITIAL
     np.testing.assert_array_equal(evaluate_features(("naruto",), ctx)[:, 0], 0.0)

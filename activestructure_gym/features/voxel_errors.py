@@ -1,0 +1,45 @@
+"""How wrong the map's pictures are where keyframes saw something, gathered by voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from activestructure_gym.features.gs_planner import LOSS_KEYFRAMES, spread
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping import Mapper
+from activestructure_gym.splatting import Rendering
+from activestructure_gym.volume import VoxelVolume
+
+Error = Callable[[Frame, Rendering], np.ndarray]  # of every pixel, [H, W]
+
+
+def squared_colour_error(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W]
+    """Mean over the colours."""
+    return np.asarray(((shown.color - frame.rgb / 255.0) ** 2).mean(axis=-1))
+
+
+def squared_depth_error(frame: Frame, shown: Rendering) -> np.ndarray:  # [H, W] m^2
+    """Of the accumulated depth over the opacity, as the map is trained to it."""
+    return np.asarray((shown.depth / np.maximum(shown.alpha, 1e-6) - frame.depth) ** 2)
+
+
+def voxel_sums(
+    mapper: Mapper, volume: VoxelVolume, error: Error
+) -> tuple[np.ndarray, np.ndarray]:  # [X, Y, Z] sum of the errors, [X, Y, Z] pixels
+    """Over the pixels whose measured surface lies in each voxel, of 16 keyframes: half of them the newest ones.
+
+    The map is drawn as it is now, so that nothing has to be kept and nothing is out of date.
+    """
+    sums, number = np.zeros(volume.state.size), np.zeros(volume.state.size)
+    for index in spread(len(mapper.keyframes), LOSS_KEYFRAMES):
+        frame = mapper.keyframes[index]
+        measured, pose = frame.depth > 0, frame.world_from_camera
+        errors = error(frame, mapper.render(frame.camera, pose))[measured]
+        points = frame.camera.backproject(frame.depth)[measured].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        inside = volume.contains(points)
+        flat = np.ravel_multi_index(tuple(volume.voxel_of(points[inside]).T), volume.shape)
+        sums += np.bincount(flat, errors[inside], len(sums))
+        number += np.bincount(flat, minlength=len(sums))
+    return sums.reshape(volume.shape), number.reshape(volume.shape)

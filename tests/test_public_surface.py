@@ -60,7 +60,7 @@ def test_every_name_is_there_once_and_sorted_by_its_list() -> None:
 
 def test_a_room_fits_on_a_screen() -> None:
     for path in ("activestructure_gym", "envs", "policies", "evaluation"):
-        assert len((ROOT / path / "__init__.py").read_text(encoding="utf-8").splitlines()) <= 110, path
+        assert len((ROOT / path / "__init__.py").read_text(encoding="utf-8").splitlines()) <= 120, path
 
 
 @pytest.mark.parametrize(("name", "public"), surface())

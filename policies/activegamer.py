@@ -17,6 +17,13 @@ COARSE_DIRECTIONS = 5  # of the coarse lattice, on the Fibonacci sphere
 POOL_SHARE = 0.005  # of the pixels: a view with fewer uncovered leaves the pool of its stage for good
 GOOD_PSNR = 34.0  # dB, exceeded by nine tenths of the keyframes when post-refinement is done
 
+# Its own candidate sources on native terms, a stage each ([activegamer, code]); heights above the camera at the start.
+SOURCES = (
+    "lattice?spacing_m=1&directions=5&heights_m=0&rows=512",
+    "lattice?spacing_m=0.5&directions=15&heights_m=-0.5,1&rows=1024",
+    "stay",
+)
+
 # Guard rails, which the original lacks.
 PATIENCE = 3  # decisions in a row without a view above POOL_SHARE: the table is a draw from a larger pool
 MOST_VISITS = 2  # choices of one view in one stage
@@ -51,14 +58,19 @@ class ActiveGAMER(Planner):
     """c* = argmax (1 - e^{d_c} / sum_j e^{d_j}) IG_c / sum_j IG_j over the pool of the stage ([activegamer]).
 
     IG_c is the share of uncovered pixels (`uncovered`), d_c = |t_c - t_cur| in metres. Views below POOL_SHARE leave the
-    pool after the choice; a stage ends when its pool is empty. Source: [activegamer, code].
+    pool after the choice; a stage ends when its pool is empty. On native terms the pools are the lattices themselves,
+    and post-refinement stands still. Source: [activegamer, code].
     """
 
     decides_by = "uncovered pixels in a coarse and a fine stage, then the worst keyframes"
     source = "Chen et al., ActiveGAMER, CVPR 2025"
     required_gains = ("uncovered",)
     brings = Schedule(
-        mapper="splatam", clearance_m=0.5, budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)"
+        mapper="splatam",
+        stages=tuple((source,) for source in SOURCES),
+        candidates=1026,
+        clearance_m=0.5,
+        budget="2000 frames of 1200 x 680 (Replica), 15 iterations; 5000 (MP3D)",
     )
 
     def __init__(self, travel: Travel = "native") -> None:
@@ -70,6 +82,7 @@ class ActiveGAMER(Planner):
         super().reset(seed)
         self._start = np.zeros(0)  # [3] metres, once it is known
         self._stage = 0
+        self._on = 0  # the stage whose sources the environment offers
         self._begin_stage()
 
     def _begin_stage(self) -> None:
@@ -81,6 +94,8 @@ class ActiveGAMER(Planner):
     def act(self, observation: Observation) -> int:
         """The best view of the stage's pool; in post-refinement the keyframe that renders worst."""
         candidates = self.candidates(observation)
+        if candidates.offers(SOURCES[0]):
+            return self._act_on_lattices(observation, candidates)
         valid = candidates.valid
         if not len(self._start):
             self._start = observation["pose"][:3].astype(np.float64)
@@ -106,6 +121,38 @@ class ActiveGAMER(Planner):
         self._visits[keys[choice]] += 1
         self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
         return choice
+
+    def _act_on_lattices(self, observation: Observation, candidates: Candidates) -> int:
+        """The stages with their own candidates: a view leaves its pool by what it shows itself, and by nothing else."""
+        gain, valid = candidates["uncovered"].astype(np.float64), candidates.valid
+        if self._stage < 2 and self._on == self._stage:
+            pool = valid & candidates.source(SOURCES[self._stage])
+            names = np.round(100.0 * np.hstack([candidates.xyz, candidates.look])).astype(np.int64)
+            keys = [tuple(name) for name in names.tolist()]
+            self._pruned |= {keys[row] for row in np.flatnonzero(pool & (gain < POOL_SHARE))}
+            rich = pool & np.array([key not in self._pruned for key in keys], dtype=bool)
+            best = float(gain[rich].max(initial=0.0))
+            self._stagnant = 0 if best < 0.99 * self._lowest else self._stagnant + 1
+            self._lowest = min(self._lowest, best)
+            if rich.any() and self._stagnant < STAGNATION:
+                scores = np.where(rich, self._scores(observation, gain, rich), -1.0)
+                choice = best_valid(scores, observation)
+                self._trace = {"stage": STAGES[self._stage], "pool": int(rich.sum()), "uncovered": float(gain[choice])}
+                return choice
+            self._stage += 1
+            self._begin_stage()
+        if self._stage == 2 and float(observation["fidelity"][0]) >= GOOD_PSNR:
+            self._stage = 1  # refined well enough: discovery goes on
+            self._begin_stage()
+        self._trace = {"stage": STAGES[self._stage], "pool": 0}
+        here = valid & candidates.source(SOURCES[self._on])
+        wished = [self._stage] if here.any() else [self._stage, 0, 1, 2]  # where nothing is on offer any other will do
+        for stage in wished if self._on != self._stage or not here.any() else []:
+            row = candidates.ask(stage)
+            if row is not None and valid[row]:
+                self._on = stage
+                return row
+        return best_valid(np.where(here, gain + candidates.stay, -1.0), observation)
 
     def _scores(self, observation: Observation, gain: np.ndarray, among: np.ndarray) -> np.ndarray:  # [K]
         total = float(gain[among].sum())

@@ -83,10 +83,18 @@ def first_of_tour(
     middles: np.ndarray,  # [P, 2] metres
 ) -> int:
     """Where the shortest open tour through the nearest `_MOST` parts begins."""
+    return shortest_tour(ways, middles)[0]
+
+
+def shortest_tour(
+    ways: np.ndarray,  # [P] metres from the agent to each part
+    middles: np.ndarray,  # [P, 2] metres
+) -> tuple[int, ...]:
+    """The order of the nearest `_MOST` parts on the shortest open tour through them."""
     nearest = np.argsort(ways, kind="stable")[:_MOST]
     between = np.linalg.norm(middles[:, None] - middles[None], axis=2)
 
     def length(tour: tuple[int, ...]) -> float:
         return float(ways[tour[0]] + sum(between[a, b] for a, b in zip(tour, tour[1:])))
 
-    return int(min(permutations(nearest.tolist()), key=length)[0])
+    return min(permutations(nearest.tolist()), key=length)

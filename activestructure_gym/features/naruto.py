@@ -9,6 +9,7 @@ import numpy as np
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.voxel_errors import squared_depth_error, voxel_sums
+from activestructure_gym.mapping import Mapper
 from activestructure_gym.volume import FREE, VoxelVolume
 
 INITIAL = float(np.log1p(np.exp(3.0)) + 0.01)  # sigma of a place that no ray has taught anything
@@ -57,13 +58,17 @@ def naruto_look(context: FeatureContext) -> np.ndarray:  # [K, 30] metres, world
 
 
 def find_targets(context: FeatureContext) -> Targets:
-    """T and its visibility; share it by ``context.once(find_targets)``."""
-    volume = context.volume
-    voxels, sigma = uncertainty(volume, *voxel_sums(context.mapper, volume, squared_depth_error))
+    """T and its visibility from every candidate; share it by ``context.once(find_targets)``."""
+    return targets_from(context.mapper, context.volume, context.world_from_camera[:, :3, 3])
+
+
+def targets_from(mapper: Mapper, volume: VoxelVolume, standing: np.ndarray) -> Targets:  # [K, 3] metres
+    """T, and which of it is seen from each place."""
+    voxels, sigma = uncertainty(volume, *voxel_sums(mapper, volume, squared_depth_error))
     voxel_ids = np.asarray(np.ravel_multi_index(tuple(voxels.T), volume.shape))
     kept = chosen(voxel_ids, sigma, volume.state.size)
     positions = volume.center_of(voxels[kept])
-    places, place_of = np.unique(context.world_from_camera[:, :3, 3], axis=0, return_inverse=True)
+    places, place_of = np.unique(standing, axis=0, return_inverse=True)
     return Targets(positions, sigma[kept], visible(volume, places, positions)[place_of.ravel()])
 
 

@@ -29,6 +29,7 @@ from activestructure_gym.sources.offering import make_stages, offer, random_of
 from activestructure_gym.sources.places import Around, Lattice, Turns
 from activestructure_gym.sources.shared_pool import Pool
 from activestructure_gym.sources.standing import Finish, Stay
+from activestructure_gym.sources.targets import TargetFacing
 
 __all__ = [
     "SOURCES",
@@ -42,6 +43,7 @@ __all__ = [
     "Source",
     "SourceContext",
     "Stay",
+    "TargetFacing",
     "Turns",
     "make_source",
     "make_stages",

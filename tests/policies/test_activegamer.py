@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from activestructure_gym.envs.observation import CANDIDATE_FEATURES
+from activestructure_gym.envs.observation import CANDIDATE_FEATURES, row_columns
 from activestructure_gym.policies.activegamer import (
     COARSE_DIRECTIONS,
     GOOD_PSNR,
     MOST_VISITS,
     PATIENCE,
     POOL_SHARE,
+    SOURCES,
     STAGNATION,
     ActiveGAMER,
     coarse_views,
@@ -178,3 +179,55 @@ def test_nothing_uncovered_at_all_is_no_error_and_leaves_the_choice_to_the_dista
     # ln 0 and 0 / 0 in the original.
     made = policy()
     assert made.act(observation([0.0, 0.0, 0.0], [(3.0, 0, 0), (1.0, 0, 0), (5.0, 0, 0)])) == 1
+
+
+def lattice_views(stage: int, rows: list[tuple], psnr: float = 20.0) -> tuple[tuple, dict[str, np.ndarray]]:
+    """Rows of (x, uncovered share) of the stage's own source, which stays in stage 2, and two that ask for others."""
+    columns = row_columns(ActiveGAMER.brings.stages)
+    others = [s for s in range(3) if s != stage]
+    table = np.zeros((len(rows) + len(others), len(columns)), np.float32)
+    for row, (x, _) in enumerate(rows):
+        table[row, columns.index("x")] = x
+        table[row, columns.index("look_x")] = 1.0
+        table[row, columns.index(f"from_{SOURCES[stage]}")] = 1.0
+        table[row, columns.index("stay")] = float(stage == 2)
+    for row, other in enumerate(others):
+        table[len(rows) + row, columns.index(f"ask_{other}")] = 1.0
+    gains = np.array([[share] for _, share in rows] + [[0.0]] * len(others), np.float32)
+    return columns, {
+        "candidates": table, "candidate_gains": gains, "action_mask": np.ones(len(table), np.int8),
+        "pose": np.array([0, 0, 0, 0.5, 0.5, 0.5, 0.5], np.float32), "fidelity": np.array([psnr, psnr], np.float32),
+    }  # fmt: skip
+
+
+def on_lattices(columns: tuple) -> ActiveGAMER:
+    policy = bound(ActiveGAMER())
+    policy._rows = columns
+    return policy
+
+
+def test_a_poor_view_does_not_prune_the_one_beside_it() -> None:
+    """A stand-in did: both are within the cell of one view of the coarse lattice, and look the same way."""
+    columns, poor = lattice_views(0, [(0.2, 0.001), (3.0, 0.2)])
+    policy = on_lattices(columns)
+    assert policy.act(poor) == 1
+    _, exact = lattice_views(0, [(0.0, 0.1), (3.0, 0.002)])
+    assert policy.act(exact) == 0
+    # What was poor itself stays out for good.
+    _, again = lattice_views(0, [(0.2, 0.9), (0.0, 0.1)])
+    assert policy.act(again) == 1
+
+
+def test_stages_follow_each_other_and_refinement_stands_still() -> None:
+    columns, empty = lattice_views(0, [(1.0, 0.001)])
+    policy = on_lattices(columns)
+    assert policy.act(empty) == 1  # the coarse pool is empty at once: asks for the fine one
+    _, fine = lattice_views(1, [(1.0, 0.001), (2.0, 0.3)])
+    assert policy.act(fine) == 1 and policy.trace()["stage"] == "fine"
+    _, poor = lattice_views(1, [(2.0, 0.0)])
+    assert policy.act(poor) == 2  # asks for post-refinement
+    for _ in range(3):
+        _, stay = lattice_views(2, [(0.0, 0.0)])
+        assert policy.act(stay) == 0 and policy.trace()["stage"] == "post-refinement"
+    _, good = lattice_views(2, [(0.0, 0.0)], psnr=35.0)
+    assert policy.act(good) == 2 and policy.trace()["stage"] == "fine"  # discovery goes on

@@ -27,6 +27,7 @@ def test_many_near_frontiers_and_nothing_else_is_gone_to() -> None:
     assert policy.act(views(ROWS, near=4, total=10)) == 1 and policy.trace()["mode"] == "explore"
     # 3 are not more than 3, and 4 of 20 are not more than a fifth: surface on the way is a task, too.
     for near, total in ((3, 3), (4, 20)):
+        policy.reset(0)
         assert policy.act(views(ROWS, near, total)) == 0 and policy.trace()["mode"] == "both"
 
 
@@ -34,9 +35,11 @@ def test_without_frontiers_the_surface_is_left_and_without_that_the_nearest_view
     policy = bound(Aiisrfe())
     rows = [(x, way, -1, unsure) for x, way, _, unsure in ROWS]
     assert policy.act(views(rows, 0, 0)) == 0 and policy.trace()["mode"] == "reconstruct"
+    policy.reset(0)
     assert policy.act(views([(x, way, -1, 0.0) for x, way, *_ in ROWS], 0, 0)) == 0
     masked = views(ROWS, near=4, total=4)
     masked["action_mask"][[1, 2]] = 0  # near frontiers that nobody can go to
+    policy.reset(0)
     assert policy.act(masked) == 0
 
 
@@ -57,3 +60,13 @@ def test_tasks_of_surface_stand_apart() -> None:
     observed = views(crowd, 0, 0)
     rows = most_unsure(policy.candidates(observed), observed["candidate_gains"][:, 3])
     assert rows == [0, 2, 3]
+
+
+def test_the_tour_is_gone_before_it_is_planned_anew_and_tasks_are_found_again_by_their_place() -> None:
+    policy = bound(Aiisrfe())
+    rows = [(-2.0, 2.0, 0, 0.0), (1.0, 1.0, 1, 0.0), (9.0, 9.0, 2, 0.0)]
+    assert policy.act(views(rows, 4, 4)) == 0 and policy.trace()["left"] == 1  # 2 m, then 3 m back: 5 of 13 m
+    # Much unsure surface beside the agent is no reason to leave the tour; its view is not on offer any longer.
+    later = [(-1.9, 0.1, -1, 0.9), (1.2, 3.2, -1, 0.0), (9.0, 11.0, 2, 0.0)]
+    assert policy.act(views(later, 3, 3)) == 1 and policy.trace()["left"] == 0
+    assert policy.act(views(later, 3, 3)) == 0

@@ -146,3 +146,29 @@ def test_without_a_target_in_reach_of_anything_it_is_the_nearest(travel: str) ->
     assert bound(Naruto(travel)).act(observed) == 1
     observed["candidates"][1, CANDIDATE_FEATURES.index("revisit")] = 1.0
     assert bound(Naruto(travel)).act(observed) == 2
+
+
+def test_on_native_terms_it_turns_in_place_and_looks_at_a_target_on_the_way() -> None:
+    from activestructure_gym.policies import make_env_and_policy
+
+    small = {"sensor": {"width": 64, "height": 36}, "mapper.iterations": 1}
+    env, policy = make_env_and_policy("naruto", "box", terms="native", preset="fast", frame_budget=60, config=small)
+    observation, _ = env.reset(seed=1)
+    policy.reset(1)
+    turned = walked = 0
+    for _ in range(40):
+        rows = policy.candidates(observation)
+        facing = rows.valid & rows.source("targets?rows=128")
+        # Every one of them faces a target from its end, and from all of its way.
+        aim = rows.looks_at[facing] - rows.xyz[facing]
+        cosine = (aim * rows.look[facing]).sum(axis=1) / np.linalg.norm(aim, axis=1)
+        assert (cosine > 0.999).all()
+        choice = policy.act(observation)
+        if facing[choice]:
+            in_place = np.linalg.norm(rows.xyz[choice] - observation["pose"][:3]) < 1e-3
+            turned, walked = turned + in_place, walked + (not in_place)
+        observation, _, terminated, truncated, _ = env.step(choice)
+        if terminated or truncated:
+            break
+    assert turned >= 2 and walked >= 1
+    env.close()

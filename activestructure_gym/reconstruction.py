@@ -101,7 +101,7 @@ class Reconstruction:
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
-        self.mapper = make_mapper(config.mapper, np.random.default_rng(mapping))
+        self.mapper = make_mapper(config.mapper, np.random.default_rng(mapping), scene.bounds)
         # The volume's margins are made for Kinect noise; a noisier sensor widens them.
         multiplier = max(1.0, config.sensor.noise_multiplier) if config.sensor.depth_noise != "none" else 1.0
         widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * multiplier})

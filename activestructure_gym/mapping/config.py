@@ -61,6 +61,22 @@ _RANGES_OF_GAUSSIAN_SLAM = {
     "behind": "[0.9, 1.1]",
     "nearest_seed": "[0, 1]",
 }
+_RANGES_OF_CO_SLAM = {
+    "first_rounds": "[1, 1000]",
+    "levels": "[1, 32]",
+    "coarsest": "[1, 1024]",
+    **dict.fromkeys(("finest_m", "surface_m"), "[0.005, 10]"),
+    "log2_entries": "[8, 22]",
+    "truncation": "(0, 10]",
+    "rays": "[1, 1e6]",
+    "least_newest": "[0, 1e6]",
+    "ray_share": "(0, 1]",
+    **dict.fromkeys(("even_samples", "near_samples"), "[2, 1024]"),
+    "color_without_depth": "[0, 1]",
+    **dict.fromkeys(("color_weight", "ray_depth_weight", "surface_weight", "free_weight"), "[0, 1e6]"),
+    **dict.fromkeys(("decoder_rate", "grid_rate"), "[0, 1000]"),
+    "disk_share": "(0, 10]",
+}
 
 # What each recipe changes of the defaults below.
 _RECIPES: Mapping[str, Mapping[str, Any]] = {
@@ -268,8 +284,50 @@ class GaussianSLAMConfig(MapperConfig):
         check_ranges(self, _RANGES_OF_GAUSSIAN_SLAM)
 
 
+@dataclass(frozen=True)
+class CoSLAMConfig(MapperConfig):
+    """Co-SLAM on given poses ([co_slam, code], `configs/Replica`), small enough for a CPU: `mapping.co_slam`.
+
+    The map is the field's zero level as disks: of `MapperConfig`, fields about seeding, losses and pruning of Gaussians
+    mean nothing here.
+    """
+
+    name: str = "co_slam"
+    seed_spacing: float | None = None
+    iterations: int = 10  # per keyframe
+    psnr_refresh: int = 0
+    first_rounds: int = 20  # times the iterations, for the first keyframe (200 / 10)
+    levels: int = 8  # of the hash grid (there 16)
+    coarsest: int = 16  # cells per side of the first level
+    finest_m: float = 0.05  # metres, cells of the last level along the longest side (there 0.02)
+    log2_entries: int = 15  # of a level's table (there 16)
+    truncation: float = 0.1  # metres
+    rays: int = 512  # of all keyframes in every step (there 2048)
+    least_newest: int = 100  # rays of the newest keyframe on top, or ``rays`` over the number of keyframes
+    ray_share: float = 0.25  # of a keyframe's pixels are kept (there 0.05 of far larger pictures)
+    even_samples: int = 32  # along a ray
+    near_samples: int = 11  # more, within the truncation of the measured depth
+    color_weight: float = 5.0  # of the squared error of colours
+    color_without_depth: float = 0.05  # times the error of a colour without a return
+    ray_depth_weight: float = 0.1  # of the squared error of depth
+    surface_weight: float = 1000.0  # of the squared error of distances near the surface, m^2
+    free_weight: float = 10.0  # of the squared error of distances in free space
+    decoder_rate: float = 1e-2  # of the two decoders
+    grid_rate: float = 1e-2  # of the features
+    surface_m: float = 0.05  # metres between the vertices that the surface is cut out of (there 0.02)
+    disk_share: float = 0.8  # in-plane sigma / ``surface_m`` of the disks (own choice)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, _RANGES_OF_CO_SLAM)
+
+
 # Mappers with an optimiser or a map of their own, which more fields are needed for.
-_SYSTEMS: dict[str, type[MapperConfig]] = {"monogs": MonoGSConfig, "gaussian_slam": GaussianSLAMConfig}
+_SYSTEMS: dict[str, type[MapperConfig]] = {
+    "monogs": MonoGSConfig,
+    "gaussian_slam": GaussianSLAMConfig,
+    "co_slam": CoSLAMConfig,
+}
 _NAMES = (*_RECIPES, *_SYSTEMS)
 
 MAPPERS: dict[str, MapperConfig] = {

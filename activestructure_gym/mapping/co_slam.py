@@ -1,0 +1,287 @@
+"""Co-SLAM as a mapper on given poses ([co_slam, code]): distance and colour learnt from rays of all keyframes.
+
+What everybody reads of it is `map`: its zero level as disks, from a grid as its mesh is, where keyframes have looked.
+Protocols measure that, pictures included, which are poorer than those that `render` alone integrates along rays.
+
+What differs from [co_slam]: poses are given; the field is smaller (8 levels down to 5 cm and 2^15 entries, there 16
+down to 2 cm and 2^16), rays are fewer and the share of pixels kept of a keyframe is larger, for a CPU and its small
+pictures; samples reach through the whole box; there is no penalty of features that vary (there 1e-6); one-blobs are
+Gaussians, there a polynomial like one; the surface is cut out of a coarser grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.mapping.config import CoSLAMConfig
+from activestructure_gym.mapping.dense import one_thread
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.mapping.joint_encoding import JointField, distance_losses, ray_weights
+from activestructure_gym.mapping.mapper import Mapper, MappingReport, check_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.reduced import reduced
+from activestructure_gym.mapping.zero_level import VertexGrid, disks
+from activestructure_gym.splatting import Rendering
+
+_AT_ONCE = 1 << 17  # points that the field is asked about in one go
+_RENDER_STEP = 0.05  # metres between the samples of a ray in a picture
+_JUDGED = 4  # a keyframe's PSNR is that of every fourth pixel of every fourth row
+
+
+class Rays(NamedTuple):
+    """Pixels of a keyframe as rays; a ray's parameter is a depth."""
+
+    keyframe: np.ndarray  # [r] int
+    directions: np.ndarray  # [r, 3] float32, world, z of the camera = 1
+    colors: np.ndarray  # [r, 3] float32 0..1
+    depths: np.ndarray  # [r] float32 metres, 0 = no return
+
+    def some(self, index: np.ndarray) -> Rays:
+        """The rays of an index."""
+        return Rays(*(array[index] for array in self))
+
+
+class CoSLAMMapper(Mapper):
+    """See the module; `CoSLAMConfig` has the constants. ``bounds`` [2, 3] is the box the field fills, in metres."""
+
+    config: CoSLAMConfig
+
+    def __init__(self, config: CoSLAMConfig, rng: np.random.Generator, bounds: np.ndarray) -> None:
+        self._gaussians = GaussianMap()
+        self._mapped = 0  # event the disks are of
+        super().__init__(config, rng)
+        self._low = torch.tensor(np.asarray(bounds[0]), dtype=torch.float32)
+        self._extent = torch.tensor(np.asarray(bounds[1]) - np.asarray(bounds[0]), dtype=torch.float32)
+        finest = max(config.coarsest, round(float(self._extent.max()) / config.finest_m))
+        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+        self.field = JointField(config.levels, config.coarsest, finest, config.log2_entries, generator)
+        decoders = [*self.field.distance.parameters(), *self.field.color.parameters()]
+        self._adam = torch.optim.Adam(
+            [
+                {"params": decoders, "lr": config.decoder_rate, "weight_decay": 1e-6},
+                {"params": list(self.field.grid.parameters()), "lr": config.grid_rate, "eps": 1e-15},
+            ],
+            betas=(0.9, 0.99),
+        )
+        self._vertices = VertexGrid(np.asarray(bounds, dtype=np.float64), config.surface_m)
+        self._rays: list[Rays] = []  # per keyframe, those that are kept
+
+    @property
+    def map(self) -> GaussianMap:
+        """The zero level of the field as it is, as disks; made anew when it is asked for after a change."""
+        if self._mapped != self._events:
+            self._gaussians.keep(np.zeros(self._gaussians.count, dtype=bool))
+            self._gaussians.append(self._surface())
+            self._mapped = self._events
+        return self._gaussians
+
+    @map.setter
+    def map(self, gaussians: GaussianMap) -> None:
+        self._gaussians = gaussians
+
+    def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
+        """Make ``frame`` a keyframe, keep some of its rays and learn (default: ``config.iterations``)."""
+        check_frame(frame)
+        config = self.config
+        iterations = config.iterations if iterations is None else iterations
+        self._events += 1
+        self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
+        # What is new is counted in vertices, not in pixels.
+        before = int(np.count_nonzero(self._vertices.seen))
+        self._vertices.look(frame, config.truncation)
+        after = int(np.count_nonzero(self._vertices.seen))
+        index = self._store.append(
+            reduced(frame, config.keyframe_reduction), new_share=(after - before) / max(1, after)
+        )
+        stored = self.keyframes[index]
+        all_rays = rays_of(stored, index)
+        kept = self._rng.choice(
+            len(all_rays.depths), max(1, round(config.ray_share * len(all_rays.depths))), replace=False
+        )
+        self._rays.append(all_rays.some(np.sort(kept)))
+        with one_thread():
+            losses = self._learn(all_rays, iterations * (config.first_rounds if index == 0 else 1))
+            self._measure_psnr(self._store.stalest(1 + config.psnr_refresh))
+        return summed_up(
+            self._gaussians.count,  # of the last time that somebody asked for them
+            [index] * len(losses),
+            losses,
+            0,
+            new_share=self._store.new_share[index],
+            psnr=self._store.psnr[index],
+        )
+
+    def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
+        """Learn from the rays kept of all keyframes (or of the given ones)."""
+        indices = sorted(set(self._rounds(len(self.keyframes), keyframe_indices)))
+        self._events += 1
+        with one_thread():
+            losses = self._learn(None, iterations, indices) if indices else np.zeros((0, 3))
+        return summed_up(self._gaussians.count, indices[:iterations], losses, 0)
+
+    def render(self, camera: PinholeCamera, world_from_camera: np.ndarray) -> Rendering:
+        """The field integrated along the rays of a camera; alpha is 1 where a ray meets the surface, else 0."""
+        directions = (camera.rays().reshape(-1, 3) @ world_from_camera[:3, :3].T).astype(np.float32)
+        with one_thread():
+            color, depth, met = self._integrated(world_from_camera[:3, 3], directions)
+        shape = (camera.height, camera.width)
+        alpha = met.astype(np.float32).reshape(shape)
+        return Rendering(color.reshape(*shape, 3) * alpha[..., None], depth.reshape(shape) * alpha, alpha)
+
+    def movement(self) -> np.ndarray:
+        """Raises `InputError`: nothing here lives on from event to event."""
+        raise _without_gaussians("movements")
+
+    def keyframe_information(self, camera: PinholeCamera, *, of_depth: bool = False) -> np.ndarray:
+        """Raises `InputError`: nothing here lives on from event to event."""
+        raise _without_gaussians("Fisher information")
+
+    def reliability(self) -> np.ndarray:
+        """Raises `InputError`: nothing here lives on from event to event."""
+        raise _without_gaussians("reliability")
+
+    def _learn(
+        self, newest: Rays | None, steps: int, keyframes: Sequence[int] | None = None
+    ) -> np.ndarray:  # [steps, 3]
+        """Steps over rays kept of the keyframes, and over some of all rays of the newest one."""
+        config = self.config
+        chosen = self._rays if keyframes is None else [self._rays[k] for k in keyframes]
+        kept = Rays(*(np.concatenate(arrays) for arrays in zip(*chosen)))
+        losses = np.full((steps, 3), np.nan)
+        for step in range(steps):
+            rays = kept.some(self._rng.integers(len(kept.depths), size=config.rays))
+            if newest is not None:
+                count = max(config.rays // len(self._rays), config.least_newest)
+                own = newest.some(self._rng.integers(len(newest.depths), size=count))
+                rays = Rays(*(np.concatenate(pair) for pair in zip(rays, own)))
+            total, color, depth = self._loss(rays)
+            self._adam.zero_grad()
+            total.backward()  # type: ignore[no-untyped-call]
+            self._adam.step()
+            losses[step, :2] = color, depth
+        return losses
+
+    def _loss(self, rays: Rays) -> tuple[torch.Tensor, float, float]:
+        """The weighted sum, and the mean errors of colour and depth (metres)."""
+        config, truncation = self.config, self.config.truncation
+        measured = torch.from_numpy(rays.depths)
+        depths = torch.from_numpy(self._sampled(rays.depths))
+        eyes = np.array([frame.world_from_camera[:3, 3] for frame in self.keyframes], np.float32)[rays.keyframe]
+        points = torch.from_numpy(eyes)[:, None] + depths[..., None] * torch.from_numpy(rays.directions)[:, None]
+        distances, colors = self._ask(points.reshape(-1, 3))
+        distances = distances.reshape(depths.shape)
+        weights = ray_weights(distances, depths, truncation)
+        shown = (weights[..., None] * colors.reshape(*depths.shape, 3)).sum(dim=1)
+        depth = (weights * depths).sum(dim=1)
+        returned = measured > 0
+        color_off, depth_off = shown - torch.from_numpy(rays.colors), (depth - measured)[returned]
+        of_ray = torch.where(returned, 1.0, config.color_without_depth)[:, None]
+        by_surface, by_free = distance_losses(distances, depths, measured, truncation)
+        total = (
+            config.color_weight * ((color_off * of_ray) ** 2).mean()
+            + config.ray_depth_weight * (depth_off**2).sum() / max(1, len(depth_off))
+            + config.surface_weight * by_surface
+            + config.free_weight * by_free
+        )
+        error = float(depth_off.detach().abs().sum()) / max(1, len(depth_off))
+        return total, float(color_off.detach().abs().mean()), error
+
+    def _sampled(self, measured: np.ndarray) -> np.ndarray:  # [r] -> [r, s] float32 metres, rising
+        """Depths along rays: even ones through the box, more around the measured depth; each moved within its part."""
+        config, farthest = self.config, self._farthest
+        even = np.broadcast_to(np.linspace(0.0, farthest, config.even_samples), (len(measured), config.even_samples))
+        around = measured[:, None] + np.linspace(-config.truncation, config.truncation, config.near_samples)
+        around[measured <= 0] = np.linspace(0.0, farthest, config.near_samples)
+        depths = np.sort(np.concatenate([even, around], axis=1), axis=1)
+        middle = 0.5 * (depths[:, 1:] + depths[:, :-1])
+        low = np.concatenate([depths[:, :1], middle], axis=1)
+        high = np.concatenate([middle, depths[:, -1:]], axis=1)
+        return (low + (high - low) * self._rng.random(depths.shape)).astype(np.float32)
+
+    @property
+    def _farthest(self) -> float:
+        """Metres; no ray in the box is longer."""
+        return float(torch.linalg.norm(self._extent))
+
+    def _ask(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:  # [n, 3] metres -> [n], [n, 3]
+        found: tuple[torch.Tensor, torch.Tensor] = self.field((points - self._low) / self._extent)
+        return found
+
+    def _integrated(
+        self, eye: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [r, 3], [r] metres, [r] bool: whether the surface was met
+        depths = torch.arange(0.0, self._farthest, _RENDER_STEP)
+        at_once = max(1, _AT_ONCE // len(depths))
+        parts = []
+        with torch.no_grad():
+            start = torch.tensor(np.asarray(eye), dtype=torch.float32)
+            for first in range(0, len(directions), at_once):
+                some = torch.from_numpy(directions[first : first + at_once])
+                points = start + depths[:, None] * some[:, None]
+                distances, colors = self._ask(points.reshape(-1, 3))
+                distances, along = distances.reshape(len(some), -1), depths.expand(len(some), -1)
+                weights = ray_weights(distances, along, self.config.truncation)
+                met = (distances[:, 1:] * distances[:, :-1] < 0.0).any(dim=1)
+                color = (weights[..., None] * colors.reshape(*distances.shape, 3)).sum(dim=1)
+                parts.append((color.numpy(), (weights * along).sum(dim=1).numpy(), met.numpy()))
+        found = [np.concatenate(arrays) for arrays in zip(*parts)]
+        return found[0], found[1], found[2]
+
+    def _surface(self) -> np.ndarray:  # [14, n]
+        """Disks of the zero level."""
+        config, vertices = self.config, self._vertices
+        values = np.ones(vertices.shape, dtype=np.float32)
+        seen = np.flatnonzero(vertices.seen)
+        with one_thread():
+            values.reshape(-1)[seen] = self._values(vertices.points(seen))[0]
+            crossings = vertices.crossings(values)
+            colors = self._values(crossings.points)[1]
+        bound = config.max_gaussians
+        if bound is not None and len(colors) > bound:
+            chosen = np.linspace(0, len(colors), bound, endpoint=False, dtype=int)
+            crossings, colors = type(crossings)(*(array[chosen] for array in crossings)), colors[chosen]
+        sigma = config.disk_share * config.surface_m
+        return disks(crossings, colors, sigma, thickness=config.seed_thickness, opacity=config.seed_opacity)
+
+    def _values(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [n, 3] -> [n], [n, 3]
+        """Distances and colours, without their graph."""
+        distances, colors = np.empty(len(points), np.float32), np.empty((len(points), 3), np.float32)
+        with torch.no_grad():
+            for first in range(0, len(points), _AT_ONCE):
+                some = slice(first, first + _AT_ONCE)
+                found = self._ask(torch.tensor(points[some], dtype=torch.float32))
+                distances[some], colors[some] = found[0].numpy(), found[1].numpy()
+        return distances, colors
+
+    def _measure_psnr(self, indices: Sequence[int]) -> None:
+        for index in indices:
+            frame = self.keyframes[index]
+            rays = frame.camera.rays()[_JUDGED // 2 :: _JUDGED, _JUDGED // 2 :: _JUDGED].reshape(-1, 3)
+            true = unit_rgb(frame)[_JUDGED // 2 :: _JUDGED, _JUDGED // 2 :: _JUDGED].reshape(-1, 3)
+            directions = (rays @ frame.world_from_camera[:3, :3].T).astype(np.float32)
+            color, _, met = self._integrated(frame.world_from_camera[:3, 3], directions)
+            error = float(np.mean(np.square(color * met[:, None] - true), dtype=np.float64))
+            self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
+
+
+def rays_of(frame: Frame, index: int) -> Rays:
+    """All pixels of a keyframe."""
+    directions = frame.camera.rays().reshape(-1, 3) @ frame.world_from_camera[:3, :3].T
+    return Rays(
+        np.full(len(directions), index),
+        directions.astype(np.float32),
+        unit_rgb(frame).reshape(-1, 3),
+        frame.depth.reshape(-1).astype(np.float32),
+    )
+
+
+def _without_gaussians(what: str) -> InputError:
+    return InputError(
+        f"mapper co_slam has no Gaussians that live on, and so no {what}; choose another mapper or planner"
+    )

@@ -1,0 +1,94 @@
+"""The zero level of a distance field as Gaussians: a small disk wherever an edge of a grid crosses the surface."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from activestructure_gym.geometry import invert_rigid, transform_points
+from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.rotations import quaternions
+from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, ROWS
+
+
+class Crossings(NamedTuple):
+    """Where the edges of a grid meet the surface: the corners of a mesh by marching cubes, without its triangles."""
+
+    points: np.ndarray  # [n, 3] metres
+    normals: np.ndarray  # [n, 3] unit, towards where the field is positive
+
+
+class VertexGrid:
+    """Vertices of a grid in a box, and which of them keyframes have looked at: not far behind what they measured."""
+
+    def __init__(self, bounds: np.ndarray, step: float) -> None:  # [2, 3] metres, metres
+        self.step, self.low = step, np.asarray(bounds[0], dtype=np.float64)
+        cells = np.ceil((np.asarray(bounds[1]) - self.low) / step - 1e-9).astype(int)
+        self.shape = tuple(int(count) + 1 for count in np.maximum(cells, 1))
+        self.seen = np.zeros(self.shape, dtype=bool)
+
+    def points(self, index: np.ndarray | None = None) -> np.ndarray:  # flat indices [n] (None: all) -> [n, 3]
+        """Places of vertices, in metres."""
+        index = np.arange(self.seen.size) if index is None else index
+        return self.low + self.step * np.stack(np.unravel_index(index, self.shape), axis=1)
+
+    def look(self, frame: Frame, behind: float) -> None:
+        """Mark the vertices in a keyframe's picture up to so many metres behind the depth it measured."""
+        left = np.flatnonzero(~self.seen)
+        points = transform_points(invert_rigid(frame.world_from_camera), self.points(left))
+        camera, z = frame.camera, points[:, 2]
+        ahead = np.flatnonzero(z > 0)
+        u = np.floor(points[ahead, 0] / z[ahead] * camera.fx + camera.cx)
+        v = np.floor(points[ahead, 1] / z[ahead] * camera.fy + camera.cy)
+        inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+        ahead = ahead[inside]
+        measured = frame.depth[v[inside].astype(int), u[inside].astype(int)]
+        self.seen.reshape(-1)[left[ahead[(measured > 0) & (z[ahead] <= measured + behind)]]] = True
+
+    def crossings(self, values: np.ndarray) -> Crossings:  # [shape], of interest where seen
+        """Where the values change their sign between two neighbours that were both seen."""
+        slopes = np.stack(np.gradient(values), axis=-1)
+        points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for axis in range(3):
+            here, there = ([slice(None)] * 3 for _ in range(2))
+            here[axis], there[axis] = slice(None, -1), slice(1, None)
+            low, high = tuple(here), tuple(there)
+            cut = self.seen[low] & self.seen[high] & ((values[low] > 0) != (values[high] > 0))
+            index = np.stack(np.nonzero(cut), axis=1)
+            first, second = values[low][cut], values[high][cut]
+            share = (first / (first - second))[:, None]
+            along = np.zeros(3)
+            along[axis] = 1.0
+            points.append(self.low + self.step * (index + share * along))
+            normals.append(slopes[low][cut] * (1.0 - share) + slopes[high][cut] * share)
+        normal = np.concatenate(normals)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = np.where(length > 0, normal / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+        return Crossings(np.concatenate(points), normal)
+
+
+def disks(
+    crossings: Crossings,
+    colors: np.ndarray,  # [n, 3]
+    sigma: float,  # metres, in the plane
+    *,
+    thickness: float,  # along the normal / sigma
+    opacity: float,
+) -> np.ndarray:  # [14, n] float32, a block for `GaussianMap.append`
+    """One disk per point, across its normal."""
+    count = len(crossings.points)
+    block = np.empty((ROWS, count), dtype=np.float32)
+    block[MEAN] = crossings.points.T
+    normal = crossings.normals
+    # Any direction across the normal will do: disks are round.
+    helper = np.where(np.abs(normal[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    across = np.cross(normal, helper)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+    axes = np.stack([across, np.cross(normal, across), normal], axis=-1)
+    block[QUATERNION] = quaternions(axes).T if count else np.zeros((4, 0))
+    block[LOG_SCALE] = np.log(sigma)
+    block[9] += np.log(thickness)
+    block[OPACITY_LOGIT] = np.log(opacity / (1.0 - opacity))
+    block[COLOR] = colors.T
+    return block

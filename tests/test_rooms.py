@@ -43,6 +43,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("evaluation.archive",),
     ("evaluation.report",),
     ("evaluation.running",),
+    ("evaluation.replay",),
     ("evaluation.training",),
     ("evaluation.benchmarks",),
     ("evaluation.cli",),

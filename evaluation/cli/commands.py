@@ -20,6 +20,7 @@ COMMANDS = {
     "evaluate": "evaluate:Evaluate",
     "export": "export:Export",
     "report": "report:Report",
+    "replay": "replay:Replay",
     "cache": "cache:Cache",
     "completion": "completion:Completion",
 }

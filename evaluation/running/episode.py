@@ -257,7 +257,8 @@ class _Episode:
                 step["checkpoint"] = self._checkpoint(last=ended or truncated)
             self.steps.append(step)
             self.tell(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
-        self.ended = "frame budget used up" if truncated else "no candidate left"
+        by_choice = "ended by the policy" if env.reconstruction.finished else "no candidate left"
+        self.ended = "frame budget used up" if truncated else by_choice
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
 
     def _chosen(self, row: Any) -> int:

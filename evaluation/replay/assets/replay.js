@@ -1,0 +1,278 @@
+"use strict";
+// The page: one or two recordings on one clock, which counts frames paid.
+
+const COLOURS = { path: [0.84, 0.37, 0.0], structural: [0.0, 0.45, 0.7], object: [0.8, 0.47, 0.65], tree: [0.0, 0.62, 0.45],
+  unknown: [0.5, 0.5, 0.5] };
+const MANY = 20000; // Gaussians, more than which are drawn coarsely while the view turns
+const find = (id) => document.getElementById(id);
+
+function viridis(share) {
+  const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+  const at = Math.min(Math.max(share, 0), 1) * 4, low = Math.min(Math.floor(at), 3), part = at - low;
+  return stops[low].map((value, i) => (value + part * (stops[low + 1][i] - value)) / 255);
+}
+
+function element(kind, options = {}, ...inside) {
+  const made = document.createElement(kind);
+  for (const [name, value] of Object.entries(options)) if (name in made) made[name] = value; else made.setAttribute(name, value);
+  made.append(...inside);
+  return made;
+}
+
+class Run {
+  constructor(told) {
+    this.told = told;
+    this.arrays = told.arrays;
+    this.last = this.arrays.poses.length / 9 - 1;
+    this.end = this.arrays.frames[this.arrays.frames.length - 1];
+    this.canvas = element("canvas", { ariaLabel: `the map of ${told.title}` });
+    this.true = element("img", { alt: "what the camera saw" });
+    this.rendered = element("img", { alt: "the map from the same place" });
+    this.facts = element("dl");
+    const side = element("div", { className: "side" },
+      element("figure", {}, this.true, element("figcaption", {}, "the camera's last keyframe")),
+      element("figure", {}, this.rendered, element("figcaption", {}, "the map from the same pose, as it was then")),
+      this.facts);
+    const stage = element("div", { className: "stage" }, this.canvas, element("p", { className: "name" }, told.title),
+      element("span", { className: "hint" }, "drag: turn · shift or right button: move · wheel: nearer"));
+    this.element = element("section", { className: "run" }, stage, side);
+    if (told.differs) side.prepend(element("p", { className: "warning" }, told.differs));
+    this.orbit = new Orbit(told.bounds);
+    this.images = new Map();
+  }
+
+  start() { this.scene = new SceneView(this.canvas, this.told); }
+
+  moment(frame) { // the decision under way: the last one made with no more frames than these
+    const frames = this.arrays.frames;
+    let found = 0;
+    while (found + 1 < frames.length && frames[found + 1] <= frame) found++;
+    return found;
+  }
+
+  pose(frame) {
+    const at = 9 * Math.min(Math.max(Math.round(frame) - 1, 0), this.last), p = this.arrays.poses;
+    const position = [p[at], p[at + 1], p[at + 2]], right = [p[at + 3], p[at + 4], p[at + 5]], look = [p[at + 6], p[at + 7], p[at + 8]];
+    const up = [right[1] * look[2] - right[2] * look[1], right[2] * look[0] - right[0] * look[2], right[0] * look[1] - right[1] * look[0]];
+    return { position, right, up: up.map((v) => v), look };
+  }
+
+  camera(eye, frame) {
+    const aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1);
+    if (eye === "orbit") return this.orbit.camera(aspect);
+    const { position, right, up, look } = this.pose(frame);
+    const focal = this.told.camera[1] / this.told.camera[5];
+    return { view: lookFrom(position, right, up, look.map((v) => -v)), projection: perspective(focal, aspect, 0.05, 400), focal, key: `agent ${Math.round(frame)}` };
+  }
+
+  overlay(frame, shown) {
+    const lines = [], points = [], faces = [], a = this.arrays, now = this.moment(frame);
+    const line = (from, to, tint, alpha = 1) => lines.push(...from, ...tint, alpha, ...to, ...tint, alpha);
+    const cut = shown.cut;
+    if (shown.planes) {
+      for (let k = a.plane_starts[now]; k < a.plane_starts[now + 1]; k++) {
+        const tint = a.structural[k] ? COLOURS.structural : COLOURS.object, c = [];
+        for (let i = 0; i < 4; i++) c.push(Array.from(a.planes.subarray(12 * k + 3 * i, 12 * k + 3 * i + 3)));
+        if (c.every((corner) => corner[2] > cut)) continue;
+        const low = c.map((corner) => [corner[0], corner[1], Math.min(corner[2], cut)]);
+        for (let i = 0; i < 4; i++) line(low[i], low[(i + 1) % 4], tint, 0.9);
+        for (const i of [0, 1, 2, 0, 2, 3]) faces.push(...low[i], ...tint, 0.1);
+      }
+      const first = a.plane_starts[now];
+      for (let e = a.tree_starts[now]; e < a.tree_starts[now + 1]; e++) {
+        const ends = [0, 1].map((i) => { const k = first + a.tree[2 * e + i]; return Array.from(a.centroids.subarray(3 * k, 3 * k + 3)); });
+        if (ends.some((end) => end[2] > cut)) continue;
+        line(ends[0], ends[1], COLOURS.tree, 0.9);
+        for (const end of ends) points.push(...end, ...COLOURS.tree, 0.9);
+      }
+    }
+    if (shown.candidates && a.rows[now] >= 0) { // at the end there is nothing left to decide
+      const first = a.candidate_starts[now], chosen = first + a.rows[now];
+      for (let k = first; k < a.candidate_starts[now + 1]; k++) {
+        const p = a.candidates.subarray(6 * k, 6 * k + 6), worth = a.worth[k];
+        if (p[2] > cut) continue;
+        const tint = k === chosen && a.rows[now] >= 0 ? COLOURS.path : worth === 255 ? COLOURS.unknown : viridis(worth / 254);
+        const reach = k === chosen ? 0.45 : 0.2, alpha = k === chosen ? 1 : 0.85;
+        line([p[0], p[1], p[2]], [p[0] + reach * p[3], p[1] + reach * p[4], p[2] + reach * p[5]], tint, alpha);
+        if (k === chosen) points.push(p[0], p[1], p[2], ...tint, 1);
+      }
+    }
+    if (shown.path && shown.eye === "orbit") {
+      const until = Math.min(Math.round(frame) - 1, this.last);
+      for (let i = 1; i <= until; i++) {
+        const fade = 0.35 + 0.65 * Math.exp((i - until) / 120);
+        line(a.poses.subarray(9 * i - 9, 9 * i - 6), a.poses.subarray(9 * i, 9 * i + 3), COLOURS.path, fade);
+      }
+      const { position, right, up, look } = this.pose(frame), [fx, fy, , , width, height] = this.told.camera, reach = 0.55;
+      const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, y]) => position.map((v, i) =>
+        v + reach * (look[i] + x * 0.5 * width / fx * right[i] + y * 0.5 * height / fy * up[i])));
+      corners.forEach((corner, i) => { line(position, corner, COLOURS.path); line(corner, corners[(i + 1) % 4], COLOURS.path); });
+      for (const i of [0, 1, 2, 0, 2, 3]) faces.push(...corners[i], ...COLOURS.path, 0.25);
+      points.push(...position, ...COLOURS.path, 1);
+    }
+    return { lines, points, faces };
+  }
+
+  image(number) {
+    if (!this.images.has(number)) {
+      const starts = this.arrays.image_starts, data = this.arrays.images.slice(starts[number], starts[number + 1]);
+      this.images.set(number, URL.createObjectURL(new Blob([data], { type: "image/jpeg" })));
+    }
+    return this.images.get(number);
+  }
+
+  tell(frame) {
+    const now = this.moment(frame), step = this.told.steps[now], before = this.told.steps[now - 1];
+    for (const [place, number] of [[this.true, 2 * now], [this.rendered, 2 * now + 1]]) {
+      const link = this.image(number);
+      if (place.src !== link) place.src = link;
+    }
+    const rows = [["frame", `${Math.min(Math.round(frame), this.end)} of ${this.told.budget}`],
+      ["decision", now < this.told.steps.length ? `${now + 1} of ${this.told.steps.length}` : "ended"]];
+    if (step && step.phase) rows.push(["phase", step.phase]);
+    rows.push(["Gaussians", this.scene.bornBy(Math.round(frame)).toLocaleString("en")], ["planes", this.arrays.plane_starts[now + 1] - this.arrays.plane_starts[now]],
+      ["candidates", this.arrays.rows[now] < 0 ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["way so far", `${before ? before.metres : 0} m`]);
+    this.facts.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, String(value))]));
+  }
+}
+
+class Chart {
+  constructor(name, unit, key, runs, end) {
+    Object.assign(this, { name, unit, key, runs, end });
+    this.svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    this.svg.setAttribute("viewBox", "0 0 300 84");
+    this.svg.setAttribute("preserveAspectRatio", "none");
+    const points = runs.map((run) => run.told.curve.filter((point) => typeof point[key] === "number").map((point) => [point.frames, point[key]]));
+    const values = points.flat().map(([, value]) => value);
+    this.points = points;
+    if (!values.length) return;
+    this.low = key === "psnr" ? Math.floor(Math.min(...values)) : 0;
+    this.high = key === "psnr" ? Math.ceil(Math.max(...values)) : 100;
+    const tints = ["var(--first)", "var(--second)"];
+    const parts = points.map((line, i) => `<polyline fill="none" stroke="${tints[i]}" stroke-width="2" vector-effect="non-scaling-stroke" points="${line.map(([x, y]) => `${this.x(x)},${this.y(y)}`).join(" ")}"/>`);
+    this.svg.innerHTML = `<line x1="0" x2="300" y1="76" y2="76" stroke="var(--line)" vector-effect="non-scaling-stroke"/>${parts.join("")}<line class="cursor" y1="4" y2="76" stroke="var(--soft)" vector-effect="non-scaling-stroke"/>`;
+    this.cursor = this.svg.querySelector(".cursor");
+    this.title = element("figcaption");
+    this.element = element("figure", {}, this.title, this.svg);
+  }
+  x(frame) { return 300 * frame / Math.max(this.end, 1); }
+  y(value) { return 76 - 70 * (value - this.low) / Math.max(this.high - this.low, 1e-9); }
+  at(line, frame) {
+    let value = null;
+    for (const [x, y] of line) if (x <= frame) value = y;
+    return value;
+  }
+  tell(frame) {
+    if (!this.element) return;
+    this.cursor.setAttribute("x1", this.x(frame));
+    this.cursor.setAttribute("x2", this.x(frame));
+    const said = this.points.map((line) => this.at(line, frame)).map((value) => value === null ? "–" : `${value.toFixed(1)} ${this.unit}`);
+    this.title.textContent = `${this.name}: ${said.join(" against ")}`;
+  }
+}
+
+class Player {
+  constructor(runs) {
+    this.runs = runs;
+    this.end = Math.max(...runs.map((run) => run.end));
+    this.clock = 1;
+    this.playing = false;
+    this.dirty = true;
+    this.moved = -1e9; // when the view was turned last
+    this.drawn = 0; // pictures drawn, for whoever measures
+    const low = Math.min(...runs.map((run) => run.told.bounds[0][2])), high = Math.max(...runs.map((run) => run.told.bounds[1][2]));
+    this.heights = [low, high];
+    this.usual = this.end / 20 ; // frames per second at which the whole takes 20 s
+    for (const run of runs) { find("runs").append(run.element); run.start(); this.listen(run); }
+    this.charts = [["observed", "%", "observed"], ["C.R. of means", "%", "completion_ratio"], ["PSNR", "dB", "psnr"]]
+      .map(([name, unit, key]) => new Chart(name, unit, key, runs, this.end)).filter((chart) => chart.element);
+    find("charts").append(...this.charts.map((chart) => chart.element));
+    const worth = runs[0].told.worth;
+    find("worth").textContent = worth ? `candidates, by ${worth}, least to most` : "candidates";
+    find("clock").max = this.end;
+    find("clock").addEventListener("input", (event) => { this.pause(); this.to(Number(event.target.value)); });
+    find("play").addEventListener("click", () => this.playing ? this.pause() : this.play());
+    find("back").addEventListener("click", () => this.step(-1));
+    find("on").addEventListener("click", () => this.step(1));
+    find("home").addEventListener("click", () => { for (const run of this.runs) run.orbit.reset(); this.dirty = true; });
+    for (const name of ["show-map", "show-planes", "show-candidates", "show-path", "cut", "eye"])
+      find(name).addEventListener("input", () => { this.dirty = true; });
+    window.addEventListener("resize", () => { this.dirty = true; });
+    document.addEventListener("keydown", (event) => {
+      if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
+      if (event.key === " ") { event.preventDefault(); this.playing ? this.pause() : this.play(); }
+      if (event.key === "ArrowRight") this.step(1);
+      if (event.key === "ArrowLeft") this.step(-1);
+    });
+    this.to(1);
+    const tick = (time) => { this.tick(time); requestAnimationFrame(tick); };
+    requestAnimationFrame(tick);
+  }
+
+  listen(run) {
+    // Both views turn together: the same place is looked at from the same side.
+    const all = (act) => {
+      for (const one of this.runs) act(one.orbit);
+      this.moved = performance.now();
+      this.dirty = true;
+    };
+    let from = null;
+    run.canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    run.canvas.addEventListener("pointerdown", (event) => { from = event; run.canvas.setPointerCapture(event.pointerId); });
+    run.canvas.addEventListener("pointerup", () => { from = null; });
+    run.canvas.addEventListener("pointermove", (event) => {
+      if (!from) return;
+      const x = event.clientX - from.clientX, y = event.clientY - from.clientY, moves = event.shiftKey || event.buttons === 2;
+      from = event;
+      all((orbit) => moves ? orbit.shift(x, y, run.canvas.clientHeight) : orbit.turn(x, y));
+    });
+    run.canvas.addEventListener("wheel", (event) => { event.preventDefault(); all((orbit) => orbit.zoom(event.deltaY)); }, { passive: false });
+  }
+
+  play() { if (this.clock >= this.end) this.to(1); this.playing = true; this.before = null; find("play").textContent = "❚❚ pause"; }
+  pause() { this.playing = false; find("play").textContent = "▶ play"; }
+  step(by) {
+    this.pause();
+    const frames = this.runs[0].arrays.frames, now = this.runs[0].moment(this.clock);
+    const next = Math.min(Math.max(by < 0 && this.clock > frames[now] ? now : now + by, 0), frames.length - 1);
+    this.to(frames[next]);
+  }
+  to(frame) { this.clock = Math.min(Math.max(frame, 1), this.end); this.dirty = true; }
+
+  tick(time) {
+    if (this.playing) {
+      if (this.before !== null) this.to(this.clock + (time - this.before) / 1000 * this.usual * Number(find("speed").value));
+      this.before = time;
+      if (this.clock >= this.end) this.pause();
+    }
+    // A map of many Gaussians is drawn coarsely while it is turned, and whole when the hand rests.
+    const coarse = time - this.moved < 180 && this.runs.some((run) => run.scene.count > MANY);
+    if (this.coarse && !coarse) this.dirty = true;
+    if (!this.dirty) return;
+    this.dirty = false;
+    this.coarse = coarse;
+    const [low, high] = this.heights, share = Number(find("cut").value), eye = find("eye").value;
+    const shown = { map: find("show-map").checked, planes: find("show-planes").checked, candidates: find("show-candidates").checked,
+      path: find("show-path").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye, coarse };
+    const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+    for (const run of this.runs) {
+      const frame = Math.min(this.clock, run.end);
+      run.scene.draw(run.camera(eye, frame), Math.round(frame), shown, run.overlay(frame, shown), dark ? [0.05, 0.065, 0.085] : [0.93, 0.94, 0.955]);
+      run.tell(frame);
+    }
+    for (const chart of this.charts) chart.tell(this.clock);
+    find("clock").value = Math.round(this.clock);
+    find("told").textContent = `frame ${Math.round(this.clock)} of ${this.end}`;
+    this.drawn++;
+  }
+}
+
+(async () => {
+  try {
+    const told = await Promise.all(Array.from(document.querySelectorAll("script.recording"), (part) => unpack(part.textContent)));
+    window.player = new Player(told.map((one) => new Run(one)));
+  } catch (error) {
+    find("runs").append(element("p", { className: "warning" }, `This replay cannot be shown: ${error.message}`));
+    throw error;
+  }
+})();

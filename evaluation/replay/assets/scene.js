@@ -1,0 +1,314 @@
+"use strict";
+// The map and what stands in it, drawn with WebGL2. Positions are metres, z is up.
+
+const MAP_VERTEX = `#version 300 es
+layout(location = 0) in vec3 mean;      // 0..1 of the box around all Gaussians
+layout(location = 1) in vec3 scale;     // steps of the logarithm
+layout(location = 2) in vec4 rotation;  // wxyz
+layout(location = 3) in vec3 colour;
+layout(location = 4) in vec2 life;      // frames: born, died
+uniform mat4 view, projection;
+uniform vec3 low, side;
+uniform vec2 logs;
+uniform float focal;
+uniform float now, cut, widen;
+flat out vec3 conic;
+flat out vec3 shade;
+flat out float size;
+void main() {
+  vec3 place = low + side * mean;
+  vec4 seen = view * vec4(place, 1.0);
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  gl_PointSize = 1.0;
+  conic = vec3(1.0, 0.0, 1.0); shade = colour; size = 1.0;
+  if (life.x > now || life.y <= now || place.z > cut || seen.z > -0.05) return;
+  vec3 s = exp(logs.x + logs.y * scale) * widen;
+  vec4 q = normalize(rotation);
+  float w = q.x, x = q.y, y = q.z, z = q.w;
+  mat3 r = mat3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+                2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+                2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+  mat3 m = mat3(view) * r * mat3(s.x, 0.0, 0.0, 0.0, s.y, 0.0, 0.0, 0.0, s.z);
+  float d = -seen.z;
+  vec3 a = vec3(m[0][0], m[1][0], m[2][0]), b = vec3(m[0][1], m[1][1], m[2][1]), c = vec3(m[0][2], m[1][2], m[2][2]);
+  vec3 u = focal * (a / d + c * seen.x / (d * d)), v = focal * (b / d + c * seen.y / (d * d));
+  float uu = dot(u, u) + 0.3, uv = dot(u, v), vv = dot(v, v) + 0.3;
+  float mid = 0.5 * (uu + vv), far = mid + sqrt(max(mid * mid - (uu * vv - uv * uv), 0.0));
+  size = clamp(2.0 * 1.7 * sqrt(far), 1.0, 96.0);
+  float det = max(uu * vv - uv * uv, 1e-6);
+  conic = vec3(vv, -uv, uu) / det;
+  gl_Position = projection * seen;
+  gl_PointSize = size;
+}`;
+
+const MAP_FRAGMENT = `#version 300 es
+precision mediump float;
+flat in highp vec3 conic;
+flat in vec3 shade;
+flat in float size;
+out vec4 result;
+void main() {
+  highp vec2 p = (gl_PointCoord - 0.5) * vec2(size, -size);
+  highp float power = conic.x * p.x * p.x + 2.0 * conic.y * p.x * p.y + conic.z * p.y * p.y;
+  if (power > 2.9) discard;
+  result = vec4(shade, 1.0);
+}`;
+
+const LINE_VERTEX = `#version 300 es
+layout(location = 0) in vec3 place;
+layout(location = 1) in vec4 tint;
+uniform mat4 view, projection;
+uniform float point;
+out vec4 shade;
+void main() { gl_Position = projection * view * vec4(place, 1.0); gl_PointSize = point; shade = tint; }`;
+
+const LINE_FRAGMENT = `#version 300 es
+precision mediump float;
+in vec4 shade;
+uniform float faint;
+out vec4 result;
+void main() { result = vec4(shade.rgb, shade.a * faint); }`;
+
+const COPY_VERTEX = `#version 300 es
+out vec2 at;
+void main() { at = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0; gl_Position = vec4(at * 2.0 - 1.0, 0.0, 1.0); }`;
+
+const COPY_FRAGMENT = `#version 300 es
+precision mediump float;
+in vec2 at;
+uniform sampler2D colours;
+uniform vec2 part;
+uniform highp sampler2D depths;
+out vec4 result;
+void main() { result = texture(colours, at * part); gl_FragDepth = texture(depths, at * part).r; }`;
+
+const SKIPPED = 4; // of so many Gaussians one is drawn, as large as all, while a hand moves
+const COARSE = 0.5; // of the sides of a picture that changes while a hand moves
+
+class SceneView {
+  constructor(canvas, recording) {
+    this.canvas = canvas;
+    this.recording = recording;
+    const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
+    if (!gl) throw new Error("this browser has no WebGL2, which the map is drawn with");
+    this.gl = gl;
+    this.programs = {
+      map: this.program(MAP_VERTEX, MAP_FRAGMENT),
+      line: this.program(LINE_VERTEX, LINE_FRAGMENT),
+      copy: this.program(COPY_VERTEX, COPY_FRAGMENT),
+    };
+    this.count = recording.arrays.born.length;
+    this.buffers = this.upload();
+    this.maps = [1, SKIPPED].map((step) => this.every(step));
+    this.lines = gl.createVertexArray();
+    this.lineBuffer = gl.createBuffer();
+    gl.bindVertexArray(this.lines);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.lineBuffer);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 28, 0);
+    gl.enableVertexAttribArray(1);
+    gl.vertexAttribPointer(1, 4, gl.FLOAT, false, 28, 12);
+    gl.bindVertexArray(null);
+    this.kept = null; // what the kept picture shows: camera and frame
+    this.deaths = Array.from(recording.arrays.died).filter((frame) => frame < 65535).sort((a, b) => a - b);
+  }
+
+  program(vertex, fragment) {
+    const gl = this.gl, made = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+      gl.attachShader(made, shader);
+    }
+    gl.linkProgram(made);
+    if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
+    const places = {};
+    for (let i = 0; i < gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS); i++) {
+      const name = gl.getActiveUniform(made, i).name;
+      places[name] = gl.getUniformLocation(made, name);
+    }
+    return { made, places };
+  }
+
+  upload() {
+    const gl = this.gl, a = this.recording.arrays;
+    const life = new Uint16Array(2 * this.count);
+    for (let i = 0; i < this.count; i++) { life[2 * i] = a.born[i]; life[2 * i + 1] = a.died[i]; }
+    return [[a.means, 3, gl.UNSIGNED_SHORT, true], [a.scales, 3, gl.UNSIGNED_BYTE, false],
+      [a.rotations, 4, gl.BYTE, true], [a.colours, 3, gl.UNSIGNED_BYTE, true], [life, 2, gl.UNSIGNED_SHORT, false]].map(([data, size, kind, whole]) => {
+      const buffer = gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+      return { buffer, size, kind, whole, bytes: size * data.BYTES_PER_ELEMENT };
+    });
+  }
+
+  // The map with every Gaussian, or with one of a few for pictures that change while a hand moves.
+  every(step) {
+    const gl = this.gl, vao = gl.createVertexArray();
+    gl.bindVertexArray(vao);
+    this.buffers.forEach(({ buffer, size, kind, whole, bytes }, place) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, size, kind, whole, step * bytes, 0);
+    });
+    gl.bindVertexArray(null);
+    return vao;
+  }
+
+  resize() {
+    const gl = this.gl, ratio = Math.min(window.devicePixelRatio || 1, 1.5);
+    const width = Math.max(2, Math.round(this.canvas.clientWidth * ratio));
+    const height = Math.max(2, Math.round(this.canvas.clientHeight * ratio));
+    if (this.canvas.width === width && this.canvas.height === height && this.target) return;
+    this.canvas.width = width;
+    this.canvas.height = height;
+    if (this.target) for (const part of [this.colours, this.depths]) gl.deleteTexture(part);
+    this.target = this.target || gl.createFramebuffer();
+    const texture = (inner, format, kind) => {
+      const made = gl.createTexture();
+      gl.bindTexture(gl.TEXTURE_2D, made);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, inner, width, height);
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+      return made;
+    };
+    this.colours = texture(gl.RGBA8);
+    this.depths = texture(gl.DEPTH_COMPONENT24);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.colours, 0);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, this.depths, 0);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.kept = null;
+  }
+
+  // Gaussians that were there by a frame are the first ones: they are sorted by birth.
+  bornBy(frame) {
+    const born = this.recording.arrays.born;
+    let low = 0, high = this.count;
+    while (low < high) { const mid = (low + high) >> 1; if (born[mid] <= frame) low = mid + 1; else high = mid; }
+    return low;
+  }
+
+  diedBetween(first, last) {
+    return this.deaths.some((frame) => frame > first && frame <= last);
+  }
+
+  // camera: {view, projection, focal, key}; shown: {map, cut}; overlay: Float32Array of lines and of points
+  draw(camera, frame, shown, overlay, background) {
+    const gl = this.gl;
+    this.resize();
+    const key = `${camera.key}|${shown.map}|${shown.cut}|${background.join()}|${shown.coarse}`;
+    const grows = this.kept && this.kept.key === key && this.kept.frame <= frame && !this.diedBetween(this.kept.frame, frame);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    const share = shown.coarse ? COARSE : 1, wide = Math.floor(share * this.canvas.width), tall = Math.floor(share * this.canvas.height);
+    gl.viewport(0, 0, wide, tall);
+    gl.enable(gl.DEPTH_TEST);
+    gl.disable(gl.BLEND);
+    gl.depthFunc(gl.LESS);
+    if (!grows) {
+      gl.clearColor(...background, 1.0);
+      gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    }
+    const first = grows ? this.bornBy(this.kept.frame) : 0, last = this.bornBy(frame);
+    if (shown.map && last > first) {
+      const { made, places } = this.programs.map, told = this.recording;
+      gl.useProgram(made);
+      gl.uniformMatrix4fv(places.view, false, camera.view);
+      gl.uniformMatrix4fv(places.projection, false, camera.projection);
+      gl.uniform3fv(places.low, told.low);
+      gl.uniform3fv(places.side, told.side);
+      gl.uniform2fv(places.logs, told.log);
+      gl.uniform1f(places.focal, camera.focal * tall);
+      gl.uniform1f(places.now, frame);
+      gl.uniform1f(places.cut, shown.cut);
+      const step = shown.coarse ? SKIPPED : 1, begin = Math.floor(first / step);
+      gl.uniform1f(places.widen, Math.sqrt(step));
+      gl.bindVertexArray(this.maps[shown.coarse ? 1 : 0]);
+      gl.drawArrays(gl.POINTS, begin, Math.floor(last / step) - begin);
+    }
+    this.kept = { key, frame };
+    this.drawn = shown.map ? last : 0;
+
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
+    gl.depthFunc(gl.ALWAYS);
+    gl.useProgram(this.programs.copy.made);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.colours);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.depths);
+    gl.uniform1i(this.programs.copy.places.colours, 0);
+    gl.uniform1i(this.programs.copy.places.depths, 1);
+    gl.uniform2f(this.programs.copy.places.part, wide / this.canvas.width, tall / this.canvas.height);
+    gl.bindVertexArray(null);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+
+    const { made, places } = this.programs.line;
+    gl.useProgram(made);
+    gl.uniformMatrix4fv(places.view, false, camera.view);
+    gl.uniformMatrix4fv(places.projection, false, camera.projection);
+    gl.bindVertexArray(this.lines);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.lineBuffer);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthMask(false);
+    for (const [kind, data, point] of [[gl.TRIANGLES, overlay.faces, 1], [gl.LINES, overlay.lines, 1], [gl.POINTS, overlay.points, 7]]) {
+      if (!data.length) continue;
+      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(data), gl.DYNAMIC_DRAW);
+      gl.uniform1f(places.point, point * Math.min(window.devicePixelRatio || 1, 1.5));
+      // What stands behind the map shows faintly through it.
+      for (const [test, faint] of [[gl.ALWAYS, kind === gl.TRIANGLES ? 0.25 : 0.35], [gl.LEQUAL, 1.0]]) {
+        gl.depthFunc(test);
+        gl.uniform1f(places.faint, faint);
+        gl.drawArrays(kind, 0, data.length / 7);
+      }
+    }
+    gl.depthMask(true);
+  }
+}
+
+// -- cameras: column-major 4x4 matrices ----------------------------------------------------------------------------
+
+function lookFrom(eye, right, up, back) {
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  return new Float32Array([right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2], 0,
+    -dot(right, eye), -dot(up, eye), -dot(back, eye), 1]);
+}
+
+function perspective(focal, aspect, near, far) {
+  return new Float32Array([2 * focal / aspect, 0, 0, 0, 0, 2 * focal, 0, 0, 0, 0, -(far + near) / (far - near), -1,
+    0, 0, -2 * far * near / (far - near), 0]);
+}
+
+class Orbit {
+  constructor(bounds) {
+    const [low, high] = bounds;
+    this.target = [0, 1, 2].map((axis) => (low[axis] + high[axis]) / 2);
+    this.size = Math.hypot(high[0] - low[0], high[1] - low[1]);
+    this.home = { yaw: -2.2, pitch: 0.95, distance: this.size * 1.05, target: [...this.target] };
+    this.reset();
+  }
+  reset() { Object.assign(this, { ...this.home, target: [...this.home.target] }); }
+  axes() {
+    const cp = Math.cos(this.pitch), sp = Math.sin(this.pitch), cy = Math.cos(this.yaw), sy = Math.sin(this.yaw);
+    return { back: [cp * cy, cp * sy, sp], right: [-sy, cy, 0], up: [-sp * cy, -sp * sy, cp] };
+  }
+  camera(aspect) {
+    const { back, right, up } = this.axes();
+    const eye = this.target.map((value, axis) => value + this.distance * back[axis]);
+    const focal = 1.1;
+    return { view: lookFrom(eye, right, up, back), projection: perspective(focal, aspect, 0.05, 400),
+      focal, key: [this.yaw, this.pitch, this.distance, ...this.target].join() };
+  }
+  turn(x, y) {
+    this.yaw -= 0.006 * x;
+    this.pitch = Math.min(1.56, Math.max(-1.2, this.pitch + 0.006 * y));
+  }
+  shift(x, y, height) {
+    const { right, up } = this.axes(), step = this.distance / height;
+    this.target = this.target.map((value, axis) => value - step * x * right[axis] + step * y * up[axis]);
+  }
+  zoom(steps) { this.distance = Math.min(200, Math.max(0.3, this.distance * Math.exp(0.0012 * steps))); }
+}

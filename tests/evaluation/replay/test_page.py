@@ -1,0 +1,88 @@
+"""The page in a real browser, and the command that writes it."""
+
+from __future__ import annotations
+
+import html
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.replay import Recording, replay_page, write_replay
+from tests.browser import BROWSER, open_page
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
+
+
+def test_the_page_needs_nothing_else_and_names_are_escaped(recordings: list[Recording]) -> None:
+    page = html.unescape(replay_page(recordings))
+    assert "default-src 'none'" in page and 'src="http' not in page and "@import" not in page
+    assert page.count('class="recording"') == 2 and 'class="pair"' in page
+    object.__setattr__(recordings[0].run, "scene", "<script>alert(1)</script>")
+    try:
+        assert "<script>alert" not in replay_page(recordings)
+    finally:
+        object.__setattr__(recordings[0].run, "scene", "box")
+
+
+@needs_browser
+def test_it_plays_scrubs_and_turns_without_an_error(recordings: list[Recording], tmp_path: Path) -> None:
+    write_replay(recordings[:1], tmp_path / "replay.html")
+    with open_page((tmp_path / "replay.html").as_uri(), tmp_path) as page:
+        page.until("window.player && player.drawn > 0")
+        first = page.picture()
+        assert first.std() > 10  # something is drawn
+        page.value("player.to(player.end); 1")
+        page.until("player.dirty === false")
+        last = page.picture()
+        assert (np.abs(first.astype(int) - last) > 20).mean() > 0.02
+        assert page.value("player.runs[0].scene.drawn") == len(recordings[0].born)
+        # All at once, and decision by decision into a kept picture, look the same.
+        page.value("player.to(1); 1")
+        page.until("player.dirty === false")
+        for moment in recordings[0].moments[1:]:
+            page.value(f"player.to({moment.frame}); 1")
+            page.until("player.dirty === false")
+        assert (np.abs(page.picture().astype(int) - last) > 20).mean() < 0.01
+        page.value("player.runs[0].orbit.turn(200, 0); player.dirty = true; 1")
+        page.until("player.dirty === false")
+        assert (np.abs(page.picture().astype(int) - last) > 20).mean() > 0.02
+        frame = page.value("player.to(1), player.play(), player.clock")
+        page.until(f"player.clock > {frame} + 2")
+        place = page.value("(({ x, y }) => [x + 9, y + 9])(document.getElementById('play').getBoundingClientRect())")
+        page.click(*place)
+        assert page.value("player.playing") is False
+        page.value("document.getElementById('eye').value = 'agent', player.dirty = true")
+        page.until("player.dirty === false")
+        assert page.errors == []
+
+
+@needs_browser
+def test_two_runs_share_a_clock_and_a_camera(recordings: list[Recording], tmp_path: Path) -> None:
+    write_replay(recordings, tmp_path / "replay.html")
+    with open_page((tmp_path / "replay.html").as_uri(), tmp_path, width=1500) as page:
+        page.until("window.player && player.drawn > 0")
+        page.value("player.to(player.end); 1")
+        page.until("player.dirty === false")
+        assert page.value("player.runs.map((run) => run.scene.drawn)") == [len(one.born) for one in recordings]
+        shown = page.picture()
+        assert shown[100:400, 100:600].std() > 5 and shown[100:400, 900:1400].std() > 5
+        assert page.errors == []
+
+
+def test_the_command_writes_a_page_and_says_what_it_takes(
+    finished: list[Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    one, other = (str(run.directory) for run in finished)
+    assert main(["replay", one, "--out", "one.html"]) == 0
+    assert "one.html" in capsys.readouterr().out and (tmp_path / "one.html").stat().st_size > 50_000
+    assert main(["replay", str(finished[0].directory.parents[1])]) == 0  # a comparison of two runs
+    assert (tmp_path / "replay.html").read_text().count('class="recording"') == 2
+    assert main(["replay", one, other, one]) == 2
+    assert "takes one run or two, got 3" in capsys.readouterr().err
+    assert main(["replay", str(tmp_path)]) == 2
+    assert "neither a finished run nor a comparison" in capsys.readouterr().err
+    assert main(["replay", one, "--out", "nowhere/replay.html"]) == 2

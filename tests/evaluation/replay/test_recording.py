@@ -1,0 +1,76 @@
+"""A run played again is the run: same frames, same map, and who was there when."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.replay import Recording, play_again
+from activestructure_gym.evaluation.replay.recording import _Lives
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+
+
+def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: list[Recording]) -> None:
+    for run, recording in zip(finished, recordings):
+        assert recording.differs == ""
+        last = recording.gaussians[:, recording.died > 40]
+        stored = run.gaussians.parameters[:, : run.gaussians.count]
+        assert last.shape == stored.shape
+        np.testing.assert_array_equal(last[:, np.lexsort(last)], stored[:, np.lexsort(stored)])
+        np.testing.assert_array_equal(recording.poses, run.trajectory["world_from_camera"])
+
+
+def test_everybody_is_born_with_a_keyframe_and_the_first_ones_come_first(recordings: list[Recording]) -> None:
+    for recording in recordings:
+        keyframes = recording.run.trajectory["keyframes"] + 1  # frames paid when each was taken
+        assert set(np.unique(recording.born)) <= set(keyframes.tolist())
+        assert (np.diff(recording.born) >= 0).all() and (recording.died > recording.born).all()
+        counts = {step["frames"]: step["gaussians"] for step in recording.run.steps}
+        for frame, count in counts.items():
+            assert ((recording.born <= frame) & (recording.died > frame)).sum() == count
+
+
+def test_a_moment_shows_what_there_was_to_decide_by(recordings: list[Recording]) -> None:
+    for recording in recordings:
+        steps, moments = recording.run.steps, recording.moments
+        assert len(moments) == len(steps) + 1 and moments[-1].row == -1
+        for step, moment in zip(steps, moments):
+            assert len(moment.candidates) == step["candidates"]
+            np.testing.assert_allclose(moment.candidates[moment.row], list(step["view"].values())[:6], atol=1e-5)
+            assert len(moment.planes) == len(moment.structural) == len(moment.centroids)
+        image = cv2.imdecode(np.frombuffer(moments[0].true, np.uint8), cv2.IMREAD_COLOR)
+        assert image.shape == (54, 96, 3) and image.std() > 5
+    greedy = next(one for one in recordings if one.run.policy == "hole_area")
+    aimless = next(one for one in recordings if one.run.policy == "random")
+    assert greedy.moments[0].worth.max() > 0 and np.isnan(aimless.moments[0].worth).all()
+
+
+def test_another_episode_than_the_stored_one_is_told(finished: list[Run], tmp_path: Path) -> None:
+    run = finished[0]
+    shutil.copytree(run.directory, tmp_path / "run")
+    changed = replace(run, directory=tmp_path / "run")
+    changed.__dict__["steps"] = [{**step, "gaussians": step["gaussians"] + (n > 0)} for n, step in enumerate(run.steps)]
+    told = play_again(changed).differs
+    assert told.startswith("from decision 1 on this machine plays another episode")
+
+
+def test_who_is_removed_is_kept_as_it_was_last() -> None:
+    gaussians, lives = GaussianMap(), _Lives()
+    block = np.arange(14 * 5, dtype=np.float32).reshape(14, 5)
+    gaussians.append(block[:, :3])
+    lives.note(gaussians, 1)
+    gaussians.append(block[:, 3:])
+    gaussians.parameters[0, :5] += 100.0
+    lives.note(gaussians, 6)
+    gaussians.keep(np.array([True, False, True, True, True]))
+    lives.note(gaussians, 11)
+    parameters, born, died = lives.all()
+    assert born.tolist() == [1, 1, 1, 6, 6] and sorted(died.tolist())[0] == 11
+    (gone,) = np.nonzero(died == 11)[0]
+    np.testing.assert_array_equal(parameters[1:, gone], block[1:, 1])
+    assert parameters[0, gone] == block[0, 1] + 100.0

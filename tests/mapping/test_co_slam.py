@@ -38,7 +38,7 @@ def test_samples_rise_and_crowd_around_the_surface(room_frames):
 
 def test_a_room_is_learnt(room_frames, held_out_frames):
     mapper = _mapper()
-    for frame in room_frames:
+    for frame in room_frames[::2]:
         mapper.observe(frame)
     walls = np.minimum(np.abs(mapper.map.means), np.abs(mapper.map.means - ROOM)).min(axis=1)
     assert mapper.map.count > 500

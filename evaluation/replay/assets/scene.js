@@ -297,10 +297,11 @@ class Orbit {
   }
   camera(aspect) {
     const { back, right, up } = this.axes();
-    const eye = this.target.map((value, axis) => value + this.distance * back[axis]);
+    const away = this.distance * Math.max(1, 1.3 / aspect); // so that a tall picture shows as much as a wide one
+    const eye = this.target.map((value, axis) => value + away * back[axis]);
     const focal = 1.1;
     return { view: lookFrom(eye, right, up, back), projection: perspective(focal, aspect, 0.05, 400),
-      focal, key: [this.yaw, this.pitch, this.distance, ...this.target].join() };
+      focal, key: [this.yaw, this.pitch, away, ...this.target].join() };
   }
   turn(x, y) {
     this.yaw -= 0.006 * x;

@@ -1,0 +1,52 @@
+"""Make docs/images/replay.webp, the moving picture of the README: a replay of two runs, filmed in headless Chromium.
+
+    python docs/images/replay.py RUN OTHER_RUN
+
+The runs are directories in a comparison's ``jobs/``. Needs Chromium and the extra ``test``.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+from PIL import Image
+
+from activestructure_gym.evaluation.archive.store import read_run
+from activestructure_gym.evaluation.replay import play_again, write_replay
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests.browser import open_page
+
+OUT = Path(__file__).with_name("replay.webp")
+WIDTH, HEIGHT, PICTURES, MS = 1300, 1060, 80, 120
+SHOWN = 860  # pixels of its width
+
+
+def main(runs: list[str]) -> None:
+    """Play, film, write."""
+    if len(runs) != 2:
+        sys.exit(__doc__)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        page_file = Path(folder) / "replay.html"
+        write_replay([play_again(read_run(Path(run))) for run in runs], page_file)
+        with open_page(page_file.as_uri(), Path(folder), width=WIDTH, height=HEIGHT) as page:
+            page.until("window.player && player.drawn > 0")
+            frames = []
+            for n in range(PICTURES):
+                # From the first frame to the last, and a slow turn with it; the last pictures hold.
+                share = min(n / (PICTURES - 12), 1.0)
+                turn = "player.runs.forEach((run) => { run.orbit.yaw = run.orbit.home.yaw + 0.5 * %g; });" % share
+                page.value(f"{turn} player.to(1 + {share} * (player.end - 1)); 1")
+                page.until("player.dirty === false")
+                shown = cv2.cvtColor(page.picture(), cv2.COLOR_BGR2RGB)
+                picture = Image.fromarray(shown)
+                frames.append(picture.resize((SHOWN, round(picture.height * SHOWN / picture.width)), Image.LANCZOS))
+    frames[0].save(OUT, save_all=True, append_images=frames[1:], duration=MS, loop=0, quality=55, method=6)
+    print(f"{OUT}: {len(frames)} pictures, {OUT.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

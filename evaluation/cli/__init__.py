@@ -36,6 +36,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
   asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers
+  asg replay     write a run, or two side by side, as one page to watch: the map as it grows
   asg cache      show what is kept on disk between runs, or remove it
   asg completion print a script that lets bash, zsh or fish complete all of this
 

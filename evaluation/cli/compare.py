@@ -98,6 +98,8 @@ class Compare:
     """Points of the true surface that geometry is measured on, seen or not."""
     view_source: Literal["free_space", "recorded"] = "free_space"
     """Drawn in the scene's free space, or recorded with the scene."""
+    replay: Switch = False
+    """Also write a page to watch of every run, replay.html beside it; takes as long again as the runs explored."""
     baseline: Text = None
     """The policy the report measures the others against; see `asg report --help`."""
 
@@ -111,7 +113,7 @@ DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples
 
 
 # What decides how and where a comparison runs, or how it is told, and not what is compared.
-_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "baseline", "trust_code")
+_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "replay", "baseline", "trust_code")
 
 
 def _compare(options: Compare) -> int:
@@ -165,7 +167,12 @@ def _compare(options: Compare) -> int:
                     tell=lambda text: console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True),
                 )  # fmt: skip
             baseline = None if options.baseline is None else policy_label(options.baseline)
-            return _report(console, result, directory, time.monotonic() - began, baseline)
+            code = _report(console, result, directory, time.monotonic() - began, baseline)
+            if options.replay:
+                from activestructure_gym.evaluation.cli.replay import add_replays
+
+                add_replays(console, result.runs)
+            return code
     except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
         if (directory / COMPARISON).is_file():
             print(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.markup import escape
@@ -14,7 +15,13 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import PathName, option
 from activestructure_gym.evaluation.cli.output import make_console
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from activestructure_gym.evaluation.archive.store import Run
+
 MOST_RUNS = 2
+PAGE = "replay.html"  # in a run's directory
 
 
 @dataclass(frozen=True)
@@ -36,35 +43,51 @@ class Replay:
             raise InputError(
                 f"asg replay takes one run or two, got {len(directories)}: name their directories in jobs/"
             )
-        out = Path(self.out or (directories[0] / "replay.html" if len(directories) == 1 else "replay.html"))
+        out = Path(self.out or (directories[0] / PAGE if len(directories) == 1 else PAGE))
         if out.is_dir() or not out.absolute().parent.is_dir():
             raise InputError(f"--out is a file in a directory that exists, got '{out}'")
 
-        from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-
         from activestructure_gym.evaluation.archive.store import read_run
-        from activestructure_gym.evaluation.replay import play_again, write_replay
 
-        console = make_console()
-        began, recordings = time.monotonic(), []
-        columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
-        with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
-            for directory in directories:
-                run = read_run(directory)
-                task = progress.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
-
-                def tell(frames: int, _: int, task: TaskID = task) -> None:
-                    progress.update(task, completed=frames)
-
-                recordings.append(play_again(run, tell))
-        for recording in recordings:
-            if recording.differs:
-                console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.differs)}[/]")
-        size = write_replay(recordings, out)
-        console.print(
-            f"Open [bold]{escape(str(out))}[/] in a browser: {size / 1e6:.1f} MB, {time.monotonic() - began:.0f} s"
-        )
+        write_page(make_console(), out, [read_run(directory) for directory in directories])
         return 0
+
+
+def add_replays(console: Console, runs: Iterable[Run]) -> None:
+    """Write replay.html into the directory of every run that has none; says of which runs there can be none."""
+    for run in runs:
+        page = run.directory / PAGE
+        if not page.exists():
+            try:
+                write_page(console, page, [run])
+            except InputError as error:  # of one run, as of a mapper without Gaussians: the others have theirs
+                console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]", soft_wrap=True)
+
+
+def write_page(console: Console, out: Path, runs: Sequence[Run]) -> None:
+    """Play ``runs`` again, write the page, and say where it is."""
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    from activestructure_gym.evaluation.archive.store import writing
+    from activestructure_gym.evaluation.replay import play_again, write_replay
+
+    began, recordings = time.monotonic(), []
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
+        for run in runs:
+            task = progress.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
+
+            def tell(frames: int, _: int, task: TaskID = task) -> None:
+                progress.update(task, completed=frames)
+
+            recordings.append(play_again(run, tell))
+    for recording in recordings:
+        if recording.differs:
+            console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.differs)}[/]")
+    with writing(out):
+        size = write_replay(recordings, out)
+    seconds = time.monotonic() - began
+    console.print(f"Open [bold]{escape(str(out))}[/] in a browser: {size / 1e6:.1f} MB, {seconds:.0f} s")
 
 
 def _runs_of(directory: Path) -> list[Path]:

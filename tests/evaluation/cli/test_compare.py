@@ -4,13 +4,15 @@ import os
 import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import compare as module
-from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.cli import main, replay
 from activestructure_gym.evaluation.cli.compare import Compare
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.comparison import Comparison, Result
@@ -197,3 +199,26 @@ def test_markup_in_a_directory_s_name_is_shown_as_it_is(jobs):
     comparison = Comparison(scenes=["box"], policies=["random"])
     _announce(Console(file=out, width=300), comparison, Path("runs/[red]a[/bold]"), jobs, 1, demo=False)
     assert "into runs/[red]a[/bold]" in out.getvalue()
+
+
+def test_replays_are_made_where_they_are_asked_for_and_missing(asked, monkeypatch, tmp_path, capsys):
+    made = []
+
+    def write_page(console, page, runs):
+        if page.parent.name == "gone":
+            raise InputError("its scene is not there any more")
+        made.append((page, runs))
+
+    monkeypatch.setattr(replay, "write_page", write_page)
+    job = SimpleNamespace(title="box · random · seed 0")
+    runs = [SimpleNamespace(directory=tmp_path / name, job=job) for name in ("gone", "old", "new")]
+    for run in runs:
+        run.directory.mkdir()
+    (runs[1].directory / "replay.html").write_text("made before")
+    monkeypatch.setattr(comparison, "run_comparison", lambda *given, **options: Result(runs, [], 0))
+    monkeypatch.setattr(module, "_report", lambda *given: 0)
+    assert main(["compare", "--replay"]) == 0
+    assert made == [(runs[2].directory / "replay.html", [runs[2]])]
+    assert "no replay of box · random · seed 0: its scene is not there" in capsys.readouterr().out
+    assert main(["compare"]) == 0
+    assert len(made) == 1

@@ -38,7 +38,7 @@ def main(runs: list[str]) -> None:
             for n in range(PICTURES):
                 # From the first frame to the last, and a slow turn with it; the last pictures hold.
                 share = min(n / (PICTURES - 12), 1.0)
-                turn = "player.runs.forEach((run) => { run.orbit.yaw = run.orbit.home.yaw + 0.5 * %g; });" % share
+                turn = f"for (const run of player.runs) run.orbit.yaw = run.orbit.home.yaw + {0.5 * share};"
                 page.value(f"{turn} player.to(1 + {share} * (player.end - 1)); 1")
                 page.until("player.dirty === false")
                 shown = cv2.cvtColor(page.picture(), cv2.COLOR_BGR2RGB)

@@ -15,7 +15,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import is_reference
-from activestructure_gym.evaluation.archive.plane_record import graph_arrays
+from activestructure_gym.evaluation.archive.plane_record import GraphArrays, graph_arrays, seen_cells
 from activestructure_gym.evaluation.archive.store import Run
 
 if TYPE_CHECKING:
@@ -183,21 +183,31 @@ def _moment(env: ReconstructionEnv, observation: dict[str, np.ndarray], row: int
     frame = env._frame
     assert frame is not None
     rendered = episode.mapper.render(frame.camera, frame.world_from_camera).color
-    side = graph["cell"] * graph["patch_shapes"][:, :, None] * graph["patch_axes"]  # [P, 2, 3] metres
-    corner = graph["patch_corners"]
-    corners = np.stack([corner, corner + side[:, 0], corner + side.sum(axis=1), corner + side[:, 1]], axis=1)
     return Moment(
         frame=episode.frames,
         row=row,
         candidates=np.concatenate([poses[:, :3, 3], poses[:, :3, 2]], axis=1),
         worth=np.asarray(worth, float),
-        planes=corners,
+        planes=plane_rectangles(graph),
         structural=graph["structural"],
         tree=graph["edges"][graph["edge_in_tree"]],
         centroids=graph["centroids"],
         true=_jpeg(frame.rgb),
         rendered=_jpeg((np.clip(rendered, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)),
     )
+
+
+def plane_rectangles(graph: GraphArrays) -> np.ndarray:  # [P, 4, 3] metres
+    """Corners in turn of the smallest rectangle around what was seen of every plane; its centroid for nothing."""
+    found = np.repeat(np.asarray(graph["centroids"], float).reshape(-1, 1, 3), 4, axis=1)
+    for k in range(len(found)):
+        cells = np.argwhere(seen_cells(graph, k))
+        if len(cells):
+            # All four corners of each cell, so that a row of cells has a width.
+            corners = np.concatenate([cells + offset for offset in ((0, 0), (0, 1), (1, 0), (1, 1))])
+            box = cv2.boxPoints(cv2.minAreaRect(corners.astype(np.float32)))
+            found[k] = graph["patch_corners"][k] + graph["cell"] * (box @ graph["patch_axes"][k])
+    return found
 
 
 def _jpeg(rgb: np.ndarray) -> bytes:  # [H, W, 3] uint8

@@ -3,6 +3,7 @@
 
 const COLOURS = { path: [0.84, 0.37, 0.0], structural: [0.0, 0.45, 0.7], object: [0.8, 0.47, 0.65], tree: [0.0, 0.62, 0.45],
   unknown: [0.5, 0.5, 0.5] };
+const RUN_CLASSES = ["first", "second"]; // the colours of their curves
 const MANY = 20000; // Gaussians, more than which are drawn coarsely while the view turns
 const find = (id) => document.getElementById(id);
 
@@ -20,7 +21,7 @@ function element(kind, options = {}, ...inside) {
 }
 
 class Run {
-  constructor(told) {
+  constructor(told, number) {
     this.told = told;
     this.arrays = told.arrays;
     this.last = this.arrays.poses.length / 9 - 1;
@@ -33,7 +34,7 @@ class Run {
       element("figure", {}, this.true, element("figcaption", {}, "the camera's last keyframe")),
       element("figure", {}, this.rendered, element("figcaption", {}, "the map from the same pose, as it was then")),
       this.facts);
-    const stage = element("div", { className: "stage" }, this.canvas, element("p", { className: "name" }, told.title),
+    const stage = element("div", { className: "stage" }, this.canvas, element("p", { className: `name ${RUN_CLASSES[number]}` }, told.title),
       element("span", { className: "hint" }, "drag: turn · shift or right button: move · wheel: nearer"));
     this.element = element("section", { className: "run" }, stage, side);
     if (told.differs) side.prepend(element("p", { className: "warning" }, told.differs));
@@ -167,7 +168,7 @@ class Chart {
     this.cursor.setAttribute("x1", this.x(frame));
     this.cursor.setAttribute("x2", this.x(frame));
     const said = this.points.map((line) => this.at(line, frame)).map((value) => value === null ? "–" : `${value.toFixed(1)} ${this.unit}`);
-    this.title.textContent = `${this.name}: ${said.join(" against ")}`;
+    this.title.replaceChildren(`${this.name}, axis ${this.low} to ${this.high} ${this.unit}: `, ...said.flatMap((text, i) => [i ? " against " : "", element("strong", { className: RUN_CLASSES[i] }, text)]));
   }
 }
 
@@ -270,7 +271,7 @@ class Player {
 (async () => {
   try {
     const told = await Promise.all(Array.from(document.querySelectorAll("script.recording"), (part) => unpack(part.textContent)));
-    window.player = new Player(told.map((one) => new Run(one)));
+    window.player = new Player(told.map((one, number) => new Run(one, number)));
   } catch (error) {
     find("runs").append(element("p", { className: "warning" }, `This replay cannot be shown: ${error.message}`));
     throw error;

@@ -11,7 +11,7 @@ import numpy as np
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay import Recording, play_again
-from activestructure_gym.evaluation.replay.recording import _Lives
+from activestructure_gym.evaluation.replay.recording import _Lives, plane_rectangles
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 
 
@@ -57,6 +57,25 @@ def test_another_episode_than_the_stored_one_is_told(finished: list[Run], tmp_pa
     changed.__dict__["steps"] = [{**step, "gaussians": step["gaussians"] + (n > 0)} for n, step in enumerate(run.steps)]
     told = play_again(changed).differs
     assert told.startswith("from decision 1 on this machine plays another episode")
+
+
+def test_the_rectangle_of_a_plane_lies_as_its_surface_does() -> None:
+    seen = np.zeros((40, 40), np.uint8)
+    np.fill_diagonal(seen, 1)  # a strip of 40 cells at 45 degrees
+    graph = {
+        "centroids": np.array([[1.0, 2.0, 3.0]] * 2),
+        "patch_shapes": np.array([[40, 40], [0, 0]]),
+        "patch_starts": np.array([0, 200, 200]),
+        "patch_bits": np.packbits(seen),
+        "patch_corners": np.array([[5.0, 0.0, 1.0]] * 2),
+        "patch_axes": np.array([[[1.0, 0, 0], [0, 0, 1.0]]] * 2),
+        "cell": np.array(0.1),
+    }
+    strip, nothing = plane_rectangles(graph)
+    sides = np.linalg.norm(np.diff(strip, axis=0), axis=1)
+    np.testing.assert_allclose(sorted(sides[:2]), [0.1 * 2**0.5, 4 * 2**0.5], atol=1e-5)
+    np.testing.assert_allclose(strip.mean(axis=0), [7.0, 0.0, 3.0], atol=1e-5)
+    np.testing.assert_array_equal(nothing, [[1.0, 2.0, 3.0]] * 4)
 
 
 def test_who_is_removed_is_kept_as_it_was_last() -> None:

@@ -268,8 +268,8 @@ def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reco
     """Write what only rows of other sources than the shared pool have."""
     table, config = reconstruction.candidates, reconstruction.config
     at = {name: place for place, name in enumerate(columns)}
-    for place, name in enumerate(dict.fromkeys(name for stage in config.views.stages for name in stage)):
-        rows[:, at[f"from_{name}"]] = (table.source == place) & (table.ask < 0)
+    for place, column in enumerate(name for name in columns if name.startswith("from_")):
+        rows[:, at[column]] = (table.source == place) & (table.ask < 0)
     for stage in range(len(config.views.stages)):
         if f"ask_{stage}" in at:
             rows[:, at[f"ask_{stage}"]] = table.ask == stage

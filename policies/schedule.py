@@ -28,6 +28,19 @@ class Schedule:
     changes: Mapping[str, Any] = field(default_factory=dict)  # further fields of the configuration
     budget: str = ""  # what its paper spends, for people: frames, image size, iterations
 
+    def __post_init__(self) -> None:
+        if not self.goal_keyframes:
+            return
+        if self.keyframe_every is not None:
+            raise InputError(
+                f"a Schedule has goal_keyframes or keyframe_every, got both (keyframe_every={self.keyframe_every})"
+            )
+        if staying := [name for stage in self.stages or () for name in stage if name.partition("?")[0] == "stay"]:
+            raise InputError(
+                f"a round of '{staying[0]}' costs the frames between two keyframes, and goal_keyframes leave no "
+                "such number: set keyframe_every instead"
+            )
+
     def overrides(self) -> dict[str, Any]:
         """The changes of the configuration, by field."""
         every = 10**6 if self.goal_keyframes else self.keyframe_every  # the last frame of a way always is a keyframe

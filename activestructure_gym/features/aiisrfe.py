@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from activestructure_gym.compiling import kernel
 from activestructure_gym.features.blending import blended
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.features.unexplored import sums_in_front, surface_within
 from activestructure_gym.features.unknown_volume import worth_a_look
 from activestructure_gym.features.voxel_errors import squared_colour_error, voxel_sums
-from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.mapping import Mapper
 from activestructure_gym.volume import FREE, VoxelVolume
 
@@ -41,7 +40,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
     voxels, cluster = frontiers(context)
     clusters = int(cluster.max(initial=-1)) + 1
     if len(poses) and clusters:
-        counts = _in_sight(context, voxels, cluster, clusters)
+        counts = sums_in_front(voxels, np.ones(len(voxels)), surface_within(context), context, cluster)
         served = counts.max(axis=0) > 0
         middles = np.stack([voxels[cluster == c].mean(axis=0) for c in range(clusters)])
         here = keyframes[-1].world_from_camera[:3, 3] if context.agent is None else context.agent.pose[:3, 3]
@@ -69,39 +68,6 @@ def frontiers(context: FeatureContext) -> tuple[np.ndarray, np.ndarray]:  # [F, 
     cluster = cluster.ravel()
     kept = sizes[cluster] >= LEAST
     return centres[kept], np.unique(cluster[kept], return_inverse=True)[1].ravel()
-
-
-def _in_sight(context: FeatureContext, voxels: np.ndarray, cluster: np.ndarray, clusters: int) -> np.ndarray:  # [K, C]
-    reach = min(context.max_range, context.volume.config.max_range)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, np.float32(reach))
-    poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
-    return _count(voxels, cluster, clusters, poses, context.camera.lens, np.minimum(surface, np.float32(reach)))
-
-
-@kernel
-def _count(
-    centres: np.ndarray,  # [F, 3] metres
-    cluster: np.ndarray,  # [F] int64
-    clusters: int,
-    poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    lens: Lens,
-    surface: np.ndarray,  # [K, h, w] float32 metres of depth
-) -> np.ndarray:  # [K, C] voxels of each cluster in front of the surface
-    count, height, width = surface.shape
-    result = np.zeros((count, clusters), np.int64)
-    for k in range(count):
-        pose = poses[k]
-        for f in range(len(centres)):
-            x, y, z = centres[f, 0] - pose[0, 3], centres[f, 1] - pose[1, 3], centres[f, 2] - pose[2, 3]
-            deep = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z
-            if not deep > 0.0:
-                continue
-            u = lens[0] * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / deep + lens[2]
-            v = lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / deep + lens[3]
-            if 0.0 <= u < width and 0.0 <= v < height and deep < surface[k, int(v), int(u)]:
-                result[k, cluster[f]] += 1
-    return result
 
 
 def voxel_colour_errors(mapper: Mapper, volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] float32

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
-from activestructure_gym.features.unexplored import count_in_front
+from activestructure_gym.features.unexplored import sums_in_front
 
 CUBOID_M = 2.5  # side of a region
 _SPREAD = 0.5  # standard deviations from the mean to the sets H and L
@@ -47,13 +47,9 @@ def moving_in_view(context: FeatureContext) -> np.ndarray:  # [K] in -1..1
     chosen, camera = weights != 0, context.camera
     reach = min(context.max_range, context.volume.config.max_range)
     shape = (len(context.world_from_camera), camera.height, camera.width)
-    in_view = count_in_front(
-        context.mapper.map.means[chosen].astype(np.float64),
-        weights[chosen],
-        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-        np.broadcast_to(np.float32(reach), shape).copy(),
-    )
+    anywhere = np.broadcast_to(np.float32(reach), shape).copy()
+    points = context.mapper.map.means[chosen].astype(np.float64)
+    in_view = sums_in_front(points, weights[chosen], anywhere, context)[:, 0]
     return in_view / len(moved)
 
 

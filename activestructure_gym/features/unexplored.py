@@ -7,6 +7,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.volume import VoxelVolume
 
 _SIDE = 2  # voxels per side of the cells that are tested: 0.2 m at the default size, ActiveGS's voxels
@@ -26,18 +27,16 @@ def unexplored(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
 
 def _shares(context: FeatureContext) -> np.ndarray:  # [K]
     centres, unknown, total = unknown_cells(context.volume)
-    camera, reach = context.camera, min(context.max_range, context.volume.config.max_range)
-    alpha = context.alpha
+    seen = sums_in_front(centres, unknown, surface_within(context), context)
+    return seen[:, 0] / total
+
+
+def surface_within(context: FeatureContext) -> np.ndarray:  # [K, h, w] float32 metres of depth
+    """Where the map shows a surface; where it shows none, or beyond it, as far as the volume takes in depth."""
+    reach = np.float32(min(context.max_range, context.volume.config.max_range))
     with np.errstate(divide="ignore", invalid="ignore"):
-        surface = np.where(alpha > context.coverage_alpha, context.depth / alpha, np.float32(reach))
-    seen = count_in_front(
-        centres,
-        unknown,
-        np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-        np.minimum(surface, np.float32(reach)),
-    )
-    return seen / total
+        surface = np.where(context.alpha > context.coverage_alpha, context.depth / context.alpha, reach)
+    return np.minimum(surface, reach)
 
 
 def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  # [M, 3] metres, [M] voxels, all voxels
@@ -58,25 +57,41 @@ def unknown_cells(volume: VoxelVolume) -> tuple[np.ndarray, np.ndarray, int]:  #
     return volume.origin + middles * volume.config.voxel_size, counts, inner.size
 
 
-@kernel
-def count_in_front(
-    centres: np.ndarray,  # [M, 3] metres, world
+def sums_in_front(
+    points: np.ndarray,  # [M, 3] metres, world
     weights: np.ndarray,  # [M]
-    poses: np.ndarray,  # [K, 4, 4] world_from_camera
-    lens: np.ndarray,  # [4] fx, fy, cx, cy
     surface: np.ndarray,  # [K, h, w] float32 metres of depth
-) -> np.ndarray:  # [K] sum of the weights of the centres in front of the surface
+    context: FeatureContext,
+    group: np.ndarray | None = None,  # [M] index of each point's group; all are one if None
+) -> np.ndarray:  # [K, groups]
+    """For every view the sum of the weights of the points in front of ``surface``, by group."""
+    groups = np.zeros(len(points), np.int64) if group is None else group
+    number = 1 if group is None else int(groups.max(initial=-1)) + 1
+    poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
+    return _sums(points, weights.astype(np.float64), groups, number, poses, context.camera.lens, surface)
+
+
+@kernel
+def _sums(
+    points: np.ndarray,  # [M, 3] metres, world
+    weights: np.ndarray,  # [M]
+    groups: np.ndarray,  # [M] int64
+    number: int,  # of groups
+    poses: np.ndarray,  # [K, 4, 4] world_from_camera
+    lens: Lens,
+    surface: np.ndarray,  # [K, h, w] float32 metres of depth
+) -> np.ndarray:  # [K, number]
     count, height, width = surface.shape
-    result = np.zeros(count)
+    result = np.zeros((count, number))
     for k in range(count):
         pose = poses[k]
-        for m in range(len(centres)):
-            x, y, z = centres[m, 0] - pose[0, 3], centres[m, 1] - pose[1, 3], centres[m, 2] - pose[2, 3]
+        for m in range(len(points)):
+            x, y, z = points[m, 0] - pose[0, 3], points[m, 1] - pose[1, 3], points[m, 2] - pose[2, 3]
             deep = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z
             if not deep > 0.0:
                 continue
             u = lens[0] * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / deep + lens[2]
             v = lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / deep + lens[3]
             if 0.0 <= u < width and 0.0 <= v < height and deep < surface[k, int(v), int(u)]:
-                result[k] += weights[m]
+                result[k, groups[m]] += weights[m]
     return result

@@ -3,7 +3,7 @@
 from activestructure_gym.motion.clearance import first_blocked_edge
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
-from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate
+from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate, is_level
 from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
 from activestructure_gym.motion.ways import Agent, Way, least_frames
 
@@ -17,6 +17,7 @@ __all__ = [
     "first_blocked_edge",
     "free_plan",
     "interpolate",
+    "is_level",
     "least_frames",
     "path_lengths",
     "plan_path",

@@ -126,6 +126,14 @@ def first_blocked(
     return first_blocked_edge(volume, positions, min_clearance=min_clearance - SAMPLING_DIP * volume.voxel_size)
 
 
+def is_level(
+    poses: np.ndarray,  # [..., 4, 4] world_from_camera
+) -> np.ndarray:  # [...] bool
+    """Which poses have no roll: the image's right is horizontal, and its up does not point down."""
+    level: np.ndarray = (np.abs(poses[..., 2, 0]) <= _ROLL_TOLERANCE) & (poses[..., 2, 1] <= _ROLL_TOLERANCE)
+    return level
+
+
 def yaw_pitch(
     pose: np.ndarray,  # [4, 4] world_from_camera, without roll
 ) -> np.ndarray:  # [2] radians: yaw around world z (0 = +x), pitch (above 0 = up)
@@ -134,7 +142,7 @@ def yaw_pitch(
     Raises ValueError for a pose with roll: poses are made by `geometry.look_along`, and motion keeps them level.
     """
     right, forward = pose[:3, 0], pose[:3, 2]
-    if abs(right[2]) > _ROLL_TOLERANCE or pose[2, 1] > _ROLL_TOLERANCE:
+    if not is_level(pose):
         raise ValueError(f"expected a pose without roll (image right level, image up not down), got {pose[:3, :3]}")
     yaw = np.arctan2(right[0], -right[1])
     return np.array([yaw, np.arctan2(forward[2], np.hypot(forward[0], forward[1]))])

@@ -21,7 +21,6 @@ from activestructure_gym.sources.base import (
     Source,
     SourceContext,
     make_source,
-    source_names,
     sources_in,
 )
 from activestructure_gym.sources.facing import FrontierFacing, RegionsOfInterest
@@ -49,6 +48,5 @@ __all__ = [
     "make_stages",
     "offer",
     "random_of",
-    "source_names",
     "sources_in",
 ]

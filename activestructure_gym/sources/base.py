@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
@@ -102,11 +102,6 @@ def make_source(spec: str) -> Source:
             f"rows of the source '{spec}' must be a whole number from 1 to {MOST_ROWS}, got {shown(source.rows)}"
         )
     return source
-
-
-def source_names(stages: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """The sources of all stages, each once, in the order in which they are named."""
-    return tuple(dict.fromkeys(name for stage in stages for name in stage))
 
 
 def sources_in(overrides: Mapping[str, Any]) -> Iterator[str]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.motion import is_level
 from activestructure_gym.sources.base import MOST_ROWS, Proposals, Source, SourceContext, make_source
 from activestructure_gym.views import CandidateTable
 
@@ -54,12 +55,32 @@ def offer(
         kept = sum(1 if made[later].rows == MOST_ROWS else made[later].rows for later in stage[place + 1 :])
         room = min(left - kept, source.rows)
         seen = context(name, room)
-        part = _reachable(source.propose(seen), seen, room, names.index(name))
+        part = _reachable(_checked(name, source.propose(seen)), seen, room, names.index(name))
         left -= len(part)
         parts.append(part)
     if asks:
         parts.append(_asking(asks, seen.agent.pose))
     return parts[0] if len(parts) == 1 else CandidateTable.joined(parts)
+
+
+def _checked(name: str, proposed: object) -> Proposals:
+    """What the source called ``name`` returned, if it is what the table can take.
+
+    Raises `InputError` where it is no `Proposals`, and for poses that no camera on a level base can take.
+    """
+    if not isinstance(proposed, Proposals):
+        raise InputError(f"propose() of the source '{name}' must return Proposals, got {type(proposed).__name__}")
+    poses = np.asarray(proposed.world_from_camera, dtype=np.float64)
+    turns = poses[:, :3, :3]
+    rotates = (np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)) < 1e-6).all(axis=(1, 2)) & (
+        np.linalg.det(turns) > 0
+    )
+    if not (good := rotates & is_level(poses)).all():
+        raise InputError(
+            f"{np.sum(~good)} of the {len(poses)} poses of the source '{name}' are no rotation or have roll: make them "
+            "with geometry.look_along"
+        )
+    return proposed
 
 
 def _reachable(proposed: Proposals, context: SourceContext, room: int, source: int) -> CandidateTable:

@@ -12,7 +12,8 @@ import tyro
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import PathName, option
+from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
+from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.cli.output import make_console
 
 if TYPE_CHECKING:
@@ -35,9 +36,12 @@ class Replay:
     """Directories of one or two finished runs (a comparison's are in jobs/), or of a comparison of one or two."""
     out: PathName = None
     """The page; replay.html in the run's directory, or where you are if there are two."""
+    trust_code: Switch = False
+    """Let the runs' files name code, package.module:Name, that is run."""
 
     def run(self) -> int:
         """Play, write, say where."""
+        use_trust(self.trust_code)
         directories = [found for name in self.runs for found in _runs_of(Path(name))]
         if not 1 <= len(directories) <= MOST_RUNS:
             raise InputError(
@@ -54,17 +58,20 @@ class Replay:
 
 
 def add_replays(console: Console, runs: Iterable[Run]) -> None:
-    """Write replay.html into the directory of every run that has none; says of which runs there can be none."""
+    """Write replay.html into the directory of every run that has none; says of which runs there can be none.
+
+    The runs are the user's own: their files may name code.
+    """
     for run in runs:
         page = run.directory / PAGE
         if not page.exists():
             try:
-                write_page(console, page, [run])
+                write_page(console, page, [run], trusted=True)
             except InputError as error:  # of one run, as of a mapper without Gaussians: the others have theirs
                 console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]", soft_wrap=True)
 
 
-def write_page(console: Console, out: Path, runs: Sequence[Run]) -> None:
+def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
     """Play ``runs`` again, write the page, and say where it is."""
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
@@ -80,7 +87,7 @@ def write_page(console: Console, out: Path, runs: Sequence[Run]) -> None:
             def tell(frames: int, _: int, task: TaskID = task) -> None:
                 progress.update(task, completed=frames)
 
-            recordings.append(play_again(run, tell))
+            recordings.append(play_again(run, tell, trusted=trusted))
     for recording in recordings:
         if recording.differs:
             console.print(f"[yellow]{escape(recording.run.job.title)}: {escape(recording.differs)}[/]")

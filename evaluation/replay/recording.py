@@ -7,16 +7,16 @@ the same episode: the map of every moment need not be stored with every run.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.jobs import is_reference
+from activestructure_gym.evaluation.archive.jobs import is_reference, refuse_code
 from activestructure_gym.evaluation.archive.plane_record import GraphArrays, graph_arrays, seen_cells
-from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.archive.store import CONFIG, Run
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
@@ -89,16 +89,21 @@ class _Lives:
         return parameters[:, order], born[order].astype(np.int32), died[order].astype(np.int32)
 
 
-def play_again(run: Run, tell: Callable[[int, int], None] = lambda frames, budget: None) -> Recording:
+def play_again(
+    run: Run, tell: Callable[[int, int], None] = lambda frames, budget: None, *, trusted: bool = False
+) -> Recording:
     """The episode of ``run``, played again; ``tell`` hears how many frames of how many are done.
 
-    Raises `InputError` where the scene is not there any more or has changed, and for a mapper without Gaussians.
+    Raises `InputError` where the scene is not there any more or has changed, for a mapper without Gaussians, and where
+    the run's files name code and are not ``trusted``; see `registry.refuse_code`.
     """
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.running.episode import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
     job, stored = run.job, run.config["configuration"]
+    if not trusted:  # a policy is made on native terms alone, to learn what it brings
+        refuse_code([job if job.terms == "native" else replace(job, policy="random")], run.directory / CONFIG)
     gains = () if is_reference(job.policy) else _at_hand(stored["gains"])
     env = ReconstructionEnv(
         scene=ground_truth_of(load_job_scene(job)),

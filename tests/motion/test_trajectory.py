@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import fibonacci_directions, look_along, rotation_angle
-from activestructure_gym.motion import MotionConfig, first_blocked, interpolate
+from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, is_level
 from activestructure_gym.motion.trajectory import poses_at, yaw_pitch
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
@@ -141,3 +141,14 @@ def test_a_point_that_is_looked_at_stays_in_the_axis_while_walking(point: tuple[
     cosine = (towards * frames[:, :3, 2]).sum(axis=1)[walking] / far[walking]
     assert walking.sum() >= 29 and cosine.min() > 1 - 1e-9
     assert len(interpolate(path[:1], start, start, CONFIG, look_at=path[0] + start[:3, 2])) == 1
+
+
+def test_level_is_no_roll_and_not_upside_down():
+    level = np.stack([look_along(np.zeros(3), d) for d in fibonacci_directions(50)])
+    assert is_level(level).all()
+    c, s = np.cos(0.01), np.sin(0.01)
+    for turn in (np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.diag([-1.0, -1.0, 1.0])):
+        rolled = level.copy()
+        rolled[:, :3, :3] @= turn
+        flat = np.abs(level[:, 2, 2]) < 0.9  # straight up or down any roll is as good
+        assert not is_level(rolled[flat]).any()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,18 @@ def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
     }  # fmt: skip
     config = configure("fast", Schedule(goal_keyframes=True).overrides())
     assert config.keyframe_every > config.frame_budget
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"keyframe_every": 5}, "goal_keyframes or keyframe_every, got both"),
+        ({"stages": (("pool",), ("stay?rounds=3",))}, "a round of 'stay.rounds=3' costs the frames between two"),
+    ],
+)
+def test_keyframes_at_goals_alone_leave_no_number_of_frames_between_them(given: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Schedule(goal_keyframes=True, **given)
 
 
 class Bringer(Policy):

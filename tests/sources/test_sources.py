@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
@@ -14,7 +15,7 @@ from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.sources import SOURCES, Proposals, Source, make_source, source_names
+from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, make_source
 from activestructure_gym.sources.facing import frontier_cells, standing_places
 from activestructure_gym.volume import FREE
 
@@ -32,7 +33,7 @@ def begin(*stages: tuple[str, ...], seed: int = 0, scene: str = "box", **changes
 
 
 def rows_of(run: Reconstruction, name: str) -> np.ndarray:
-    place = source_names(run.config.views.stages).index(name)
+    place = list(dict.fromkeys(source for stage in run.config.views.stages for source in stage)).index(name)
     return np.nonzero((run.candidates.source == place) & (run.candidates.ask < 0))[0]
 
 
@@ -152,3 +153,33 @@ def test_proposals_are_checked() -> None:
         Proposals(np.zeros((3, 4)))
     with pytest.raises(InputError, match="points to look at"):
         Proposals(np.tile(np.eye(4), (2, 1, 1)), look_at=np.zeros((1, 3)))
+
+
+@dataclass(frozen=True)
+class Wrong(Source):
+    """Proposes what no table can take."""
+
+    kind: str = "list"
+    rows: int = 3
+
+    def propose(self, context: SourceContext) -> Proposals:
+        poses = np.tile(context.agent.pose, (3, 1, 1))
+        if self.kind == "list":
+            return list(poses)  # type: ignore[return-value]
+        turns = {"rolled": Rotation.from_euler("z", 10, degrees=True).as_matrix(), "larger": 2 * np.eye(3)}
+        poses[1, :3, :3] = poses[1, :3, :3] @ turns.get(self.kind, np.diag([-1.0, -1.0, 1.0]))
+        return Proposals(poses)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("list", r"propose\(\) of the source .*Wrong\?kind=list' must return Proposals, got list"),
+        ("rolled", r"1 of the 3 poses of the source .* no rotation or have roll.*look_along"),
+        ("upside_down", "1 of the 3 poses"),
+        ("larger", "1 of the 3 poses"),
+    ],
+)
+def test_what_a_source_may_not_propose_is_said_with_its_name(kind: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        begin((f"tests.sources.test_sources:Wrong?kind={kind}",))

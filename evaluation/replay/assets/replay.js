@@ -55,7 +55,7 @@ class Run {
     const at = 9 * Math.min(Math.max(Math.round(frame) - 1, 0), this.last), p = this.arrays.poses;
     const position = [p[at], p[at + 1], p[at + 2]], right = [p[at + 3], p[at + 4], p[at + 5]], look = [p[at + 6], p[at + 7], p[at + 8]];
     const up = [right[1] * look[2] - right[2] * look[1], right[2] * look[0] - right[0] * look[2], right[0] * look[1] - right[1] * look[0]];
-    return { position, right, up: up.map((v) => v), look };
+    return { position, right, up, look };
   }
 
   camera(eye, frame) {

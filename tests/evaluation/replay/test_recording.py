@@ -5,10 +5,13 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay import Recording, play_again
 from activestructure_gym.evaluation.replay.recording import _Lives, plane_rectangles
@@ -93,3 +96,22 @@ def test_who_is_removed_is_kept_as_it_was_last() -> None:
     (gone,) = np.nonzero(died == 11)[0]
     np.testing.assert_array_equal(parameters[1:, gone], block[1:, 1])
     assert parameters[0, gone] == block[0, 1] + 100.0
+
+
+def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run]) -> None:
+    run = finished[0]
+
+    def with_job(**changes: Any) -> Run:
+        return replace(run, job=replace(run.job, **changes))
+
+    other = "tests.policies.test_schedule:Bringer"
+    for told, what in (
+        (with_job(scene="pathlib:Path"), "scene"),
+        (with_job(policy=other, terms="native"), "policy"),
+        (with_job(overrides=(("views.stages", (("pathlib:Path",),)),)), "candidate source"),
+    ):
+        with pytest.raises(InputError, match=f"config.json' names the {what} .* add --trust-code"):
+            play_again(told)
+    # On shared terms the actions are stored and the policy is not made: nothing of it is loaded.
+    again = play_again(with_job(policy=other))
+    np.testing.assert_array_equal(again.poses, run.trajectory["world_from_camera"])

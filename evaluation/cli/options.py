@@ -96,6 +96,11 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
         except (RecursionError, ValueError) as error:
             if not isinstance(error, json.JSONDecodeError):  # nested without end, or a number of thousands of digits
                 raise InputError(f"--set {shown(key)} takes no such value, got {shown(value)}") from None
+            if value[:1] in ("[", "{"):
+                raise InputError(
+                    f'--set {shown(key)}: lists and tables are JSON, as in \'views.stages=[["pool", "turns"]]\' with '
+                    f"all its quotes, got {shown(value)}"
+                ) from None
             overrides[key] = {"True": True, "False": False, "None": None}.get(value, value)
     return overrides
 

@@ -59,6 +59,10 @@ def test_overrides():
     for value in ("[" * 100_000, '{"a":' * 10_000, "9" * 5000):
         with pytest.raises(InputError, match="--set 'a' takes no such value"):
             parse_overrides([f"a={value}"])
+    assert parse_overrides(['views.stages=[["pool"]]']) == {"views.stages": [["pool"]]}
+    for value in ("[[pool]]", "{a: 1}"):
+        with pytest.raises(InputError, match=r"--set 'views.stages': lists and tables are JSON, as in"):
+            parse_overrides([f"views.stages={value}"])
     for word in ("sensor.width", "=3", "x" * 10_000):
         with pytest.raises(InputError, match="key=value"):
             parse_overrides([word])

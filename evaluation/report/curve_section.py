@@ -9,7 +9,7 @@ from activestructure_gym.evaluation.report.charts import key_mark, panel_chart
 from activestructure_gym.evaluation.report.curves import COSTS, chart_rows, convergence, measures_of
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.planning_table import planning_table
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.statistics import Statistic, interquartile_mean, mean
 
 
@@ -37,6 +37,7 @@ def chart_grid(results: Results, scene: str | None = None, statistic: Statistic 
     return render("chart_grid.html.j2", charts=charts)
 
 
+@once
 def policy_panels(results: Results) -> list[Markup]:
     """All measures over the frames with a panel for each policy; none while colours tell all policies apart."""
     if len(results.policies) <= len(style.COLOURS):

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts import Line, line_chart, span
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
 
 _POINTS = 61  # places of the common axis
@@ -67,6 +67,7 @@ def curve_of(run: Run, cost: str, measure: str) -> tuple[np.ndarray, np.ndarray]
     return np.array(places, dtype=np.float64), np.array([points[place] for place in places], dtype=np.float64)
 
 
+@once
 def measures_of(results: Results) -> list[Measure]:
     """The measures that some run has a curve of."""
     return [m for m in MEASURES if any(p.get(m.key) is not None for run in results.runs for p in run.metrics["curve"])]
@@ -100,6 +101,7 @@ def convergence(
     return lines
 
 
+@once
 def chart_rows(results: Results, scene: str | None = None, statistic: Statistic = mean) -> list[list[Markup]]:
     """A row of charts per measure, one over each cost; a row has one vertical axis, so that its heights compare."""
     rows = []

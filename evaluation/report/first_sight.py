@@ -15,13 +15,13 @@ from activestructure_gym.evaluation.report.layout import decimal
 from activestructure_gym.evaluation.report.picture_keys import PLAN_KEY
 from activestructure_gym.evaluation.report.pictures import BLACK, typical_view
 from activestructure_gym.evaluation.report.plan import draw_plan, flight
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, opened
 
 
 def first_sight(results: Results, anchor: str) -> Markup:
     """The first scene's typical view, true and as every map renders it, and below it every map with its path."""
     everyone = results.shown(results.scenes[0])
-    runs = results.foremost(results.scenes[0])
+    runs = opened(results.foremost(results.scenes[0]))
     index = typical_view(runs)
     where = f"{results.scenes[0]}, seed {runs[0].job.seed}"
     if len(runs) < len(everyone):

@@ -15,7 +15,7 @@ from activestructure_gym.evaluation.report.layout import (
     ranked,
     with_interval,
 )
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.statistics import estimate, mean
 
 # The rungs as the paper's Table 3 names them.
@@ -54,6 +54,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
     return Table(aspect.of("quality"), title, headings, rows, caption, blocks=blocks)
 
 
+@once
 def ablation_table(results: Results, aspect: Aspect) -> Table:
     """Table 3: a row per policy, a column per metric, averaged over the scenes, with 95 % intervals."""
     columns = aspect.columns

@@ -76,7 +76,7 @@ def compare_strip(runs: Sequence[Run], *, title: str) -> Image.Image:
     """The typical view as it is and as each run renders it; below each its plan with the path."""
     index = typical_view(runs)
     truth = to_image(runs[0].pictures["true"][index])
-    plans = [_within(draw_plan(run.pictures, run.trajectory), truth.width) for run in runs]
+    plans = [draw_plan(run.pictures, run.trajectory, truth.width) for run in runs]
     size = truth.width, truth.height + GAP + max(plan.height for plan in plans)
     columns, labels = [_on_page(truth, size)], ["true view"]
     for run, plan in zip(runs, plans):
@@ -120,13 +120,6 @@ def _on_page(image: Image.Image, size: tuple[int, int]) -> Image.Image:
     page = Image.new("RGB", size, style.PAPER)
     page.paste(image, (0, 0))
     return page
-
-
-def _within(image: Image.Image, width: int) -> Image.Image:
-    """The image, made smaller where it is wider than ``width``."""
-    if image.width <= width:
-        return image
-    return image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
 
 
 def _with_note(page: Image.Image, note: str) -> Image.Image:

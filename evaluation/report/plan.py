@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,9 +22,15 @@ FILLS = {
 _LEVEL, _FLOOR_M2 = 0.8, 0.5  # a floor's normal has at least this z, and it has been seen on this area
 
 
-def draw_plan(arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray]) -> Image.Image:
-    """The picture, y up: map from above, free and occupied space, path from blue to yellow, keyframes, start, end."""
-    scale = plan_scale(arrays["plan_extent"]) * _SMOOTH
+def draw_plan(
+    arrays: Mapping[str, np.ndarray], trajectory: Mapping[str, np.ndarray], widest: float = math.inf
+) -> Image.Image:
+    """The picture, y up: map from above, free and occupied space, path from blue to yellow, keyframes, start, end.
+
+    At most ``widest`` pixels wide, with lines as wide as ever.
+    """
+    extent = arrays["plan_extent"]
+    scale = min(plan_scale(extent), widest / float(extent[0])) * _SMOOTH
     picture = plan_base(arrays, scale)
     _draw_path(picture, arrays, trajectory, scale)
     draw_scale_bar(picture, scale)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from activestructure_gym.evaluation.report.columns import LEAST, PROGRESS, Column, exceeded, measured
 from activestructure_gym.evaluation.report.layout import MISSING, Cell, Heading, Table, ranked, with_interval
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.tables import empty_rich_table, styled
 from activestructure_gym.evaluation.statistics import estimate
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _AT_A_GLANCE = (f"{LEAST}frames_to_85", f"{LEAST}frames_to_90", "observed_area")  # what a terminal has room for
 
 
+@once
 def planning_table(results: Results) -> Table | None:
     """A row per policy, a column per metric of planning, with 95 % intervals; None where no run was measured so.
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -17,6 +19,9 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison, r
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 _ON_A_SCREEN = 7  # policies side by side
 # Whom the others are measured against if nobody is named: the first of these that took part.
@@ -84,9 +89,23 @@ class Results:
         """Jobs that were asked for and have no result, each with the reason."""
         return {name: why for source in self.sources for name, why in source.missing.items()}
 
+    @cached_property
+    def _by_cell(self) -> dict[tuple[str | None, str | None], list[Run]]:
+        """The runs by policy and scene; None stands for all of them."""
+        found: dict[tuple[str | None, str | None], list[Run]] = {}
+        for run in self.runs:
+            for cell in ((None, None), (run.policy, None), (None, run.scene), (run.policy, run.scene)):
+                found.setdefault(cell, []).append(run)
+        return found
+
+    @cached_property
+    def found(self) -> dict[Hashable, Any]:
+        """What functions under `once` have found in these results."""
+        return {}
+
     def of(self, policy: str | None = None, scene: str | None = None) -> list[Run]:
         """The runs of a policy, of a scene, or of both."""
-        return [run for run in self.runs if policy in (None, run.policy) and scene in (None, run.scene)]
+        return list(self._by_cell.get((policy, scene), ()))
 
     def cells(self, policy: str, key: str, scene: str | None = None) -> dict[tuple[str, int], float]:
         """A policy's numbers by scene and seed, where they are defined."""
@@ -127,16 +146,33 @@ class Results:
         kept = {run.policy for run in ranks[:_ON_A_SCREEN]}
         return [run for run in runs if run.policy in kept]
 
-    def check_pictures(self) -> None:
-        """Raise `InputError` where runs that are shown side by side have not kept the same views."""
-        for scene in self.scenes:
-            first, *others = self.shown(scene)
-            for run in others:
-                if run.pictures["true"].shape != first.pictures["true"].shape:
-                    raise InputError(
-                        f"'{run.directory}' and '{first.directory}' have not kept the same held-out views of {scene}: "
-                        "report them apart, or make one of them again"
-                    )
+
+def opened(runs: Sequence[Run]) -> list[Run]:
+    """The same runs for a look at their pictures: arrays that are read for it go when these runs go.
+
+    Raises `InputError` where runs of one scene have not kept the same views.
+    """
+    copies = [copy.copy(run) for run in runs]
+    for run in copies[1:]:
+        if run.pictures["true"].shape != copies[0].pictures["true"].shape:
+            raise InputError(
+                f"'{run.directory}' and '{copies[0].directory}' have not kept the same held-out views of "
+                f"{run.scene}: report them apart, or make one of them again"
+            )
+    return copies
+
+
+def once(function: Callable[Concatenate[Results, P], T]) -> Callable[Concatenate[Results, P], T]:
+    """A function of results and of what can be hashed, which works once for each: page, files and summary ask alike."""
+
+    @functools.wraps(function)
+    def asked(results: Results, *args: P.args, **kwargs: P.kwargs) -> T:
+        key = function.__module__, function.__qualname__, args, tuple(sorted(kwargs.items()))
+        if key not in results.found:
+            results.found[key] = function(results, *args, **kwargs)
+        return cast(T, results.found[key])
+
+    return asked
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:

@@ -1,9 +1,13 @@
-"""The part of the page about one scene: its table, curves, views, plans, planes and every run's decisions."""
+"""The part of the page about one scene: its table, curves, views, plans, planes and every run's decisions.
+
+Of more policies than fit on a screen only the foremost are shown in full; the others have their views, and thumbnails.
+"""
 
 from __future__ import annotations
 
+import copy
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from markupsafe import Markup
@@ -13,7 +17,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
 from activestructure_gym.evaluation.report.columns import COLUMNS, ratios_text
 from activestructure_gym.evaluation.report.curve_section import chart_grid
-from activestructure_gym.evaluation.report.embedding import picture
+from activestructure_gym.evaluation.report.embedding import THUMBNAIL, WIDE, picture
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import decimal
 from activestructure_gym.evaluation.report.phases import plot_phases, stored_timeline
@@ -23,7 +27,7 @@ from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.plan import draw_plan, flight
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, opened
 from activestructure_gym.evaluation.report.tables import overview, table_rows
 from activestructure_gym.evaluation.report.traces import run_trace
 
@@ -37,7 +41,8 @@ _SEEN = {  # what there is to see in the pictures of planes
 
 def scene_section(results: Results, scene: str, anchor: str) -> Markup:
     """The section of one scene, without what stands further up on the page."""
-    shown = results.shown(scene)
+    shown = opened(results.shown(scene))
+    full = {run.policy for run in results.foremost(scene)}
     numbers = curves = None
     if len(results.scenes) > 1:
         # Its quality stands among that of all scenes; here its spread over the seeds, if there is one, and its costs.
@@ -54,13 +59,13 @@ def scene_section(results: Results, scene: str, anchor: str) -> Markup:
         which_runs=which_runs(results, scene),
         views=views_strip(shown, results.policies),
         black=BLACK,
-        plans=[_plan(run, results.policies) for run in shown],
+        plans=[_plan(run, results.policies, full) for run in shown],
         plan_key=PLAN_KEY,
         flight=flight([(run.trajectory, run.graph) for run in shown]),
-        graphs=[_planes(run, results.policies) for run in shown if run.graph is not None],
+        graphs=[_planes(run, results.policies, full) for run in shown if run.graph is not None],
         deficit_key=DEFICIT_KEY,
         type_key=TYPE_KEY,
-        traces=[run_trace(run) for policy in results.policies for run in results.of(policy, scene)],
+        traces=[run_trace(copy.copy(run)) for policy in results.policies for run in results.of(policy, scene)],
     )
 
 
@@ -104,20 +109,23 @@ def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> list[dict[str, 
     return rows
 
 
-def _plan(run: Run, policies: Sequence[str]) -> dict[str, Any]:
+def _plan(run: Run, policies: Sequence[str], full: Collection[str]) -> dict[str, Any]:
     """A run's map from above, with what it knew and the way it went."""
-    drawn = picture(draw_plan(run.pictures, run.trajectory), f"plan with the path of {run.policy}")
-    return _tile(run, policies, drawn)
+    drawn = draw_plan(run.pictures, run.trajectory, WIDE if run.policy in full else THUMBNAIL)
+    return _tile(run, policies, picture(drawn, f"plan with the path of {run.policy}"))
 
 
-def _planes(run: Run, policies: Sequence[str]) -> dict[str, Any]:
-    """A run's graph: from above and in three dimensions, by type and by deficit; and how it came about."""
+def _planes(run: Run, policies: Sequence[str], full: Collection[str]) -> dict[str, Any]:
+    """A run's graph from above by deficit; in ``full`` also by type and in three dimensions, and how it came about."""
     assert run.graph is not None
     # The run's own pictures where they can be used: drawing them again takes as long as the rest of the page.
     above = stored_panels(run.directory / "psg_plan.png") or draw_planes_plan(run.graph, run.pictures)
+    if run.policy not in full:
+        drawn = picture(above[1], f"planes of {run.policy} from above, by deficit", widest=THUMBNAIL)
+        return {"by_deficit": _tile(run, policies, drawn), "pictures": []}
     in_3d = stored_panels(run.directory / "psg_3d.png") or draw_planes_3d(run.graph)
     drawn = {
-        (what, place): picture(image, f"planes of {run.policy} {place}, by {what}", drawing=True)
+        (what, place): picture(image, f"planes of {run.policy} {place}, by {what}")
         for place, images in (("from above", above), ("in 3D", in_3d))
         for what, image in zip(("type", "deficit"), images)
     }
@@ -126,7 +134,7 @@ def _planes(run: Run, policies: Sequence[str]) -> dict[str, Any]:
     return {
         "by_deficit": _tile(run, policies, drawn["deficit", "from above"]),
         "pictures": [(f"by {what}, {place}", says, drawn[what, place]) for (what, place), says in _SEEN.items()],
-        "history": picture(_history(run), f"timeline of {run.policy}", drawing=True, widest=_TIMELINE),
+        "history": picture(_history(run), f"timeline of {run.policy}", widest=_TIMELINE),
         "says": f"{run.policy}, seed {run.job.seed}: {structural} structural planes, {count - structural} of objects, "
         f"{len(holes)} deficiency centres for {holes.sum():.1f} m²",
     }

@@ -30,7 +30,7 @@ from activestructure_gym.evaluation.report.paper_tables import ablation_table, t
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.planning_table import planning_table
-from activestructure_gym.evaluation.report.results import Results, source_of
+from activestructure_gym.evaluation.report.results import Results, opened, source_of
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 
 PAGE = "report.html"
@@ -54,7 +54,6 @@ def write_results(directory: Path, results: Results) -> list[Path]:
     Only finished runs are given, and only they are counted; everything is rebuilt from their directories. Raises
     `InputError` where those are damaged, or where ``directory`` cannot be written.
     """
-    results.check_pictures()
     with store.whole_files(directory) as part:
         written = _write_into(part, results, directory)
     return [directory / file.relative_to(part) for file in written]
@@ -115,10 +114,10 @@ def _endings(scenes: Sequence[str]) -> list[str]:
 
 
 def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) -> list[Path]:
-    """One view with the plans, curves, held-out views and plans; pictures of the seed that `Results.shown` picks."""
-    shown = results.shown(scene)
+    """One view with the plans, curves, held-out views and plans: of the runs that `Results.foremost` picks."""
+    shown = opened(results.foremost(scene))
     strip, views, plans = (directory / f"{name}{ending}.png" for name in ("strip", "views", "plans"))
-    compare_strip(results.foremost(scene), title=f"{scene}, seed {shown[0].job.seed}").save(strip)
+    compare_strip(shown, title=f"{scene}, seed {shown[0].job.seed}").save(strip)
     compare_views(shown, title=f"Held-out views of {scene}").save(views)
     compare_plans(shown, title=f"{scene} from above").save(plans)
     return [_curves(directory / f"convergence{ending}.svg", results, scene), strip, views, plans]
@@ -143,6 +142,9 @@ def _scene_section(results: Results, scene: str, pictures: Sequence[Path], direc
     ]
     lines += [f"Note: {note}." for note in info["notes"]]
     lines = [lines[0], *(escaped(without_places(line)) for line in lines[1:])]
+    if len(kept := results.foremost(scene)) < (everyone := len(results.shown(scene))):
+        lines += ["", f"Pictures of the {len(kept)} policies with the highest C.R. (the baseline among them) of "
+                  f"{everyone}; those of all stand on the page."]  # fmt: skip
     for path in pictures:
         lines += ["", f"![{path.stem.partition('-')[0]}](./{path.name})"]
     return "\n".join([*lines, "", "Runs: " + ", ".join(_link(run, directory) for run in runs) + ".", ""])

@@ -20,7 +20,7 @@ from activestructure_gym.evaluation.report.layout import (
     ranked,
     with_interval,
 )
-from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.statistics import (
     STATISTICS,
     Estimate,
@@ -66,6 +66,7 @@ def leads(results: Results) -> list[Lead]:
     return found
 
 
+@once
 def differences(results: Results, column: Column) -> dict[str, PairedDifference]:
     """Every policy against the baseline in one metric, paired by scene and seed."""
     base = results.baseline
@@ -80,6 +81,7 @@ def differences(results: Results, column: Column) -> dict[str, PairedDifference]
     return {policy: pair for policy, pair in pairs.items() if pair is not None}
 
 
+@once
 def can_tell(results: Results) -> bool:
     """Whether intervals exist: a policy shares two seeds or more with the baseline wherever both ran."""
     finished = {policy: {(run.scene, run.job.seed) for run in results.of(policy)} for policy in results.policies}
@@ -110,6 +112,7 @@ def verdict(pair: PairedDifference, column: Column) -> tuple[str, Judgement]:
     return words, "good" if better else "bad"
 
 
+@once
 def difference_table(results: Results) -> Table | None:
     """A row per policy and metric: the paired difference to the baseline with its interval, and what it excludes."""
     rows: list[list[Cell]] = []
@@ -177,6 +180,7 @@ def improvement_table(results: Results, column: Column) -> Table | None:
     )
 
 
+@once
 def aggregate_table(results: Results) -> Table:
     """Mean, median and interquartile mean of every metric, with intervals."""
     rows: list[list[Cell]] = []
@@ -201,6 +205,7 @@ def aggregate_table(results: Results) -> Table:
     return Table("aggregates", "Mean, median, interquartile mean", headings, rows, caption, blocks=blocks)
 
 
+@once
 def area_table(results: Results) -> Table:
     """Area under the convergence curves, normalised by the budget, for every measure and cost."""
     columns = []
@@ -219,6 +224,7 @@ def area_table(results: Results) -> Table:
     return Table("areas", "Area under the curves", headings, rows, caption)
 
 
+@once
 def cost_table(results: Results) -> Table:
     """Costs of the episodes, planning and mapping apart; a collision is marked as an alarm."""
     columns = measured(COSTS, results.runs)
@@ -242,6 +248,7 @@ def cost_table(results: Results) -> Table:
     return Table("costs", "Costs", [Heading("Policy", numeric=False), *map(Heading.of, columns)], rows, caption)
 
 
+@once
 def _improvement(results: Results, ours: str, theirs: str, column: Column) -> Estimate | None:
     """Over the scenes that both finished."""
     strata = [

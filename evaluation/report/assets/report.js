@@ -70,7 +70,8 @@
     overlay.dataset.at = images.indexOf(image);
     large.src = image.src;
     large.alt = image.alt;
-    large.style.setProperty("--ratio", image.naturalWidth / image.naturalHeight);
+    // Those of the markup: what was never scrolled to is not loaded yet.
+    large.style.setProperty("--ratio", image.getAttribute("width") / image.getAttribute("height"));
     overlay.querySelector("figcaption").textContent = `${image.alt} (← →)`;
     overlay.querySelector("figure").prepend(large);
     if (!overlay.open) overlay.showModal();

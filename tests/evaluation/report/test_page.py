@@ -70,7 +70,12 @@ def test_no_error_no_request_and_no_foreign_markup(path, browser):
     assert browser.requests() == [path.resolve().as_uri()]
     assert browser.complaints() == []
     assert browser.ask("document.images.length") > 20
-    assert browser.ask("[...document.images].every((image) => image.complete && image.naturalWidth > 0 && image.alt)")
+    assert browser.ask("[...document.images].some((image) => !image.complete)")  # loaded where somebody looks
+    browser.ask("for (const image of document.images) image.loading = 'eager'; 0")
+    assert browser.ask(
+        "Promise.all([...document.images].map((image) => image.decode()))"
+        ".then(() => [...document.images].every((image) => image.naturalWidth > 0 && image.alt))"
+    )
     text = browser.ask("document.body.textContent")
     assert HOSTILE in text and SCENE in text
     assert browser.ask("document.querySelectorAll('main i:not(.dot, .sign), script').length") == 1
@@ -108,6 +113,15 @@ def test_a_policy_is_hidden_alone_where_another_has_its_colour(make_run, browser
     hidden = "new Set([...document.querySelectorAll('.series.off')].map((series) => series.dataset.name))"
     assert browser.ask(f"document.querySelector('.legend').click();[...{hidden}]") == ["a"]  # "i" has its colour
     assert browser.ask("document.querySelectorAll('svg.panels .panel').length") == 20
+
+
+def test_of_many_policies_the_foremost_are_shown_in_full_and_the_others_small(make_run):
+    runs = [make_run(policy=name, planes=True, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", 1)]
+    text = html_page(Results(runs, [], "a"))
+    assert [name for name in "abcdefghi" if f"planes of {name} in 3D, by type" in text] == list("adefghi")
+    widths = dict(re.findall(r'alt="plan with the path of (.)" width="(\d+)"', text))
+    assert {name for name, width in widths.items() if int(width) <= 280} == {"b", "c"} and len(widths) == 9
+    assert all(f"planes of {name} from above, by deficit" in text for name in "abcdefghi")
 
 
 @pytest.fixture(scope="module")

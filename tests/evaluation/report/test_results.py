@@ -8,7 +8,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.report.columns import aspects, ratios_text
 from activestructure_gym.evaluation.report.page import html_page
-from activestructure_gym.evaluation.report.results import Results, gather, source_of
+from activestructure_gym.evaluation.report.results import Results, gather, once, opened, source_of
 
 
 def test_cells_and_strata(make_run):
@@ -43,6 +43,30 @@ def test_of_many_policies_the_best_and_the_baseline_come_first(make_run):
     runs = [make_run(policy=name, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", start=1)]
     assert [run.policy for run in Results(runs, [], "b").foremost("room")] == list("bdefghi")
     assert len(Results(runs[:3], []).foremost("room")) == 3
+
+
+def test_what_is_found_once_is_not_worked_out_again(make_run):
+    asked = []
+
+    @once
+    def counted(results, name, digits=1):
+        asked.append((name, digits))
+        return [name, len(results.runs)]
+
+    one, two = Results([make_run()], []), Results([make_run(), make_run(policy="b")], [])
+    assert counted(one, "a") == ["a", 1] and counted(one, "a") is counted(one, "a")
+    assert counted(one, "a", digits=2) == ["a", 1] and counted(two, "a") == ["a", 2]  # other results, another answer
+    assert asked == [("a", 1), ("a", 2), ("a", 1)]
+
+
+def test_arrays_read_for_a_look_are_not_kept(make_run):
+    run = make_run()
+    del run.__dict__["steps"]
+    run.directory.mkdir(parents=True)
+    (run.directory / "steps.jsonl").write_text('{"frames": 7}\n')
+    (copied,) = opened([run])
+    assert copied.steps == [{"frames": 7}] and copied.policy == run.policy
+    assert "steps" in copied.__dict__ and "steps" not in run.__dict__
 
 
 def test_the_baseline_is_named_or_the_usual_one(make_run):

@@ -15,6 +15,7 @@ A comparison's directory::
         map.npz, map.ply         the Gaussian map; the PLY opens in any splat viewer
         graph.npz                the Plane Scene Graph at the end; see `plane_record.graph_arrays`
         pictures.npz, *.png      rendered and true views, the plan, the graph, the timeline
+        replay.html              the run to watch, where somebody asked for it
     logs/<job name>.log          what a worker wrote to its standard error
     .lock                        who is at work here; see `directory_lock`
     summary.md, results.csv, *.png
@@ -63,6 +64,7 @@ JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished j
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
 # What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
 _READ_AGAIN = (CONFIG, "metrics.json", "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
+REPLAY = "replay.html"  # the page to watch a run on, where one was made
 _LARGEST_LOG = 256 << 20  # bytes of steps.jsonl
 
 

@@ -166,13 +166,13 @@ def _compare(options: Compare) -> int:
                     command=_command_line(), held=held,
                     tell=lambda text: console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True),
                 )  # fmt: skip
-            baseline = None if options.baseline is None else policy_label(options.baseline)
-            code = _report(console, result, directory, time.monotonic() - began, baseline)
-            if options.replay:
+            seconds = time.monotonic() - began
+            if options.replay:  # before the report, which links to them
                 from activestructure_gym.evaluation.cli.replay import add_replays
 
                 add_replays(console, result.runs)
-            return code
+            baseline = None if options.baseline is None else policy_label(options.baseline)
+            return _report(console, result, directory, seconds, baseline)
     except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
         if (directory / COMPARISON).is_file():
             print(

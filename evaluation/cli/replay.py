@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
 
 MOST_RUNS = 2
-PAGE = "replay.html"  # in a run's directory
 
 
 @dataclass(frozen=True)
@@ -47,11 +46,11 @@ class Replay:
             raise InputError(
                 f"asg replay takes one run or two, got {len(directories)}: name their directories in jobs/"
             )
-        out = Path(self.out or (directories[0] / PAGE if len(directories) == 1 else PAGE))
+        from activestructure_gym.evaluation.archive.store import REPLAY, read_run
+
+        out = Path(self.out or (directories[0] / REPLAY if len(directories) == 1 else REPLAY))
         if out.is_dir() or not out.absolute().parent.is_dir():
             raise InputError(f"--out is a file in a directory that exists, got '{out}'")
-
-        from activestructure_gym.evaluation.archive.store import read_run
 
         write_page(make_console(), out, [read_run(directory) for directory in directories])
         return 0
@@ -62,8 +61,10 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
 
     The runs are the user's own: their files may name code.
     """
+    from activestructure_gym.evaluation.archive.store import REPLAY
+
     for run in runs:
-        page = run.directory / PAGE
+        page = run.directory / REPLAY
         if not page.exists():
             try:
                 write_page(console, page, [run], trusted=True)

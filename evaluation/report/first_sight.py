@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
@@ -16,9 +17,10 @@ from activestructure_gym.evaluation.report.picture_keys import PLAN_KEY
 from activestructure_gym.evaluation.report.pictures import BLACK, typical_view
 from activestructure_gym.evaluation.report.plan import draw_plan, flight
 from activestructure_gym.evaluation.report.results import Results, opened
+from activestructure_gym.evaluation.report.run_links import replay_link
 
 
-def first_sight(results: Results, anchor: str) -> Markup:
+def first_sight(results: Results, anchor: str, directory: Path | None = None) -> Markup:
     """The first scene's typical view, true and as every map renders it, and below it every map with its path."""
     everyone = results.shown(results.scenes[0])
     runs = opened(results.foremost(results.scenes[0]))
@@ -30,7 +32,7 @@ def first_sight(results: Results, anchor: str) -> Markup:
         "first_sight.html.j2",
         truth=picture(to_image(runs[0].pictures["true"][index]), "the true view"),
         plan_key=PLAN_KEY,
-        tiles=[_tile(run, index, results.policies.index(run.policy)) for run in runs],
+        tiles=[_tile(run, index, results.policies.index(run.policy), directory) for run in runs],
         where=where,
         black=BLACK,
         flight=flight([(run.trajectory, run.graph) for run in runs]),
@@ -38,11 +40,12 @@ def first_sight(results: Results, anchor: str) -> Markup:
     )
 
 
-def _tile(run: Run, index: int, number: int) -> dict[str, Any]:
+def _tile(run: Run, index: int, number: int, directory: Path | None) -> dict[str, Any]:
     view, plan = to_image(run.pictures["rendered"][index]), draw_plan(run.pictures, run.trajectory)
     return {
         "index": number,
         "policy": run.policy,
+        "replay": replay_link(run, directory),
         "ratios": ratios_text(run),
         "metrics": run.metrics["metrics"],
         "view": picture(view, f"the same view in the map of {run.policy}"),

@@ -22,19 +22,19 @@ _ASSETS = Path(__file__).with_name("assets")
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
-def html_page(results: Results) -> str:
-    """The whole page."""
+def html_page(results: Results, directory: Path | None = None) -> str:
+    """The whole page; with the ``directory`` it will lie in also links to the files of runs that lie beside it."""
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
     everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
     title = f"{everyone} on {counted(len(results.scenes), 'scene')}"
     sections = [
-        _header(results, title, anchors[0]),
+        _header(results, title, anchors[0], directory),
         glance_section(results),
         quality_section(results),
         differences_section(results),
         convergence_section(results),
         costs_section(results),
-        *(scene_section(results, scene, anchor) for scene, anchor in zip(results.scenes, anchors)),
+        *(scene_section(results, scene, anchor, directory) for scene, anchor in zip(results.scenes, anchors)),
         method_section(results),
     ]
     named = {"glance": "At a glance", "quality": "Quality", "against": "Differences", "convergence": "Convergence"}
@@ -55,7 +55,7 @@ def _asset(name: str) -> Markup:
     return Markup((_ASSETS / name).read_text(encoding="utf-8"))
 
 
-def _header(results: Results, title: str, anchor: str) -> Markup:
+def _header(results: Results, title: str, anchor: str, directory: Path | None) -> Markup:
     first = results.runs[0]
     facts = [
         f"{counted(len(results.runs), 'finished run')}: {counted(len(results.scenes), 'scene')}, "
@@ -70,7 +70,7 @@ def _header(results: Results, title: str, anchor: str) -> Markup:
         facts=facts,
         crossed={run.job.title: n for run in results.runs if (n := run.metrics["metrics"]["collisions"])},
         missing=results.missing,
-        first_sight=first_sight(results, anchor),
+        first_sight=first_sight(results, anchor, directory),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import io
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
@@ -28,6 +29,7 @@ from activestructure_gym.evaluation.report.plan import draw_plan, flight
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
 from activestructure_gym.evaluation.report.results import Results, opened
+from activestructure_gym.evaluation.report.run_links import run_links
 from activestructure_gym.evaluation.report.tables import overview, table_rows
 from activestructure_gym.evaluation.report.traces import run_trace
 
@@ -39,7 +41,7 @@ _SEEN = {  # what there is to see in the pictures of planes
 }
 
 
-def scene_section(results: Results, scene: str, anchor: str) -> Markup:
+def scene_section(results: Results, scene: str, anchor: str, directory: Path | None = None) -> Markup:
     """The section of one scene, without what stands further up on the page."""
     shown = opened(results.shown(scene))
     full = {run.policy for run in results.foremost(scene)}
@@ -59,13 +61,15 @@ def scene_section(results: Results, scene: str, anchor: str) -> Markup:
         which_runs=which_runs(results, scene),
         views=views_strip(shown, results.policies),
         black=BLACK,
-        plans=[_plan(run, results.policies, full) for run in shown],
+        plans=[_plan(run, results.policies, full, directory) for run in shown],
         plan_key=PLAN_KEY,
         flight=flight([(run.trajectory, run.graph) for run in shown]),
         graphs=[_planes(run, results.policies, full) for run in shown if run.graph is not None],
         deficit_key=DEFICIT_KEY,
         type_key=TYPE_KEY,
-        traces=[run_trace(copy.copy(run)) for policy in results.policies for run in results.of(policy, scene)],
+        traces=[
+            run_trace(copy.copy(run), directory) for policy in results.policies for run in results.of(policy, scene)
+        ],
     )
 
 
@@ -109,10 +113,11 @@ def views_strip(runs: Sequence[Run], policies: Sequence[str]) -> list[dict[str, 
     return rows
 
 
-def _plan(run: Run, policies: Sequence[str], full: Collection[str]) -> dict[str, Any]:
+def _plan(run: Run, policies: Sequence[str], full: Collection[str], directory: Path | None) -> dict[str, Any]:
     """A run's map from above, with what it knew and the way it went."""
     drawn = draw_plan(run.pictures, run.trajectory, WIDE if run.policy in full else THUMBNAIL)
-    return _tile(run, policies, picture(drawn, f"plan with the path of {run.policy}"))
+    shown = _tile(run, policies, picture(drawn, f"plan with the path of {run.policy}"))
+    return shown | {"links": run_links(run, directory)}
 
 
 def _planes(run: Run, policies: Sequence[str], full: Collection[str]) -> dict[str, Any]:
@@ -151,7 +156,13 @@ def _history(run: Run) -> Image.Image:
 
 
 def _tile(run: Run, policies: Sequence[str], drawn: Markup) -> dict[str, Any]:
-    return {"picture": drawn, "index": policies.index(run.policy), "policy": run.policy, "result": _result(run)}
+    return {
+        "picture": drawn,
+        "index": policies.index(run.policy),
+        "policy": run.policy,
+        "result": _result(run),
+        "links": [],
+    }
 
 
 def _result(run: Run) -> str:

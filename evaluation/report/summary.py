@@ -81,7 +81,7 @@ def _write_into(part: Path, results: Results, directory: Path) -> list[Path]:
         shown = "\n\n".join(f"![{path.stem}](./{path.name})" for path in overall)
         sections.insert(0, f"## All scenes\n\n{shown}\n")
     written.append(_written(part / "summary.md", _summary(results, sections)))
-    written.append(_written(part / PAGE, html_page(results)))
+    written.append(_written(part / PAGE, html_page(results, directory)))
     return written
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
@@ -12,12 +13,13 @@ from activestructure_gym.evaluation.report.columns import ratios_text, value_of
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
 from activestructure_gym.evaluation.report.phases import bands, chosen_terms
+from activestructure_gym.evaluation.report.run_links import run_links
 
 _DIGITS = 3
 _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))
 
 
-def run_trace(run: Run) -> Markup:
+def run_trace(run: Run, directory: Path | None = None) -> Markup:
     """Folded: identity and result in one line; behind it phases, decisions and where the run's files are."""
     numbers = {key: value_of(run, key) for key in ("psnr", "metres", "collisions", "seconds")}
     parts = [f"{run.policy}, seed {run.job.seed}", ratios_text(run)]
@@ -32,6 +34,7 @@ def run_trace(run: Run) -> Markup:
         table=html_table(trace_table(run)),
         job=run.key,
         directory=run.directory.name,
+        links=run_links(run, directory),
     )
 
 

@@ -204,7 +204,7 @@ def test_markup_in_a_directory_s_name_is_shown_as_it_is(jobs):
 def test_replays_are_made_where_they_are_asked_for_and_missing(asked, monkeypatch, tmp_path, capsys):
     made = []
 
-    def write_page(console, page, runs):
+    def write_page(console, page, runs, *, trusted):
         if page.parent.name == "gone":
             raise InputError("its scene is not there any more")
         made.append((page, runs))
@@ -216,8 +216,10 @@ def test_replays_are_made_where_they_are_asked_for_and_missing(asked, monkeypatc
         run.directory.mkdir()
     (runs[1].directory / "replay.html").write_text("made before")
     monkeypatch.setattr(comparison, "run_comparison", lambda *given, **options: Result(runs, [], 0))
-    monkeypatch.setattr(module, "_report", lambda *given: 0)
+    before = []
+    monkeypatch.setattr(module, "_report", lambda *given: before.append(len(made)) or 0)
     assert main(["compare", "--replay"]) == 0
+    assert before == [1]  # the report links to them
     assert made == [(runs[2].directory / "replay.html", [runs[2]])]
     assert "no replay of box · random · seed 0: its scene is not there" in capsys.readouterr().out
     assert main(["compare"]) == 0

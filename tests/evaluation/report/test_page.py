@@ -115,6 +115,26 @@ def test_a_policy_is_hidden_alone_where_another_has_its_colour(make_run, browser
     assert browser.ask("document.querySelectorAll('svg.panels .panel').length") == 20
 
 
+def test_runs_beside_the_page_are_linked_their_replays_first(make_run, tmp_path):
+    run = make_run(policy="a b")
+    run.directory.mkdir(parents=True)
+    for name in ("replay.html", "plan.png"):
+        (run.directory / name).touch()
+    results = Results([run], [])
+
+    def addresses(directory):
+        return re.findall(r'href="([^#d][^"]*)"', html_page(results, directory))
+
+    place = f"jobs/{run.directory.name}"
+    every = [f"{place}/replay.html", f"{place}/plan.png"]
+    assert addresses(tmp_path) == [every[0], *every, *every]  # first sight, plan, decisions
+    assert addresses(tmp_path / "report")[0] == f"../{every[0]}"
+    assert addresses(tmp_path / "far" / "away") == addresses(None) == []
+    assert (tmp_path / every[0]).is_file()
+    (run.directory / "replay.html").unlink()
+    assert addresses(tmp_path) == [every[1], every[1]]
+
+
 def test_of_many_policies_the_foremost_are_shown_in_full_and_the_others_small(make_run):
     runs = [make_run(policy=name, planes=True, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", 1)]
     text = html_page(Results(runs, [], "a"))

@@ -89,7 +89,7 @@ def test_a_report_is_written_whole_or_not_at_all(make_run, tmp_path, monkeypatch
     files = {file.relative_to(out): file.read_bytes() for file in write_report(out, runs, COMPARISON)}
     (out / "mine.txt").write_text("kept")
 
-    def refuse(results):
+    def refuse(*given):
         raise InputError("at the very end")
 
     with monkeypatch.context() as patched:

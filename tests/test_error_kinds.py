@@ -37,6 +37,7 @@ ENTRANCES = (
     "evaluation/report/",
     "evaluation/running/",
     "evaluation/training/",
+    "evaluation/trajectories/",
 )
 # Rooms of functions: what they are given was made by other functions.
 INSIDE = (

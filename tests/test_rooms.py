@@ -41,7 +41,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("evaluation.metrics",),
     ("evaluation.protocols",),
     ("evaluation.archive",),
-    ("evaluation.report",),
+    ("evaluation.report", "evaluation.trajectories"),
     ("evaluation.running",),
     ("evaluation.replay",),
     ("evaluation.training",),

@@ -1,0 +1,196 @@
+"""Poses from files of other programs, as they are written: camera to world, in whatever axes the file has.
+
+=========== =========================================================================================================
+``tum``       ``timestamp tx ty tz qx qy qz qw`` per line, ``#`` before comments ([tum_rgbd], file formats)
+``nice_slam`` 16 numbers per line, a 4 x 4 matrix row by row; or the folder with ``traj.txt`` ([nice_slam, code])
+``kitti``     12 numbers per line, its upper 3 rows ([kitti], odometry)
+``replica``   16 numbers per line; or the folder with ``traj_w_c.txt`` ([semantic_nerf, code])
+``habitat``   JSON, a list of ``{"position": [x, y, z], "rotation": [x, y, z, w]}``, of the camera and not of the body
+``npz``       ``world_from_camera`` [T, 4, 4], as in the ``trajectory.npz`` of a run
+=========== =========================================================================================================
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.evaluation.archive import schema
+from activestructure_gym.npz import read_npz
+
+Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "npz"]
+FORMATS: tuple[str, ...] = get_args(Format)
+MOST_POSES = 200_000  # of a file
+_LARGEST = 64 << 20  # bytes of a text
+_BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # numbers per line
+_WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}
+_IN_FOLDERS = {"nice_slam": "traj.txt", "replica": "traj_w_c.txt", "npz": "trajectory.npz"}
+_RIGID = 1e-3  # how far a rotation may be from one: files are written with 4 to 18 digits
+_FARTHEST = 1e6  # metres
+
+_POSES: schema.Check = schema.each(
+    schema.table(
+        {
+            "position": schema.each(schema.number(-_FARTHEST, _FARTHEST), length=3),
+            "rotation": schema.each(schema.number(-2, 2), length=4),
+        }
+    ),
+    least=1,
+)
+
+
+def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, str]:
+    """The file of poses at ``place``, a file or a folder that has one, and its format; raises `InputError`."""
+    if kind not in FORMATS:
+        raise unknown_name("trajectory format", kind, FORMATS)
+    path = Path(os.path.expanduser(place))
+    if path.is_dir():
+        wanted = _IN_FOLDERS if kind == "auto" else {kind: _IN_FOLDERS.get(kind, "")}
+        found = [(path / name, known) for known, name in wanted.items() if name and (path / name).is_file()]
+        if not found:
+            names = ", ".join(name for name in wanted.values() if name) or f"no file that {kind} knows"
+            raise InputError(f"the folder '{path}' has no trajectory ({names}); name the file itself")
+        return found[0]
+    if not path.is_file():
+        raise InputError(f"there is no trajectory '{path}'")
+    if kind == "auto":
+        kind = {".npz": "npz", ".json": "habitat"}.get(path.suffix.lower()) or _by_width(path)
+    return path, kind
+
+
+def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:  # [T, 4, 4] float64
+    """The poses of a file as it has them; raises `InputError` where it cannot be read, or a pose is no rigid motion.
+
+    ``auto`` tells formats apart by the ending and by the numbers in a line.
+    """
+    path, kind = find_file(place, kind)
+    if kind == "npz":
+        poses = np.asarray(arrays_of(path)["world_from_camera"], dtype=np.float64)
+    elif kind == "habitat":
+        poses = _habitat(path)
+    else:
+        rows = _numbers(path)
+        if rows.shape[1] != _WIDTHS[kind]:
+            raise InputError(
+                f"'{path}' has {rows.shape[1]} numbers per line, and {kind} has {_WIDTHS[kind]}: give its --format"
+            )
+        poses = _tum(rows, path) if kind == "tum" else _matrices(rows)
+    if not 1 <= len(poses) <= MOST_POSES:
+        raise InputError(f"'{path}' holds {len(poses)} poses, from 1 to {MOST_POSES} are read")
+    return _rigid(poses, path)
+
+
+def arrays_of(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a ``trajectory.npz``; raises `InputError` where it has no poses."""
+    try:
+        arrays = read_npz(path)
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"'{path}' cannot be read as a trajectory.npz: {error}") from error
+    poses = arrays.get("world_from_camera")
+    if poses is None or poses.ndim != 3 or poses.shape[1:] != (4, 4) or poses.dtype.kind not in "fiu":
+        raise InputError(f"'{path}' holds no array world_from_camera [T, 4, 4]")
+    return arrays
+
+
+def _text(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+        if size > _LARGEST:
+            raise InputError(f"'{path}' has {size:,} bytes, at most {_LARGEST:,} are read")
+        return path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"'{path}' is no text; a trajectory of numbers is expected") from error
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Number and words of every line that is neither empty nor a comment; commas separate like spaces."""
+    words = ((n, line.replace(",", " ").split()) for n, line in enumerate(_text(path).splitlines(), start=1))
+    return [(number, line) for number, line in words if line and not line[0].startswith("#")]
+
+
+def _by_width(path: Path) -> str:
+    lines = _lines(path)
+    width = len(lines[0][1]) if lines else 0
+    if width not in _BY_WIDTH:
+        raise InputError(
+            f"'{path}' is no trajectory that is known: expected 8 numbers per line (tum), 12 (kitti) or 16 (nice_slam, "
+            f"replica), got {width}"
+        )
+    return _BY_WIDTH[width]
+
+
+def _numbers(path: Path) -> np.ndarray:  # [T, width]
+    lines = _lines(path)
+    if not lines:
+        raise InputError(f"'{path}' holds no pose")
+    width = len(lines[0][1])
+    for number, words in lines:
+        if len(words) != width:
+            raise InputError(f"line {number} of '{path}' has {len(words)} numbers, and the first one has {width}")
+    try:
+        rows = np.array([words for _, words in lines], dtype=np.float64)
+    except ValueError as error:
+        raise InputError(f"'{path}' is not a trajectory of numbers: {' '.join(str(error).split())[:200]}") from error
+    return rows
+
+
+def _tum(rows: np.ndarray, path: Path) -> np.ndarray:
+    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, and not of 1")
+    return _of_quaternions(rows[:, 1:4], rows[:, 4:])
+
+
+def _matrices(rows: np.ndarray) -> np.ndarray:
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses.reshape(len(rows), 16)[:, : rows.shape[1]] = rows
+    return poses
+
+
+def _habitat(path: Path) -> np.ndarray:
+    try:
+        given: list[dict[str, Any]] = schema.read_checked_json(path, _POSES)
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        wanted = 'a list of {"position": [x, y, z], "rotation": [x, y, z, w]}'
+        raise InputError(f"'{path}' is no trajectory of Habitat, {wanted}: {error}") from error
+    rotations = np.array([pose["rotation"] for pose in given], dtype=np.float64)
+    if not (np.abs(np.linalg.norm(rotations, axis=1) - 1.0) <= 1e-2).all():
+        raise InputError(f"'{path}' holds a rotation that is no unit quaternion [x, y, z, w]")
+    return _of_quaternions(np.array([pose["position"] for pose in given], dtype=np.float64), rotations)
+
+
+def _of_quaternions(positions: np.ndarray, xyzw: np.ndarray) -> np.ndarray:
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(xyzw).as_matrix()
+    poses[:, :3, 3] = positions
+    return poses
+
+
+def _rigid(poses: np.ndarray, path: Path) -> np.ndarray:
+    finite = np.isfinite(poses).all(axis=(1, 2))
+    kept = np.where(finite[:, None, None] & (np.abs(poses) < _FARTHEST), poses, 0.0)
+    rotations = kept[:, :3, :3]
+    straight = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _RIGID
+    straight &= np.abs(kept[:, 3] - [0, 0, 0, 1]).max(axis=1) <= _RIGID
+    mirrored = straight & (np.linalg.det(rotations) < 0)
+    if mirrored.any():
+        raise InputError(
+            f"pose {int(np.argmax(mirrored)) + 1} of '{path}' mirrors: its axes are left-handed; a right-handed "
+            "convention is needed (turn one axis round)"
+        )
+    if not straight.all():
+        raise InputError(f"pose {int(np.argmin(straight)) + 1} of '{path}' is no rigid motion (rotation, translation)")
+    return poses

@@ -1,0 +1,87 @@
+"""Files of poses, written by hand as each program writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses
+
+# A quarter turn about z, then (1, 2, 3).
+TURNED = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+HALF = np.sqrt(0.5)
+LINES = {
+    "tum": f"# timestamp tx ty tz qx qy qz qw\n0 0 0 0 0 0 0 1\n0.1 1 2 3 0 0 {HALF} {HALF}\n",
+    "nice_slam": "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n0 -1 0 1 1 0 0 2 0 0 1 3 0 0 0 1\n",
+    "kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n0 -1 0 1 1 0 0 2 0 0 1 3\n",
+    "habitat": '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 1]},'
+    f' {{"position": [1, 2, 3], "rotation": [0, 0, {HALF}, {HALF}]}}]',
+}
+
+
+def write(folder: Path, kind: str, text: str = "") -> Path:
+    path = folder / ("poses.json" if kind == "habitat" else "poses.txt")
+    path.write_text(text or LINES[kind])
+    return path
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_every_format_says_the_same_poses_and_is_known_by_its_look(kind: str, tmp_path: Path) -> None:
+    path = write(tmp_path, kind)
+    for asked in (kind, "auto"):
+        poses = read_poses(path, asked)
+        np.testing.assert_allclose(poses, [np.eye(4), TURNED], atol=1e-15)
+    assert find_file(path)[1] == kind
+
+
+def test_an_npz_is_read_to_the_last_bit(tmp_path: Path) -> None:
+    poses = np.stack([np.eye(4), TURNED])
+    poses[1, 0, 3] = 0.1 + 0.2
+    np.savez(tmp_path / "trajectory.npz", world_from_camera=poses)
+    assert read_poses(tmp_path / "trajectory.npz").tobytes() == poses.tobytes()
+    assert read_poses(tmp_path).tobytes() == poses.tobytes(), "a folder that has one"
+
+
+@pytest.mark.parametrize(("kind", "name"), [("nice_slam", "traj.txt"), ("replica", "traj_w_c.txt")])
+def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(LINES["nice_slam"])
+    assert len(read_poses(tmp_path, kind)) == len(read_poses(tmp_path)) == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "said"),
+    [
+        ("auto", "1 2 3\n", r"expected 8 numbers per line \(tum\), 12 \(kitti\) or 16"),
+        ("kitti", LINES["tum"], "8 numbers per line, and kitti has 12"),
+        ("tum", "0 0 0 0 0 0 0 1\n0 1 2\n", "line 2 .* has 3 numbers"),
+        ("tum", "0 0 0 0 0 0 0 2\n", "quaternion of length 2"),
+        ("tum", "0 0 0 x 0 0 0 1\n", "not a trajectory of numbers"),
+        ("nice_slam", "1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1\n", "pose 1 .* mirrors: its axes are left-handed"),
+        ("nice_slam", "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1\n", "pose 1 .* is no rigid motion"),
+        ("nice_slam", "nan 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "pose 1 .* is no rigid motion"),
+        ("tum", "# nothing\n", "holds no pose"),
+        ("habitat", '[{"position": [0, 0]}]', "no trajectory of Habitat"),
+        ("habitat", '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 0.5]}]', "no unit quaternion"),
+        ("colmap", "", "unknown trajectory format 'colmap'"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_sentence(kind: str, text: str, said: str, tmp_path: Path) -> None:
+    path = write(tmp_path, kind, text or "0")
+    with pytest.raises(InputError, match=said):
+        read_poses(path, kind)
+
+
+def test_a_file_that_is_not_there_or_not_an_npz_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no trajectory"):
+        read_poses(tmp_path / "none.txt")
+    with pytest.raises(InputError, match="has no trajectory"):
+        read_poses(tmp_path)
+    (tmp_path / "poses.npz").write_bytes(b"no zip")
+    with pytest.raises(InputError, match="cannot be read as a trajectory.npz"):
+        read_poses(tmp_path / "poses.npz")
+    np.savez(tmp_path / "poses.npz", poses=np.eye(4))
+    with pytest.raises(InputError, match="holds no array world_from_camera"):
+        read_poses(tmp_path / "poses.npz")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any, Literal, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -21,9 +22,12 @@ from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 
+if TYPE_CHECKING:
+    from activestructure_gym.viewer import LiveView
+
 SceneSpec = str | PathLike[str] | Scene | GroundTruth
 Scenes = SceneSpec | Sequence[SceneSpec]
-RenderMode = Literal["rgb_array"]
+RenderMode = Literal["human", "rgb_array"]
 
 
 class EnvOptions(TypedDict, total=False):
@@ -83,7 +87,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     | `coverage_target` | float | 0.99 | share of the observable surface at which the task is done; None = never |
     | `max_planes` | int | 64 | rows of the plane arrays; the largest planes are kept |
     | `start_pose` | (x, y, z, yaw_deg) or 4x4 | none | where every episode starts |
-    | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side |
+    | `render_mode` | str | none | `"rgb_array"`: camera, map, and plan side by side; `"human"`: a page to watch |
 
     ## Reset options
     | option | meaning |
@@ -162,6 +166,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._start_pose = None if start_pose is None else as_pose(start_pose)
         self._loaded: dict[int, GroundTruth] = {}
         self._frame: Frame | None = None
+        self._view: LiveView | None = None
         self._ended = True
 
     def reset(
@@ -181,6 +186,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._count(self._frame, self.reconstruction.pose)
         self._ended = False
         terms = reward_terms(self.reward_config, share_gained=0.0, metres=0.0, invalid=False)
+        if self.render_mode == "human":
+            self._show_start()
         return self._observe(), self._info(terms, reached=True, invalid=False)
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -192,6 +199,8 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         episode = self.reconstruction
         share_before = self._coverage.share
         invalid = not int(action) < len(episode.candidates)
+        if self._view is not None:
+            self._view.chosen(int(action))
         visit = episode.visit(int(action))
         known = len(episode.keyframe_indices) - len(visit.keyframes)
         for frame, index in zip(visit.keyframes, episode.keyframe_indices[known:]):
@@ -207,6 +216,9 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         terminated = self._covered or episode.finished or not len(episode.candidates)
         truncated = episode.exhausted
         self._ended = terminated or truncated
+        if self._view is not None:
+            self._view.show()
+            self._view.end() if self._ended else self._view.wait()
         info = self._info(terms, reached=visit.reached, invalid=invalid)
         return self._observe(), float(sum(terms.values())), terminated, truncated, info
 
@@ -224,18 +236,36 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return self._coverage
 
     def render(self) -> np.ndarray | None:  # [H, W, 3] uint8
-        """One image: the camera's view, the map from the same pose, and the plan with the path so far."""
+        """One image: the camera's view, the map from the same pose, and the plan with the path so far.
+
+        None with ``"human"``: every step is shown as it is made.
+        """
         if self.render_mode is None:
             gym.logger.warn('render() shows nothing without a render mode: make the env with render_mode="rgb_array"')
             return None
         if self._frame is None:
             raise gym.error.ResetNeeded("there is nothing to render before reset()")
+        if self.render_mode == "human":
+            return None
         return draw_panel(self.reconstruction, self._frame)
 
     def close(self) -> None:
-        """Let go of the sensor; calling it twice does no harm."""
+        """Let go of the sensor and of the page; calling it twice does no harm."""
+        if self._view is not None:
+            self._view.close()
         if self._frame is not None:
             self.reconstruction.sensor.close()
+
+    def _show_start(self) -> None:
+        """Serve the page, once per environment, and show the episode that begins."""
+        if self._view is None:
+            from activestructure_gym.viewer import LiveView
+
+            self._view = LiveView(type(self).__name__ if self.spec is None else self.spec.id)
+            print(f"watch this environment at {self._view.url}", file=sys.stderr, flush=True)
+        self._view.begin(self.reconstruction, self.config.gains[0] if self.config.gains else "")
+        self._view.show()
+        self._view.wait()
 
     def _count(self, frame: Frame, pose: np.ndarray) -> None:
         sensor = self.reconstruction.sensor

@@ -34,7 +34,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("sources",),
     ("config",),
     ("reconstruction",),
-    ("compile_ahead",),
+    ("compile_ahead", "viewer"),
     ("envs",),
     ("policies",),
     ("evaluation.machine", "evaluation.statistics"),

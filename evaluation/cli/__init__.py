@@ -37,6 +37,7 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers
   asg replay     write a run, or two side by side, as one page to watch: the map as it grows
+  asg watch      play an episode in a browser while it happens; pause it, or say where to go
   asg cache      show what is kept on disk between runs, or remove it
   asg completion print a script that lets bash, zsh or fish complete all of this
 

@@ -21,6 +21,7 @@ COMMANDS = {
     "export": "export:Export",
     "report": "report:Report",
     "replay": "replay:Replay",
+    "watch": "watch:Watch",
     "cache": "cache:Cache",
     "completion": "completion:Completion",
 }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -35,6 +36,8 @@ class Replay:
     """Directories of one or two finished runs (a comparison's are in jobs/), or of a comparison of one or two."""
     out: PathName = None
     """The page; replay.html in the run's directory, or where you are if there are two."""
+    video: PathName = None
+    """Write a video instead, of one run and without a browser: .mp4, or .webm, which browsers play."""
     trust_code: Switch = False
     """Let the runs' files name code, package.module:Name, that is run."""
 
@@ -48,9 +51,12 @@ class Replay:
             )
         from activestructure_gym.evaluation.archive.store import REPLAY, read_run
 
+        if self.video is not None:
+            if self.out is not None or len(directories) != 1:
+                raise InputError("--video is of one run, and takes the place of --out")
+            return _video(make_console(), directories[0], Path(self.video))
         out = Path(self.out or (directories[0] / REPLAY if len(directories) == 1 else REPLAY))
-        if out.is_dir() or not out.absolute().parent.is_dir():
-            raise InputError(f"--out is a file in a directory that exists, got '{out}'")
+        _check_place("--out", out)
 
         write_page(make_console(), out, [read_run(directory) for directory in directories])
         return 0
@@ -74,20 +80,12 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
 
 def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
     """Play ``runs`` again, write the page, and say where it is."""
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-
     from activestructure_gym.evaluation.archive.store import writing
     from activestructure_gym.evaluation.replay import play_again, write_replay
 
     began, recordings = time.monotonic(), []
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
-        for run in runs:
-            task = progress.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
-
-            def tell(frames: int, _: int, task: TaskID = task) -> None:
-                progress.update(task, completed=frames)
-
+    for run in runs:
+        with _progress(console, run) as tell:
             recordings.append(play_again(run, tell, trusted=trusted))
     for recording in recordings:
         if recording.differs:
@@ -96,6 +94,36 @@ def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: boo
         size = write_replay(recordings, out)
     seconds = time.monotonic() - began
     console.print(f"Open [bold]{escape(str(out))}[/] in a browser: {size / 1e6:.1f} MB, {seconds:.0f} s")
+
+
+def _video(console: Console, directory: Path, out: Path) -> int:
+    from activestructure_gym.evaluation.archive.store import read_run, writing
+    from activestructure_gym.evaluation.replay import check_video, write_video
+
+    check_video(out)
+    _check_place("--video", out)
+    run, began = read_run(directory), time.monotonic()
+    with _progress(console, run) as tell, writing(out):
+        length = write_video(run, out, tell)
+    size, seconds = out.stat().st_size / 1e6, time.monotonic() - began
+    console.print(f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s")
+    return 0
+
+
+def _check_place(name: str, out: Path) -> None:
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise InputError(f"{name} is a file in a directory that exists, got '{out}'")
+
+
+@contextmanager
+def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]]:
+    """A bar while ``run`` is played again, and who tells it how far that is."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
+        task = progress.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
+        yield lambda frames, budget: progress.update(task, completed=frames)
 
 
 def _runs_of(directory: Path) -> list[Path]:

@@ -1,97 +1,19 @@
-"""A recording as bytes that a browser unpacks in a moment: whole numbers of few bits, deflated, in base64.
-
-The layout: four bytes with the length of a JSON text (little endian), the text, then the arrays, each from a multiple
-of four bytes on. The text names every array with its type, shape and place, and holds all that is no array.
-"""
+"""A recording as text in a page: its film and its run's facts, deflated, in base64."""
 
 from __future__ import annotations
 
 import base64
-import json
 import zlib
 from typing import Any
 
-import numpy as np
-
 from activestructure_gym.evaluation.replay.recording import Recording
-from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
-
-_TYPES = {"uint8": "u1", "uint16": "u2", "int8": "i1", "float32": "f4", "int32": "i4"}
-_STEPS = 65535  # of a position along each side of the box around all Gaussians
-_LEAST_LOG, _LOG_STEP = -9.0, 0.05  # of a standard deviation: 0.1 mm to 40 m in steps of 5 %
+from activestructure_gym.viewer import film_parts, packed
 
 
 def pack(recording: Recording) -> str:
-    """Base64 of the deflated bytes."""
-    arrays, told = _gaussians(recording)
-    parts = {**arrays, **_moments(recording)}
-    text = told | _facts(recording)
-    places: dict[str, Any] = {}
-    body = bytearray()
-    for name, array in parts.items():
-        body += bytes(-len(body) % 4)
-        data = np.ascontiguousarray(array)
-        places[name] = {"type": _TYPES[data.dtype.name], "shape": list(data.shape), "at": len(body)}
-        body += data.tobytes()
-    head = json.dumps({**text, "arrays": places}, allow_nan=False).encode()
-    head += b" " * (-(4 + len(head)) % 4)
-    whole = len(head).to_bytes(4, "little") + head + bytes(body)
-    return base64.b64encode(zlib.compress(whole, 9)).decode("ascii")
-
-
-def _gaussians(recording: Recording) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    live = recording.gaussians
-    means = live[MEAN].T.astype(np.float64)
-    low = means.min(axis=0) if len(means) else np.zeros(3)
-    side = np.maximum(means.max(axis=0) - low if len(means) else np.ones(3), 1e-3)
-    length = np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-12)
-    end = int(recording.poses.shape[0])
-    arrays = {
-        "means": np.round((means - low) / side * _STEPS).astype(np.uint16),
-        "scales": np.clip(np.round((live[LOG_SCALE].T - _LEAST_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
-        "rotations": np.round(live[QUATERNION].T / length[:, None] * 127).astype(np.int8),
-        "colours": np.clip(np.round(live[COLOR].T * 255), 0, 255).astype(np.uint8),
-        "opacities": np.round(255 / (1 + np.exp(-live[OPACITY_LOGIT].astype(np.float64)))).astype(np.uint8),
-        "born": np.minimum(recording.born, _STEPS).astype(np.uint16),
-        "died": np.minimum(recording.died, _STEPS).astype(np.uint16),
-    }
-    if end > _STEPS:
-        raise ValueError(f"an episode of {end} frames is too long for a replay")
-    told = {"low": low.tolist(), "side": side.tolist(), "log": [_LEAST_LOG, _LOG_STEP]}
-    return arrays, told
-
-
-def _moments(recording: Recording) -> dict[str, np.ndarray]:
-    moments = recording.moments
-    counts = {
-        "candidate_starts": [len(m.candidates) for m in moments],
-        "plane_starts": [len(m.planes) for m in moments],
-        "tree_starts": [len(m.tree) for m in moments],
-        "image_starts": [length for m in moments for length in (len(m.true), len(m.rendered))],
-    }
-    starts = {name: np.cumsum([0, *lengths]).astype(np.int32) for name, lengths in counts.items()}
-    poses = recording.poses
-    return {
-        **starts,
-        "frames": np.array([m.frame for m in moments], np.int32),
-        "rows": np.array([m.row for m in moments], np.int32),
-        "poses": np.concatenate([poses[:, :3, 3], poses[:, :3, 0], poses[:, :3, 2]], axis=1).astype(np.float32),
-        "candidates": np.concatenate([m.candidates for m in moments]).astype(np.float32),
-        "worth": np.concatenate([_shade(m.worth) for m in moments]),
-        "planes": np.concatenate([m.planes.reshape(-1, 12) for m in moments]).astype(np.float32),
-        "structural": np.concatenate([m.structural for m in moments]).astype(np.uint8),
-        "centroids": np.concatenate([m.centroids.reshape(-1, 3) for m in moments]).astype(np.float32),
-        "tree": np.concatenate([m.tree.reshape(-1, 2) for m in moments]).astype(np.uint16),
-        "images": np.frombuffer(b"".join(part for m in moments for part in (m.true, m.rendered)), np.uint8),
-    }
-
-
-def _shade(worth: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
-    """Share of the best of this decision in 254 steps; 255 where nothing is known."""
-    if not len(worth) or np.isnan(worth).any():
-        return np.full(len(worth), 255, np.uint8)
-    low, high = min(float(worth.min()), 0.0), float(worth.max())
-    return np.round((worth - low) / max(high - low, 1e-12) * 254).astype(np.uint8)
+    """Base64 of the deflated bytes of `activestructure_gym.viewer.packing`."""
+    arrays, told = film_parts(recording)
+    return base64.b64encode(zlib.compress(packed(arrays, told | _facts(recording)), 9)).decode("ascii")
 
 
 def _facts(recording: Recording) -> dict[str, Any]:
@@ -101,20 +23,14 @@ def _facts(recording: Recording) -> dict[str, Any]:
         for point in run.metrics["curve"]
     ]
     steps = [
-        {"decision": step["decision"], "phase": (step.get("trace") or {}).get("phase"), "planes": step["planes"],
-         "gaussians": step["gaussians"], "metres": round(step["metres"], 2)}
-        for step in run.steps
-    ]  # fmt: skip
+        {"phase": (step.get("trace") or {}).get("phase"), "metres": round(step["metres"], 2)} for step in run.steps
+    ]
     gains = run.config["configuration"]["gains"]
     return {
         "title": f"{run.policy} · {run.scene} · seed {run.job.seed}",
-        "policy": run.policy,
-        "scene": run.scene,
         "budget": run.config["configuration"]["frame_budget"],
         "worth": gains[0] if gains else "",
         "curve": curve,
         "steps": steps,
-        "bounds": recording.bounds.tolist(),
-        "camera": list(recording.camera),
         "differs": recording.differs,
     }

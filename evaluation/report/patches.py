@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from activestructure_gym.evaluation.archive.plane_record import GraphArrays, seen_cells
+from activestructure_gym.planes.record import GraphArrays, seen_cells
 
 _PAD = 2  # unseen cells around a grid, so that its outline closes
 _EDGE_ON = 1e-3  # of the largest possible screen area; a plane seen more steeply than this shows no pixel

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageOps
 
-from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import write
 from activestructure_gym.evaluation.report.patches import NOTHING, Projection, extremes, fitted, nearest_planes
 from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_edges, draw_nodes
+from activestructure_gym.planes.record import GraphArrays
 
 _WIDTH, _HEIGHT = 620, 520  # pixels a panel has at most
 _MARGIN = 14

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import MARGIN, text_width, write
+from activestructure_gym.planes.record import GraphArrays
 
 SMOOTH = 3  # everything is drawn this much larger and averaged
 _NODE = 4.0  # pixels, radius of a centroid

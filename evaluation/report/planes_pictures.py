@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from PIL import Image
 
-from activestructure_gym.evaluation.archive.plane_record import GraphArrays
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.canvas import MARGIN, Box, first_row, tile_grid, write
 from activestructure_gym.evaluation.report.planes_3d import draw_planes_3d
 from activestructure_gym.evaluation.report.planes_key import deficit_key, type_key, with_key
 from activestructure_gym.evaluation.report.planes_plan import draw_planes_plan
+from activestructure_gym.planes.record import GraphArrays
 
 Pair = tuple[Image.Image, Image.Image]  # by type, by deficit
 

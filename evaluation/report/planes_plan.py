@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from activestructure_gym.evaluation.archive.plane_record import GraphArrays, seen_cells
 from activestructure_gym.evaluation.report import style
 from activestructure_gym.evaluation.report.patches import Projection, borders, extremes, silhouette
 from activestructure_gym.evaluation.report.plan import draw_scale_bar, pixel_size, plan_base
 from activestructure_gym.evaluation.report.planes_key import SMOOTH, draw_centres, draw_edges, draw_nodes
+from activestructure_gym.planes.record import GraphArrays, seen_cells
 
 _LEVEL = 0.8  # |z| of the normal from which a plane is an area of the plan and not a stroke
 _FLOOR_M = 0.2  # level planes this near to the lowest are floor

@@ -16,10 +16,10 @@ from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
-from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.metrics.planning import planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
+from activestructure_gym.planes.record import graph_arrays, graph_summary
 
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv

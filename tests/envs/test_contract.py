@@ -7,8 +7,10 @@ import inspect
 import multiprocessing
 import pickle
 import warnings
+from pathlib import Path
 from typing import Any
 
+import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -182,3 +184,20 @@ def test_what_make_takes_stands_in_the_signature_of_the_task(env_id: str) -> Non
 def test_a_keyword_that_nobody_knows_is_refused_with_the_nearest() -> None:
     with pytest.raises(InputError, match=r"unknown keyword of Room-v0 'frame_buget'; did you mean 'frame_budget'\?"):
         gym.make(ENV_IDS[0], scene="box", frame_buget=3)
+
+
+def test_record_video_writes_a_picture_per_step(env_id: str, options: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="pip install 'activestructure-gym[video]'")
+    from gymnasium.wrappers import RecordVideo
+
+    env = RecordVideo(gym.make(env_id, disable_env_checker=True, render_mode="rgb_array", **options), str(tmp_path))
+    _, info = env.reset(seed=0)
+    for row in (1, 2):
+        env.step(np.int64(row))
+    env.close()
+    (path,) = tmp_path.glob("*.mp4")
+    film, pictures = cv2.VideoCapture(str(path)), []
+    while (read := film.read())[0]:
+        pictures.append(read[1].astype(int))
+    assert len(pictures) == 3 and film.get(cv2.CAP_PROP_FPS) == env.metadata["render_fps"]
+    assert all(np.abs(now - then).mean() > 0.5 for then, now in zip(pictures, pictures[1:]))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import zlib
 from typing import Any
+from urllib.request import urlopen
 
 import gymnasium as gym
 import numpy as np
@@ -104,7 +107,27 @@ def test_rendering(box_options: dict[str, Any]) -> None:
     assert before.dtype == np.uint8 and before.ndim == 3 and before.shape == after.shape
     assert (before != after).any()
     with pytest.raises(InputError, match="render_mode must be one of"):
-        ReconstructionEnv(**box_options, render_mode="human")
+        ReconstructionEnv(**box_options, render_mode="ansi")
+
+
+def test_human_rendering_serves_a_page_until_the_env_is_closed(
+    box_options: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain, env = ReconstructionEnv(**box_options), ReconstructionEnv(**box_options, render_mode="human")
+    for seed in (0, 1):
+        expected, _ = plain.reset(seed=seed)
+        observation, _ = env.reset(seed=seed)
+        assert all(np.array_equal(expected[name], observation[name]) for name in expected)
+    expected, observation = plain.step(1)[0], env.step(1)[0]
+    assert all(np.array_equal(expected[name], observation[name]) for name in expected)
+    assert env.render() is None
+    (link,) = re.findall(r"watch this environment at (http://127\.0\.0\.1:\d+/\?key=\S+)", capsys.readouterr().err)
+    with urlopen(link.replace("/?", "/news?episode=-1&moments=0&version=-1&"), timeout=20) as answer:
+        assert b'"episode": 2' in zlib.decompress(answer.read())
+    env.close()
+    env.close()
+    with pytest.raises(OSError):
+        urlopen(link, timeout=5)
 
 
 def test_options_of_one_episode_do_not_stick(env: ReconstructionEnv) -> None:

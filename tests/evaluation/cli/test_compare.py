@@ -205,6 +205,7 @@ def test_replays_are_made_where_they_are_asked_for_and_missing(asked, monkeypatc
     made = []
 
     def write_page(console, page, runs, *, trusted):
+        assert trusted  # they are the user's own
         if page.parent.name == "gone":
             raise InputError("its scene is not there any more")
         made.append((page, runs))

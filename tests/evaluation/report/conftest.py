@@ -129,8 +129,8 @@ def _graph() -> dict[str, np.ndarray]:
 @pytest.fixture
 def no_planes() -> dict[str, np.ndarray]:
     """The arrays of a graph without planes."""
-    from activestructure_gym.evaluation.archive.plane_record import graph_arrays
     from activestructure_gym.planes import PlaneSceneGraph
+    from activestructure_gym.planes.record import graph_arrays
 
     return graph_arrays(PlaneSceneGraph())
 

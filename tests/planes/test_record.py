@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from activestructure_gym.evaluation.archive.plane_record import graph_arrays, graph_summary, seen_cells
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.npz import read_npz
 from activestructure_gym.planes import QUALITY_MODES, PlaneSceneGraph
+from activestructure_gym.planes.record import graph_arrays, graph_summary, seen_cells
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sensors import RGBDSensor, SensorConfig
 

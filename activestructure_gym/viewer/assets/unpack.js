@@ -1,9 +1,13 @@
 "use strict";
-// A recording out of the text of its script element: base64, deflate, JSON and arrays (packing.py has the layout).
-async function unpack(text) {
+// A film out of bytes: deflate, JSON and arrays (packing.py has the layout); out of a script element's text: base64 too.
+function unpackText(text) {
   const letters = atob(text.trim());
   const packed = new Uint8Array(letters.length);
   for (let i = 0; i < letters.length; i++) packed[i] = letters.charCodeAt(i);
+  return unpack(packed);
+}
+
+async function unpack(packed) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const whole = await new Response(stream).arrayBuffer();
   const length = new DataView(whole).getUint32(0, true);

@@ -1,5 +1,5 @@
 "use strict";
-// The page: one or two recordings on one clock, which counts frames paid.
+// One or two episodes on one clock, which counts frames paid. A live one grows while it is watched.
 
 const COLOURS = { path: [0.84, 0.37, 0.0], structural: [0.0, 0.45, 0.7], object: [0.8, 0.47, 0.65], tree: [0.0, 0.62, 0.45],
   unknown: [0.5, 0.5, 0.5] };
@@ -24,8 +24,7 @@ class Run {
   constructor(told, number) {
     this.told = told;
     this.arrays = told.arrays;
-    this.last = this.arrays.poses.length / 9 - 1;
-    this.end = this.arrays.frames[this.arrays.frames.length - 1];
+    this.measure();
     this.canvas = element("canvas", { ariaLabel: `the map of ${told.title}` });
     this.true = element("img", { alt: "what the camera saw" });
     this.rendered = element("img", { alt: "the map from the same place" });
@@ -44,6 +43,27 @@ class Run {
 
   start() { this.scene = new SceneView(this.canvas, this.told); }
 
+  measure() {
+    this.last = this.arrays.poses.length / 9 - 1;
+    this.end = this.arrays.frames[this.arrays.frames.length - 1];
+  }
+
+  extend(told) { // what came since: the map as it is now, and further moments and poses
+    const mine = this.arrays, news = told.arrays, joined = { ...news };
+    for (const [name, array] of Object.entries(mine)) {
+      if (["means", "scales", "rotations", "colours", "opacities", "born", "died"].includes(name)) continue;
+      const starts = name.endsWith("_starts"), more = starts ? news[name].subarray(1) : news[name];
+      joined[name] = new array.constructor(array.length + more.length);
+      joined[name].set(array);
+      joined[name].set(starts ? more.map((place) => place + array[array.length - 1]) : more, array.length);
+    }
+    const curve = this.told.curve.concat(told.curve), steps = this.told.steps.concat(told.steps);
+    Object.assign(this.told, told, { curve, steps, arrays: joined });
+    this.arrays = joined;
+    this.measure();
+    this.scene.load();
+  }
+
   moment(frame) { // the decision under way: the last one made with no more frames than these
     const frames = this.arrays.frames;
     let found = 0;
@@ -51,8 +71,14 @@ class Run {
     return found;
   }
 
+  walked(frame) { // the pose with so many frames paid; some are paid without one
+    const now = this.moment(frame), { frames, walked } = this.arrays;
+    const most = now + 1 < walked.length ? walked[now + 1] - 1 : this.last;
+    return Math.max(Math.min(walked[now] - 1 + Math.round(frame) - frames[now], most, this.last), 0);
+  }
+
   pose(frame) {
-    const at = 9 * Math.min(Math.max(Math.round(frame) - 1, 0), this.last), p = this.arrays.poses;
+    const at = 9 * this.walked(frame), p = this.arrays.poses;
     const position = [p[at], p[at + 1], p[at + 2]], right = [p[at + 3], p[at + 4], p[at + 5]], look = [p[at + 6], p[at + 7], p[at + 8]];
     const up = [right[1] * look[2] - right[2] * look[1], right[2] * look[0] - right[0] * look[2], right[0] * look[1] - right[1] * look[0]];
     return { position, right, up, look };
@@ -87,19 +113,21 @@ class Run {
         for (const end of ends) points.push(...end, ...COLOURS.tree, 0.9);
       }
     }
-    if (shown.candidates && a.rows[now] >= 0) { // at the end there is nothing left to decide
+    if (shown.candidates && (a.rows[now] >= 0 || this.told.chooses)) { // at the end there is nothing left to decide
       const first = a.candidate_starts[now], chosen = first + a.rows[now];
       for (let k = first; k < a.candidate_starts[now + 1]; k++) {
         const p = a.candidates.subarray(6 * k, 6 * k + 6), worth = a.worth[k];
         if (p[2] > cut) continue;
         const tint = k === chosen && a.rows[now] >= 0 ? COLOURS.path : worth === 255 ? COLOURS.unknown : viridis(worth / 254);
-        const reach = k === chosen ? 0.45 : 0.2, alpha = k === chosen ? 1 : 0.85;
-        line([p[0], p[1], p[2]], [p[0] + reach * p[3], p[1] + reach * p[4], p[2] + reach * p[5]], tint, alpha);
+        const reach = k === chosen || k - first === shown.pointed ? 0.45 : 0.2, alpha = k === chosen ? 1 : 0.85;
+        const tip = [p[0] + reach * p[3], p[1] + reach * p[4], p[2] + reach * p[5]];
+        line([p[0], p[1], p[2]], tip, tint, alpha);
         if (k === chosen) points.push(p[0], p[1], p[2], ...tint, 1);
+        if (this.told.chooses && now === a.frames.length - 1) points.push(...tip, ...(k - first === shown.pointed ? COLOURS.path : tint), 1);
       }
     }
     if (shown.path && shown.eye === "orbit") {
-      const until = Math.min(Math.round(frame) - 1, this.last);
+      const until = this.walked(frame);
       for (let i = 1; i <= until; i++) {
         const fade = 0.35 + 0.65 * Math.exp((i - until) / 120);
         line(a.poses.subarray(9 * i - 9, 9 * i - 6), a.poses.subarray(9 * i, 9 * i + 3), COLOURS.path, fade);
@@ -112,6 +140,22 @@ class Run {
       points.push(...position, ...COLOURS.path, 1);
     }
     return { lines, points, faces };
+  }
+
+  under(x, y, camera, cut) { // the candidate of the last moment that is drawn nearest to a place of the canvas, or -1
+    const a = this.arrays, now = a.frames.length - 1, first = a.candidate_starts[now], m = camera.view, q = camera.projection;
+    let best = -1, least = 18; // CSS pixels
+    for (let k = first; k < a.candidate_starts[now + 1]; k++) {
+      const p = a.candidates.subarray(6 * k, 6 * k + 6);
+      if (p[2] > cut) continue;
+      const [u, v, w] = [0, 1, 2].map((i) => p[i] + 0.2 * p[i + 3]);
+      const [ex, ey, ez] = [0, 1, 2].map((i) => m[i] * u + m[4 + i] * v + m[8 + i] * w + m[12 + i]);
+      if (ez > -0.05) continue;
+      const left = (0.5 + 0.5 * q[0] * ex / -ez) * this.canvas.clientWidth, top = (0.5 - 0.5 * q[5] * ey / -ez) * this.canvas.clientHeight;
+      const away = Math.hypot(left - x, top - y);
+      if (away < least) { least = away; best = k - first; }
+    }
+    return best;
   }
 
   image(number) {
@@ -129,10 +173,10 @@ class Run {
       if (place.src !== link) place.src = link;
     }
     const rows = [["frame", `${Math.min(Math.round(frame), this.end)} of ${this.told.budget}`],
-      ["decision", now < this.told.steps.length ? `${now + 1} of ${this.told.steps.length}` : "ended"]];
+      ["decision", this.told.episode ? now + 1 : now < this.told.steps.length ? `${now + 1} of ${this.told.steps.length}` : "ended"]];
     if (step && step.phase) rows.push(["phase", step.phase]);
     rows.push(["Gaussians", this.scene.bornBy(Math.round(frame)).toLocaleString("en")], ["planes", this.arrays.plane_starts[now + 1] - this.arrays.plane_starts[now]],
-      ["candidates", this.arrays.rows[now] < 0 ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["way so far", `${before ? before.metres : 0} m`]);
+      ["candidates", this.arrays.rows[now] < 0 && !this.told.chooses ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["way so far", `${this.told.episode ? step.metres : before ? before.metres : 0} m`]);
     this.facts.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, String(value))]));
   }
 }
@@ -147,8 +191,8 @@ class Chart {
     const values = points.flat().map(([, value]) => value);
     this.points = points;
     if (!values.length) return;
-    this.low = key === "psnr" ? Math.floor(Math.min(...values)) : 0;
-    this.high = key === "psnr" ? Math.ceil(Math.max(...values)) : 100;
+    this.low = key === "psnr" || key === "fidelity" ? Math.floor(Math.min(...values)) : 0;
+    this.high = key === "psnr" || key === "fidelity" ? Math.ceil(Math.max(...values)) : 100;
     const tints = ["var(--first)", "var(--second)"];
     const parts = points.map((line, i) => `<polyline fill="none" stroke="${tints[i]}" stroke-width="2" vector-effect="non-scaling-stroke" points="${line.map(([x, y]) => `${this.x(x)},${this.y(y)}`).join(" ")}"/>`);
     this.svg.innerHTML = `<line x1="0" x2="300" y1="76" y2="76" stroke="var(--line)" vector-effect="non-scaling-stroke"/>${parts.join("")}<line class="cursor" y1="4" y2="76" stroke="var(--soft)" vector-effect="non-scaling-stroke"/>`;
@@ -174,25 +218,15 @@ class Chart {
 
 class Player {
   constructor(runs) {
-    this.runs = runs;
-    this.end = Math.max(...runs.map((run) => run.end));
     this.clock = 1;
     this.playing = false;
     this.dirty = true;
     this.moved = -1e9; // when the view was turned last
     this.drawn = 0; // pictures drawn, for whoever measures
-    const low = Math.min(...runs.map((run) => run.told.bounds[0][2])), high = Math.max(...runs.map((run) => run.told.bounds[1][2]));
-    this.heights = [low, high];
-    this.usual = this.end / 20 ; // frames per second at which the whole takes 20 s
-    for (const run of runs) { find("runs").append(run.element); run.start(); this.listen(run); }
-    this.charts = [["observed", "%", "observed"], ["C.R. of means", "%", "completion_ratio"], ["PSNR", "dB", "psnr"]]
-      .map(([name, unit, key]) => new Chart(name, unit, key, runs, this.end)).filter((chart) => chart.element);
-    find("charts").append(...this.charts.map((chart) => chart.element));
-    const worth = runs[0].told.worth;
-    find("worth").textContent = worth ? `candidates, by ${worth}, least to most` : "candidates";
-    find("clock").max = this.end;
-    find("clock").addEventListener("input", (event) => { this.pause(); this.to(Number(event.target.value)); });
-    find("play").addEventListener("click", () => this.playing ? this.pause() : this.play());
+    this.pointed = -1; // the candidate under the pointer
+    this.open(runs);
+    find("clock").addEventListener("input", (event) => this.scrub(Number(event.target.value)));
+    find("play").addEventListener("click", () => this.toggle());
     find("back").addEventListener("click", () => this.step(-1));
     find("on").addEventListener("click", () => this.step(1));
     find("home").addEventListener("click", () => { for (const run of this.runs) run.orbit.reset(); this.dirty = true; });
@@ -201,13 +235,48 @@ class Player {
     window.addEventListener("resize", () => { this.dirty = true; });
     document.addEventListener("keydown", (event) => {
       if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
-      if (event.key === " ") { event.preventDefault(); this.playing ? this.pause() : this.play(); }
+      if (event.key === " ") { event.preventDefault(); this.toggle(); }
       if (event.key === "ArrowRight") this.step(1);
       if (event.key === "ArrowLeft") this.step(-1);
     });
-    this.to(1);
     const tick = (time) => { this.tick(time); requestAnimationFrame(tick); };
     requestAnimationFrame(tick);
+  }
+
+  open(runs) {
+    this.runs = runs;
+    this.end = Math.max(...runs.map((run) => run.end));
+    this.usual = this.end / 20; // frames per second at which the whole takes 20 s
+    const low = Math.min(...runs.map((run) => run.told.bounds[0][2])), high = Math.max(...runs.map((run) => run.told.bounds[1][2]));
+    this.heights = [low, high];
+    find("runs").replaceChildren(...runs.map((run) => run.element));
+    for (const run of runs) { run.start(); this.listen(run); }
+    this.plot();
+    const worth = runs[0].told.worth;
+    find("worth").textContent = worth ? `candidates, by ${worth}, least to most` : "candidates";
+    find("clock").max = this.end;
+    this.to(1);
+  }
+
+  plot() {
+    this.charts = [["observed", "%", "observed"], ["C.R. of means", "%", "completion_ratio"], ["PSNR", "dB", "psnr"],
+      ["space known", "%", "known"], ["PSNR of the keyframes, median", "dB", "fidelity"]]
+      .map(([name, unit, key]) => new Chart(name, unit, key, this.runs, this.end)).filter((chart) => chart.element);
+    find("charts").replaceChildren(...this.charts.map((chart) => chart.element));
+  }
+
+  grown() { // a live episode has gone on
+    this.end = Math.max(...this.runs.map((run) => run.end));
+    find("clock").max = this.end;
+    this.plot();
+    this.dirty = true;
+  }
+
+  shown() { // what of all is drawn
+    const [low, high] = this.heights, share = Number(find("cut").value), eye = find("eye").value;
+    return { map: find("show-map").checked, planes: find("show-planes").checked, candidates: find("show-candidates").checked,
+      path: find("show-path").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye,
+      coarse: this.coarse, pointed: this.pointed };
   }
 
   listen(run) {
@@ -230,6 +299,8 @@ class Player {
     run.canvas.addEventListener("wheel", (event) => { event.preventDefault(); all((orbit) => orbit.zoom(event.deltaY)); }, { passive: false });
   }
 
+  toggle() { if (this.playing) this.pause(); else this.play(); }
+  scrub(frame) { this.pause(); this.to(frame); }
   play() { if (this.clock >= this.end) this.to(1); this.playing = true; this.before = null; find("play").textContent = "❚❚ pause"; }
   pause() { this.playing = false; find("play").textContent = "▶ play"; }
   step(by) {
@@ -252,13 +323,11 @@ class Player {
     if (!this.dirty) return;
     this.dirty = false;
     this.coarse = coarse;
-    const [low, high] = this.heights, share = Number(find("cut").value), eye = find("eye").value;
-    const shown = { map: find("show-map").checked, planes: find("show-planes").checked, candidates: find("show-candidates").checked,
-      path: find("show-path").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye, coarse };
+    const shown = this.shown();
     const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
     for (const run of this.runs) {
       const frame = Math.min(this.clock, run.end);
-      run.scene.draw(run.camera(eye, frame), Math.round(frame), shown, run.overlay(frame, shown), dark ? [0.05, 0.065, 0.085] : [0.93, 0.94, 0.955]);
+      run.scene.draw(run.camera(shown.eye, frame), Math.round(frame), shown, run.overlay(frame, shown), dark ? [0.05, 0.065, 0.085] : [0.93, 0.94, 0.955]);
       run.tell(frame);
     }
     for (const chart of this.charts) chart.tell(this.clock);
@@ -267,13 +336,3 @@ class Player {
     this.drawn++;
   }
 }
-
-(async () => {
-  try {
-    const told = await Promise.all(Array.from(document.querySelectorAll("script.recording"), (part) => unpack(part.textContent)));
-    window.player = new Player(told.map((one, number) => new Run(one, number)));
-  } catch (error) {
-    find("runs").append(element("p", { className: "warning" }, `This replay cannot be shown: ${error.message}`));
-    throw error;
-  }
-})();

@@ -97,9 +97,7 @@ class SceneView {
       line: this.program(LINE_VERTEX, LINE_FRAGMENT),
       copy: this.program(COPY_VERTEX, COPY_FRAGMENT),
     };
-    this.count = recording.arrays.born.length;
-    this.buffers = this.upload();
-    this.maps = [1, SKIPPED].map((step) => this.every(step));
+    this.load();
     this.lines = gl.createVertexArray();
     this.lineBuffer = gl.createBuffer();
     gl.bindVertexArray(this.lines);
@@ -109,8 +107,17 @@ class SceneView {
     gl.enableVertexAttribArray(1);
     gl.vertexAttribPointer(1, 4, gl.FLOAT, false, 28, 12);
     gl.bindVertexArray(null);
+  }
+
+  load() { // the map as the recording has it now
+    const gl = this.gl, { born, died } = this.recording.arrays;
+    for (const vao of this.maps || []) gl.deleteVertexArray(vao);
+    for (const { buffer } of this.buffers || []) gl.deleteBuffer(buffer);
+    this.count = born.length;
+    this.buffers = this.upload();
+    this.maps = [1, SKIPPED].map((step) => this.every(step));
     this.kept = null; // what the kept picture shows: camera and frame
-    this.deaths = Array.from(recording.arrays.died).filter((frame) => frame < 65535).sort((a, b) => a - b);
+    this.deaths = Array.from(died).filter((frame) => frame < 65535).sort((a, b) => a - b);
   }
 
   program(vertex, fragment) {

@@ -1,0 +1,11 @@
+"use strict";
+// A replay: the films that lie in the page.
+(async () => {
+  try {
+    const told = await Promise.all(Array.from(document.querySelectorAll("script.recording"), (part) => unpackText(part.textContent)));
+    window.player = new Player(told.map((one, number) => new Run(one, number)));
+  } catch (error) {
+    find("runs").append(element("p", { className: "warning" }, `This replay cannot be shown: ${error.message}`));
+    throw error;
+  }
+})();

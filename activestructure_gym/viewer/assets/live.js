@@ -1,0 +1,123 @@
+"use strict";
+// A live episode: asks who serves the page for news, and sends commands back.
+
+const KEY = new URLSearchParams(location.search).get("key") || "";
+const FOLLOWS = 3; // times a second the clock comes so much nearer to the newest frame
+const CLICK = 4; // pixels a pointer may move and still have clicked
+
+class LivePlayer extends Player {
+  constructor(runs) {
+    super(runs);
+    this.follow();
+    find("now").addEventListener("click", () => this.follow());
+    find("pace").addEventListener("input", (event) => send({ do: "pace", seconds: Number(event.target.value) }));
+  }
+
+  get live() { return this.runs[0].told; }
+
+  follow() { this.following = true; this.dirty = true; }
+  // Going back in time looks; the episode itself goes on, and is paused by its button alone.
+  scrub(frame) { this.following = frame >= this.end; this.to(frame); }
+  toggle() { this.follow(); send({ do: this.live.paused ? "go" : "pause" }); }
+  step(by) {
+    if (by > 0 && this.following) { send({ do: "step" }); return; }
+    const frames = this.runs[0].arrays.frames, now = this.runs[0].moment(this.clock);
+    const next = Math.min(Math.max(by < 0 && this.clock > frames[now] ? now : now + by, 0), frames.length - 1);
+    this.scrub(frames[next]);
+  }
+
+  open(runs) {
+    super.open(runs);
+    runs[0].element.querySelector(".stage").append(find("state"));
+  }
+
+  listen(run) {
+    super.listen(run);
+    let down = null;
+    const under = (event) => {
+      const box = run.canvas.getBoundingClientRect(), shown = this.shown();
+      return run.under(event.clientX - box.left, event.clientY - box.top, run.camera(shown.eye, this.clock), shown.cut);
+    };
+    const open = () => this.live.chooses && this.following && this.shown().candidates;
+    run.canvas.addEventListener("pointerdown", (event) => { down = event; });
+    run.canvas.addEventListener("pointermove", (event) => { if (!event.buttons) this.point(open() ? under(event) : -1); });
+    run.canvas.addEventListener("click", (event) => {
+      if (!open() || !down || Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) > CLICK) return;
+      const row = under(event), moment = this.runs[0].arrays.frames.length - 1;
+      if (row >= 0) send({ do: "visit", row, episode: this.live.episode, moment });
+    });
+  }
+
+  point(row) {
+    if (row === this.pointed) return;
+    this.pointed = row;
+    this.runs[0].canvas.style.cursor = row < 0 ? "" : "pointer";
+    this.dirty = true;
+  }
+
+  tick(time) {
+    if (this.following && this.clock < this.end) {
+      const seconds = Math.min((time - (this.stamp || time)) / 1000, 0.5);
+      this.to(this.end - this.clock < 0.5 ? this.end : this.clock + (this.end - this.clock) * Math.min(FOLLOWS * seconds, 1));
+    }
+    this.stamp = time;
+    super.tick(time);
+    find("play").textContent = this.live.paused ? "▶ go on" : "❚❚ pause";
+  }
+
+  tell(told) {
+    const run = this.runs[0];
+    if (told) {
+      run.extend(told);
+      this.grown();
+    }
+    const rows = run.arrays.rows;
+    run.told.chosen.forEach((row, number) => { rows[number] = row; });
+    find("state").textContent = run.told.state;
+    find("state").className = run.told.state.replace(/\W.*/, "");
+    find("play").disabled = run.told.ended;
+    find("pace").value = String(run.told.pace);
+    this.pointed = -1;
+    this.dirty = true;
+  }
+}
+
+async function send(command) {
+  const answer = await fetch(`/do?key=${KEY}`, { method: "POST", body: JSON.stringify(command) }).catch(() => null);
+  if (!answer) return;
+  const said = await answer.text();
+  if (!answer.ok && answer.status !== 409) find("state").textContent = said;
+}
+
+async function watch() {
+  let told = null, waited = 250;
+  for (;;) {
+    const known = told ? { episode: told.episode, moments: told.first + told.arrays.frames.length, version: told.version } : { episode: -1, moments: 0, version: -1 };
+    try {
+      const answer = await fetch(`/news?key=${KEY}&${new URLSearchParams(known)}`);
+      if (answer.status === 403) { find("state").textContent = await answer.text(); return; }
+      waited = 250;
+      if (answer.status !== 200) continue;
+      const news = await unpack(new Uint8Array(await answer.arrayBuffer()));
+      if (!told || news.episode !== told.episode) {
+        if (window.player) window.player.open([new Run(news, 0)]);
+        else window.player = new LivePlayer([new Run(news, 0)]);
+        window.player.follow();
+        window.player.tell(null);
+      } else {
+        window.player.tell(news);
+      }
+      told = news;
+    } catch (error) {
+      if (!(error instanceof TypeError)) { // not the network: this page's own
+        find("runs").append(element("p", { className: "warning" }, `This episode cannot be shown: ${error.message}`));
+        throw error;
+      }
+      find("state").textContent = "the program that played has ended";
+      await new Promise((resolve) => { setTimeout(resolve, waited); });
+      waited = Math.min(2 * waited, 5000);
+    }
+  }
+}
+
+watch();

@@ -1,0 +1,94 @@
+"""A film as bytes that a browser unpacks in a moment: whole numbers of few bits.
+
+The layout: four bytes with the length of a JSON text (little endian), the text, then the arrays, each from a multiple
+of four bytes on. The text names every array with its type, shape and place, and holds all that is no array.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
+from activestructure_gym.viewer.recorder import Film, Moment
+
+_TYPES = {"uint8": "u1", "uint16": "u2", "int8": "i1", "float32": "f4", "int32": "i4"}
+_STEPS = 65535  # of a position along each side of the box around all Gaussians
+_LEAST_LOG, _LOG_STEP = -9.0, 0.05  # of a standard deviation: 0.1 mm to 40 m in steps of 5 %
+
+
+def packed(parts: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
+    """Arrays by name and all else, in the layout of this module."""
+    places: dict[str, Any] = {}
+    body = bytearray()
+    for name, array in parts.items():
+        body += bytes(-len(body) % 4)
+        data = np.ascontiguousarray(array)
+        places[name] = {"type": _TYPES[data.dtype.name], "shape": list(data.shape), "at": len(body)}
+        body += data.tobytes()
+    head = json.dumps({**told, "arrays": places}, allow_nan=False).encode()
+    head += b" " * (-(4 + len(head)) % 4)
+    return len(head).to_bytes(4, "little") + head + bytes(body)
+
+
+def film_parts(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The arrays of a film, and what the page must know to read them."""
+    arrays, told = _gaussians(film)
+    told |= {"bounds": film.bounds.tolist(), "camera": list(film.camera)}
+    return {**arrays, **_moments(film.moments, film.poses)}, told
+
+
+def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    live = film.gaussians
+    means = live[MEAN].T.astype(np.float64)
+    low = means.min(axis=0) if len(means) else np.zeros(3)
+    side = np.maximum(means.max(axis=0) - low if len(means) else np.ones(3), 1e-3)
+    length = np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-12)
+    if film.moments and film.moments[-1].frame > _STEPS:
+        raise ValueError(f"an episode of {film.moments[-1].frame} frames is too long to be watched")
+    arrays = {
+        "means": np.round((means - low) / side * _STEPS).astype(np.uint16),
+        "scales": np.clip(np.round((live[LOG_SCALE].T - _LEAST_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
+        "rotations": np.round(live[QUATERNION].T / length[:, None] * 127).astype(np.int8),
+        "colours": np.clip(np.round(live[COLOR].T * 255), 0, 255).astype(np.uint8),
+        "opacities": np.round(255 / (1 + np.exp(-live[OPACITY_LOGIT].astype(np.float64)))).astype(np.uint8),
+        "born": np.minimum(film.born, _STEPS).astype(np.uint16),
+        "died": np.minimum(film.died, _STEPS).astype(np.uint16),
+    }
+    return arrays, {"low": low.tolist(), "side": side.tolist(), "log": [_LEAST_LOG, _LOG_STEP]}
+
+
+def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarray]:
+    counts = {
+        "candidate_starts": [len(m.candidates) for m in moments],
+        "plane_starts": [len(m.planes) for m in moments],
+        "tree_starts": [len(m.tree) for m in moments],
+        "image_starts": [length for m in moments for length in (len(m.true), len(m.rendered))],
+    }
+    starts = {name: np.cumsum([0, *lengths]).astype(np.int32) for name, lengths in counts.items()}
+    none, three = np.zeros((0, 6)), np.zeros((0, 3))
+    return {
+        **starts,
+        "frames": np.array([m.frame for m in moments], np.int32),
+        "walked": np.array([m.poses for m in moments], np.int32),
+        "rows": np.array([m.row for m in moments], np.int32),
+        "poses": np.concatenate([poses[:, :3, 3], poses[:, :3, 0], poses[:, :3, 2]], axis=1).astype(np.float32),
+        "candidates": np.concatenate([none, *(m.candidates for m in moments)]).astype(np.float32),
+        "worth": np.concatenate([np.zeros(0, np.uint8), *(_shade(m.worth) for m in moments)]),
+        "planes": np.concatenate([np.zeros((0, 12)), *(m.planes.reshape(-1, 12) for m in moments)]).astype(np.float32),
+        "structural": np.concatenate([np.zeros(0, np.uint8), *(m.structural for m in moments)]).astype(np.uint8),
+        "centroids": np.concatenate([three, *(m.centroids.reshape(-1, 3) for m in moments)]).astype(np.float32),
+        "tree": np.concatenate([np.zeros((0, 2)), *(m.tree.reshape(-1, 2) for m in moments)]).astype(np.uint16),
+        "images": np.frombuffer(b"".join(part for m in moments for part in (m.true, m.rendered)), np.uint8),
+    }
+
+
+def _shade(worth: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
+    """Share of the best of this decision in 254 steps; 255 where nothing is known."""
+    if not len(worth) or np.isnan(worth).any():
+        return np.full(len(worth), 255, np.uint8)
+    low, high = min(float(worth.min()), 0.0), float(worth.max())
+    return np.round((worth - low) / max(high - low, 1e-12) * 254).astype(np.uint8)

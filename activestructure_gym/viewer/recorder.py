@@ -1,0 +1,186 @@
+"""What can be watched of an episode, kept while it is played: every decision, every pose, who came and who went."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.planes.record import GraphArrays, graph_arrays, seen_cells
+
+if TYPE_CHECKING:
+    from activestructure_gym.mapping import GaussianMap
+    from activestructure_gym.reconstruction import Reconstruction
+
+_JPEG_QUALITY = 82
+_FIELDS = 14  # rows of the map's parameters
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What there is to see before one decision; the last one of an episode has no candidates."""
+
+    frame: int  # frames paid
+    poses: int  # poses taken: fewer than frames where one was paid for standing still
+    row: int  # the candidate that is chosen, -1 at the end or while nobody has chosen
+    candidates: np.ndarray  # [K, 6] metres and unit vector: position and look
+    worth: np.ndarray  # [K] the first feature that the policy asks for; NaN where it asks for none
+    planes: np.ndarray  # [P, 4, 3] metres, corners of the seen part of each plane
+    structural: np.ndarray  # [P] bool
+    tree: np.ndarray  # [E, 2] rows of planes that the spanning forest joins
+    centroids: np.ndarray  # [P, 3] metres
+    true: bytes  # JPEG of the last keyframe
+    rendered: bytes  # JPEG of the map from its pose
+
+
+@dataclass(frozen=True)
+class Film:
+    """An episode, or its beginning, as it can be watched."""
+
+    moments: list[Moment]
+    poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame
+    gaussians: np.ndarray  # [14, N] float32 parameters of all that ever were, as they were last
+    born: np.ndarray  # [N] int32 frame with which each came
+    died: np.ndarray  # [N] int32 frame with which it went; beyond the last one for those that stayed
+    bounds: np.ndarray  # [2, 3] metres, the workspace
+    camera: tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
+
+
+@dataclass
+class _Lives:
+    """Who came and went, by the ids of the Gaussians."""
+
+    frame_of: list[tuple[int, int]] = field(default_factory=list)  # (ids below this were there, frame)
+    gone: list[tuple[np.ndarray, np.ndarray, int]] = field(default_factory=list)  # parameters, ids, frame
+    ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    parameters: np.ndarray = field(default_factory=lambda: np.zeros((_FIELDS, 0), np.float32))
+
+    def note(self, gaussians: GaussianMap, frame: int) -> None:
+        """Remember the map as it is; called after every keyframe."""
+        ids = gaussians.ids[: gaussians.count].copy()
+        left = ~np.isin(self.ids, ids)
+        if left.any():
+            self.gone.append((self.parameters[:, left], self.ids[left], frame))
+        self.ids, self.parameters = ids, gaussians.parameters[:, : gaussians.count].copy()
+        self.frame_of.append((gaussians.next_id, frame))
+
+    def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] born, [N] died
+        """Everybody, those who came first in front."""
+        last = np.iinfo(np.int32).max
+        parameters = np.concatenate([self.parameters, *(block for block, _, _ in self.gone)], axis=1)
+        ids = np.concatenate([self.ids, *(ids for _, ids, _ in self.gone)])
+        died = np.concatenate(
+            [np.full(len(self.ids), last), *(np.full(len(ids), frame) for _, ids, frame in self.gone)]
+        )
+        below, frames = np.array(self.frame_of).reshape(-1, 2).T
+        born = frames[np.searchsorted(below, ids, side="right")]
+        order = np.argsort(born, kind="stable")
+        return parameters[:, order], born[order].astype(np.int32), died[order].astype(np.int32)
+
+
+class Recorder:
+    """Keeps an episode that has begun; it changes nothing of it.
+
+    Raises `InputError` for a mapper without Gaussians.
+    """
+
+    def __init__(self, episode: Reconstruction) -> None:
+        if not hasattr(episode.mapper, "map"):
+            raise InputError("the map of this mapper is not made of Gaussians: there is nothing to watch it grow by")
+        self.moments: list[Moment] = []
+        self._episode, self._lives = episode, _Lives()
+        self._lock = threading.Lock()  # films are asked for while the episode is played
+        self._lives.note(episode.mapper.map, episode.frames)
+        after_keyframes(episode, self._keep)
+
+    def _keep(self) -> None:
+        with self._lock:
+            self._lives.note(self._episode.mapper.map, self._episode.frames)
+
+    def note(self, row: int = -1) -> Moment:
+        """Keep what there is to see now, and the row that is chosen next if it is known."""
+        with self._lock:
+            self._lives.note(self._episode.mapper.map, self._episode.frames)
+            self.moments.append(moment_of(self._episode, row))
+        return self.moments[-1]
+
+    def choose(self, row: int) -> None:
+        """The row that was chosen at the last moment."""
+        self.moments[-1] = replace(self.moments[-1], row=row)
+
+    def film(self, first: int = 0) -> Film:
+        """What was kept: all Gaussians, the moments from ``first`` on, and the poses that were taken since the one
+        before.
+        """
+        episode, camera = self._episode, self._episode.config.sensor.camera
+        with self._lock:
+            gaussians, born, died = self._lives.all()
+        begun, end = (self.moments[n].poses if n >= 0 else 0 for n in (first - 1, len(self.moments) - 1))
+        return Film(
+            moments=self.moments[first:],
+            poses=np.array(episode.trajectory[begun:end]).reshape(-1, 4, 4),
+            gaussians=gaussians,
+            born=born,
+            died=died,
+            bounds=np.asarray(episode.scene.bounds, float),
+            camera=(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height),
+        )
+
+
+def after_keyframes(episode: Reconstruction, act: Callable[[], None]) -> None:
+    """From now on ``act`` is called after every keyframe of this episode has been mapped."""
+    observe = episode.mapper.observe
+
+    def watched(*given: Any, **options: Any) -> Any:
+        """Map the keyframe, then act."""
+        report = observe(*given, **options)
+        act()
+        return report
+
+    episode.mapper.observe = watched  # type: ignore[method-assign]
+
+
+def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
+    """What there is to see of an episode now."""
+    graph, frame = graph_arrays(episode.planes), episode.mapper.keyframes[-1]
+    poses = episode.candidates.world_from_camera[: episode.candidates.views]
+    worth = np.full(len(poses), np.nan)
+    if episode.config.gains:
+        worth = np.clip(episode.gains[: len(poses), 0], -1e6, 1e6)
+    rendered = episode.mapper.render(frame.camera, frame.world_from_camera).color
+    return Moment(
+        frame=episode.frames,
+        poses=len(episode.trajectory),
+        row=row,
+        candidates=np.concatenate([poses[:, :3, 3], poses[:, :3, 2]], axis=1),
+        worth=worth.astype(float),
+        planes=plane_rectangles(graph),
+        structural=graph["structural"],
+        tree=graph["edges"][graph["edge_in_tree"]],
+        centroids=graph["centroids"],
+        true=_jpeg(frame.rgb),
+        rendered=_jpeg((np.clip(rendered, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)),
+    )
+
+
+def plane_rectangles(graph: GraphArrays) -> np.ndarray:  # [P, 4, 3] metres
+    """Corners in turn of the smallest rectangle around what was seen of every plane; its centroid for nothing."""
+    found = np.repeat(np.asarray(graph["centroids"], float).reshape(-1, 1, 3), 4, axis=1)
+    for k in range(len(found)):
+        cells = np.argwhere(seen_cells(graph, k))
+        if len(cells):
+            # All four corners of each cell, so that a row of cells has a width.
+            corners = np.concatenate([cells + offset for offset in ((0, 0), (0, 1), (1, 0), (1, 1))])
+            box = cv2.boxPoints(cv2.minAreaRect(corners.astype(np.float32)))
+            found[k] = graph["patch_corners"][k] + graph["cell"] * (box @ graph["patch_axes"][k])
+    return found
+
+
+def _jpeg(rgb: np.ndarray) -> bytes:  # [H, W, 3] uint8
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return data.tobytes()

@@ -1,0 +1,145 @@
+"""``asg watch``: an episode in a browser while it happens."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.cli.fields import Changes, Count, Switch, option
+from activestructure_gym.evaluation.cli.options import parse_overrides, parse_start, split_scenes
+from activestructure_gym.evaluation.cli.output import make_console, working
+from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+    from activestructure_gym.envs import ReconstructionEnv
+    from activestructure_gym.policies import Policy
+    from activestructure_gym.viewer import LiveView
+
+YOU = "you"  # the policy that asks whoever watches
+_COLOURED_BY = "hole_area"  # whose feature the candidates bear for you
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Play an episode and show it in a browser while it happens: the map as it grows, planes, candidates, the camera.
+
+    The page pauses, goes on step by step, goes back in time, and a click on a candidate sends the agent there. It is
+    served on this machine alone, at an address that is printed. Ctrl+C ends it.
+    """
+
+    scene: Annotated[str, option("SCENE")] = "room"
+    """What to explore: a name (see `asg scenes`) or a file."""
+    policy: Annotated[str, option("NAME")] = "activestructure"
+    """Who explores (see `asg policies`); `you` asks you for every view."""
+    seed: int = 0
+    """The same as of `asg compare`: the same start."""
+    preset: Annotated[str | None, option("fast|default|full|paper", "(default: default)")] = None
+    """What `asg config PRESET` prints."""
+    terms: Terms = "shared"
+    """native: the policy brings its own candidates and schedule, with preset full."""
+    frames: Count = None
+    """Frame budget; the preset's if not given."""
+    start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
+    """Where it starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
+    set: Changes = ()
+    """Changes of the configuration (see `asg config`)."""
+    port: Annotated[int, option("N", "(default: a free one)")] = 0
+    """Where the page is served."""
+    address: Annotated[str, option("IP", "(default: 127.0.0.1)")] = "127.0.0.1"
+    """Serve to other machines as well, at this address of this one: whoever gets the whole link can look and steer."""
+    paused: Switch = False
+    """Begin paused."""
+    leave: Switch = False
+    """Stop when the episode ends, instead of serving the page until Ctrl+C."""
+
+    def run(self) -> int:
+        """Serve, play, and serve on until it is stopped."""
+        from activestructure_gym.viewer import LiveView
+
+        env, policy = self._make()
+        asks = self.policy == YOU
+        view = LiveView(
+            f"{self.policy} · {self.scene} · seed {self.seed}",
+            address=self.address,
+            port=self.port,
+            chooses=True,
+            asks=asks,
+            paused=self.paused,
+        )
+        console = make_console()
+        if not ip_address(self.address).is_loopback:
+            print(
+                f"asg: note: whoever reaches {self.address} and has the link can look and steer, and the connection is "
+                "not encrypted",
+                file=sys.stderr,
+            )
+        console.print(f"Watch at [bold]{view.url}[/] (Ctrl+C ends)", soft_wrap=True)
+        try:
+            with working(console, "exploring") as say:
+                told = play(env, policy, self.seed, view, asks, say)
+            console.print(f"The episode has ended: {told}")
+            while not self.leave:
+                try:
+                    time.sleep(1.0)
+                except KeyboardInterrupt:
+                    break
+        finally:
+            view.close()
+            env.close()
+        return 0
+
+    def _make(self) -> tuple[gym.Env[Any, Any], Policy]:
+        from activestructure_gym.policies import make_env_and_policy
+
+        scenes = split_scenes((self.scene,))
+        preset = self.preset or (NATIVE_PRESET if self.terms == "native" else "default")
+        return make_env_and_policy(
+            _COLOURED_BY if self.policy == YOU else self.policy,
+            list(scenes) if len(scenes) > 1 else scenes[0],
+            terms=self.terms,
+            preset=preset,
+            frame_budget=self.frames,
+            config=parse_overrides(self.set),
+            start_pose=parse_start(self.start),
+            coverage_target=None,
+            disable_env_checker=True,
+        )
+
+
+def play(
+    env: gym.Env[Any, Any], policy: Policy, seed: int, view: LiveView, asks: bool, say: Callable[[str], None]
+) -> str:
+    """One episode, shown; what became of it, in words."""
+    shell: ReconstructionEnv = env.unwrapped  # type: ignore[assignment]
+    observation, info = env.reset(seed=seed)
+    policy.reset(seed)
+    episode, names = shell.reconstruction, shell.config.gains
+    view.begin(episode, names[0] if names else "")
+    ended = False
+    while not ended:
+        wanted = None if asks else policy.act(observation)
+        view.show(None if asks else policy.trace().get("phase"))
+        if wanted is not None:
+            view.chosen(wanted)
+        clicked = view.wait()
+        row = wanted if clicked is None else clicked
+        if row is None:  # nobody is there to say
+            break
+        view.chosen(row)
+        observation, _, terminated, truncated, info = env.step(np.int64(row))
+        ended = terminated or truncated
+        say(f"exploring: {info['frames']} of {episode.frame_budget} frames, {info['gaussians']} Gaussians")
+    view.show()
+    view.end()
+    return (
+        f"{info['frames']} frames, {info['metres']:.1f} m, {info['gaussians']} Gaussians, {info['planes']} planes, "
+        f"{shell.coverage.share:.1%} of the surface observed"
+    )

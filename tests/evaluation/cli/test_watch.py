@@ -1,0 +1,74 @@
+"""``asg watch``: what it prints, and an episode that somebody leads."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import urllib.error
+import urllib.request
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.cli.watch import play
+from activestructure_gym.policies import make_env_and_policy
+from activestructure_gym.viewer import LiveView
+
+SMALL = ["sensor.width=64", "sensor.height=36", "mapper.iterations=1"]
+
+
+def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["watch", "--scene", "box", "--policy", "random", "--preset", "fast", "--frames", "20", "--set", *SMALL]
+    assert main([*command, "--leave"]) == 0
+    told = capsys.readouterr()
+    assert "http://127.0.0.1:" in told.out and "The episode has ended: 20 frames" in told.out and told.err == ""
+    assert main([*command, "--leave", "--address", "0.0.0.0"]) == 0
+    assert "whoever reaches 0.0.0.0 and has the link can look and steer" in capsys.readouterr().err
+    for wrong, message in (
+        (["--policy", "nobody"], "unknown policy 'nobody'"),
+        (["--address", "here"], "nothing can be served at"),
+        (["--scene", "nowhere"], "nowhere"),
+    ):
+        assert main([*command, *wrong]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_you_are_asked_for_every_view_and_the_agent_goes_there() -> None:
+    options: dict[str, Any] = {"preset": "fast", "frame_budget": 40, "config": {"sensor": {"width": 64, "height": 36}}}
+    env, policy = make_env_and_policy("hole_area", "box", **options)
+    view = LiveView("a test", asks=True)
+    sent: list[int] = []
+
+    def click() -> None:
+        """The last candidate of every decision."""
+        link = view.url.replace("/?", "/do?")
+        while not view._ended:
+            with view._news:
+                moments = view._recorder.moments if view._recorder else []
+                moment, row = len(moments) - 1, len(moments[-1].candidates) - 1 if moments else -1
+            body = json.dumps({"do": "visit", "row": row, "episode": 1, "moment": moment}).encode()
+            try:
+                urllib.request.urlopen(urllib.request.Request(link, body), timeout=10).close()
+            except urllib.error.HTTPError:
+                continue
+            while len(view._recorder.moments) == moment + 1 and not view._ended:  # type: ignore[union-attr]
+                time.sleep(0.01)
+            sent.append(row)
+
+    clicker = threading.Thread(target=click)
+    clicker.start()
+    told = play(env, policy, 0, view, True, lambda text: None)
+    clicker.join(10)
+    film = view._recorder.film()  # type: ignore[union-attr]
+    view.close()
+    assert told.startswith("40 frames") and film.moments[-1].frame == 40
+    assert [moment.row for moment in film.moments[:-1]] == [len(m.candidates) - 1 for m in film.moments[:-1]]
+    # The same rows without anybody watching are the same episode.
+    other, _ = make_env_and_policy("hole_area", "box", **options)
+    other.reset(seed=0)
+    for moment in film.moments[:-1]:
+        other.step(np.int64(moment.row))
+    np.testing.assert_array_equal(np.array(other.unwrapped.reconstruction.trajectory), film.poses)  # type: ignore[attr-defined]

@@ -1,0 +1,44 @@
+"""A run as a video: it plays, its pictures differ, and nothing is left where it cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.cli import main
+
+
+@pytest.mark.parametrize("ending", ["mp4", "webm"])
+def test_a_video_has_a_picture_for_every_keyframe(
+    finished: list[Run], tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, path = finished[0], tmp_path / f"run.{ending}"
+    assert main(["replay", str(run.directory), "--video", str(path)]) == 0
+    keyframes = len(run.trajectory["keyframes"])
+    assert f"run.{ending}: {(keyframes + 20) / 10:.0f} s" in capsys.readouterr().out
+    film, pictures = cv2.VideoCapture(str(path)), []
+    while (read := film.read())[0]:
+        pictures.append(read[1].astype(int))
+    assert len(pictures) == keyframes + 20  # the end is shown for two seconds
+    assert np.abs(pictures[0] - pictures[keyframes]).mean() > 2
+    assert np.abs(pictures[-1] - pictures[-2]).mean() < 1
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_cannot_be_a_video_is_said(
+    finished: list[Run], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, other = (str(run.directory) for run in finished)
+    for words, message in (
+        ([one, "--video", str(tmp_path / "run.gif")], "a video ends in .mp4 or .webm, got 'run.gif'"),
+        ([one, other, "--video", str(tmp_path / "run.mp4")], "--video is of one run"),
+        ([one, "--video", str(tmp_path / "run.mp4"), "--out", "page.html"], "takes the place of --out"),
+        ([one, "--video", str(tmp_path / "nowhere" / "run.mp4")], "in a directory that exists"),
+    ):
+        assert main(["replay", *words]) == 2
+        assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,220 @@
+"""A live episode: who may ask, what comes, and that commands are obeyed; then the page in a real browser."""
+
+from __future__ import annotations
+
+import html
+import json
+import threading
+import time
+import urllib.error
+import urllib.request
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from activestructure_gym.config import configure
+from activestructure_gym.errors import InputError
+from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.reconstruction import Reconstruction
+from activestructure_gym.scenes import load_scene
+from activestructure_gym.viewer import LiveView
+from tests.browser import BROWSER, open_page
+
+SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 80, "mapper.iterations": 1}
+
+
+@pytest.fixture
+def episode() -> Reconstruction:
+    run = Reconstruction(configure("fast", {**SMALL, "gains": ("pixel",)}))
+    run.start(ground_truth_of(load_scene("box")), 0)
+    return run
+
+
+@pytest.fixture
+def view(request: pytest.FixtureRequest) -> Iterator[LiveView]:
+    served = LiveView("a test", **getattr(request, "param", {}))
+    yield served
+    served.close()
+
+
+def ask(view: LiveView, path: str, *, key: str | None = None, body: Any = None, **headers: str) -> tuple[int, bytes]:
+    place = urlsplit(view.url)
+    known = place.query.removeprefix("key=") if key is None else key
+    link = f"http://{place.netloc}{path}{'&' if '?' in path else '?'}key={known}"
+    data = None if body is None else body if isinstance(body, bytes) else json.dumps(body).encode()
+    try:
+        with urllib.request.urlopen(urllib.request.Request(link, data, headers), timeout=30) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+def news(view: LiveView, episode: int = -1, moments: int = 0, version: int = -1) -> dict[str, Any]:
+    status, body = ask(view, f"/news?episode={episode}&moments={moments}&version={version}")
+    assert status == 200
+    whole = zlib.decompress(body)
+    length = int.from_bytes(whole[:4], "little")
+    told = dict(json.loads(whole[4 : 4 + length]))
+    for name, place in told["arrays"].items():
+        count = int(np.prod(place["shape"]))
+        told["arrays"][name] = np.frombuffer(whole, place["type"], count, 4 + length + place["at"])
+    return told
+
+
+def test_only_who_knows_the_link_is_answered(view: LiveView) -> None:
+    assert view.url.startswith("http://127.0.0.1:")
+    status, page = ask(view, "/")
+    assert status == 200 and "connect-src 'self'" in html.unescape(page.decode())
+    wrong = [
+        {"key": ""}, {"key": "x" * 22}, {"key": "\N{SNOWMAN}".encode().hex()}, {"Host": "evil.example"},
+        {"Origin": "http://evil.example"},
+    ]  # fmt: skip
+    for given in wrong:
+        assert ask(view, "/", **given)[0] == 403
+        assert ask(view, "/do", body={"do": "pause"}, **given)[0] == 403
+    assert not view._paused
+    assert ask(view, "/elsewhere")[0] == 404
+    assert ask(view, "/news?episode=one")[0] == 400
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [(b"[" * 900, 400), (b"x" * 2000, 400), ([], 400), ({"do": "fly"}, 409), ({"do": "pace", "seconds": 1e9}, 409),
+     ({"do": "visit", "row": 0, "episode": 1, "moment": 0}, 409)],
+)  # fmt: skip
+def test_commands_that_are_none_are_refused(view: LiveView, body: Any, status: int) -> None:
+    assert ask(view, "/do", body=body)[0] == status
+
+
+def test_a_page_gets_all_and_then_what_is_new(view: LiveView, episode: Reconstruction) -> None:
+    view.begin(episode, "pixel")
+    view.show()
+    first = news(view)
+    assert (first["episode"], first["first"], first["worth"], first["budget"]) == (1, 0, "pixel", 80)
+    assert len(first["arrays"]["born"]) == episode.mapper.map.count
+    assert len(first["arrays"]["poses"]) == 9 and first["chosen"] == [-1] and len(first["steps"]) == 1
+    row = 2
+    goal = episode.candidates.world_from_camera[row]
+    view.chosen(row)
+    episode.visit(row)
+    view.show("exploring")
+    later = news(view, 1, 1, first["version"])
+    poses = later["arrays"]["poses"].reshape(-1, 9)
+    assert later["first"] == 1 and later["chosen"] == [row, -1] and len(poses) == len(episode.trajectory) - 1
+    np.testing.assert_allclose(poses[-1, :3], goal[:3, 3], atol=1e-6)
+    assert later["arrays"]["frames"].tolist() == [episode.frames] and later["curve"][0]["frames"] == episode.frames
+    assert 0 < first["curve"][0]["known"] < later["curve"][0]["known"] <= 100
+    again = news(view)  # a page that was opened later
+    assert again["first"] == 0 and len(again["arrays"]["frames"]) == 2
+    assert len(again["arrays"]["poses"]) == 9 * len(episode.trajectory)
+    # Another episode begins: whoever watched the first one gets the second one whole.
+    episode.start(ground_truth_of(load_scene("box")), 1)
+    view.begin(episode)
+    view.show()
+    other = news(view, 1, 2, again["version"])
+    assert (other["episode"], other["first"], len(other["arrays"]["frames"])) == (2, 0, 1)
+
+
+def test_an_ungrown_episode_answers_with_nothing_new_after_a_while(
+    view: LiveView, episode: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("activestructure_gym.viewer.live._PATIENCE_S", 0.1)
+    view.begin(episode)
+    view.show()
+    assert ask(view, f"/news?episode=1&moments=1&version={view._version}") == (204, b"")
+
+
+def waiting(view: LiveView) -> tuple[threading.Thread, list[int | None]]:
+    rows: list[int | None] = []
+    thread = threading.Thread(target=lambda: rows.append(view.wait()))
+    thread.start()
+    return thread, rows
+
+
+@pytest.mark.parametrize("view", [{"chooses": True, "paused": True}], indirect=True)
+def test_paused_it_goes_on_by_steps_and_where_it_is_sent(view: LiveView, episode: Reconstruction) -> None:
+    view.begin(episode)
+    view.show()
+    thread, rows = waiting(view)
+    thread.join(0.3)
+    assert thread.is_alive() and news(view)["state"] == "paused"
+    assert ask(view, "/do", body={"do": "step"})[0] == 200
+    thread.join(5)
+    assert rows == [None]  # one decision, the policy's own
+    thread, rows = waiting(view)
+    for row, moment, status in ((10**6, 0, 409), (True, 1, 409), (3, 7, 409), (3, 0, 200)):
+        assert ask(view, "/do", body={"do": "visit", "row": row, "episode": 1, "moment": moment})[0] == status
+    thread.join(5)
+    assert rows == [3]
+    assert ask(view, "/do", body={"do": "go"})[0] == 200
+    assert view.wait() is None and view.wait() is None
+    ask(view, "/do", body={"do": "pace", "seconds": 1.0})
+    began = time.monotonic()
+    view.wait()
+    assert time.monotonic() - began > 0.9
+
+
+@pytest.mark.parametrize("view", [{"asks": True}], indirect=True)
+def test_who_is_asked_is_waited_for_until_the_view_is_closed(view: LiveView, episode: Reconstruction) -> None:
+    view.begin(episode)
+    view.show()
+    thread, rows = waiting(view)
+    thread.join(0.3)
+    assert thread.is_alive() and news(view)["state"].startswith("your turn")
+    view.close()
+    thread.join(5)
+    assert rows == [None]
+
+
+def test_what_cannot_be_served_is_said() -> None:
+    for given in ({"address": "nowhere"}, {"port": 70000}, {"address": "203.0.113.7"}):
+        with pytest.raises(InputError, match=r"nothing can be served at .*127\.0\.0\.1 and port 0"):
+            LiveView("a test", **given)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
+@pytest.mark.parametrize("view", [{"asks": True}], indirect=True)
+def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconstruction, tmp_path: Path) -> None:
+    view.begin(episode, "pixel")
+    view.show()
+    thread, rows = waiting(view)
+    with open_page(view.url, tmp_path) as page:
+        page.until("window.player && player.drawn > 0 && player.dirty === false")
+        page.until("document.getElementById('state').textContent.startsWith('your turn')")
+        first = page.picture()
+        assert first.std() > 10
+        # Where on the screen some candidate is drawn, as `under` finds it.
+        found = page.value("""(() => {
+            const run = player.runs[0], box = run.canvas.getBoundingClientRect(), shown = player.shown();
+            for (let y = 100; y < box.bottom - 40; y += 5) for (let x = 40; x < box.right - 40; x += 5) {
+                const row = run.under(x - box.left, y - box.top, run.camera(shown.eye, player.clock), shown.cut);
+                if (row > 0) return [row, x, y];
+            }
+        })()""")
+        page.click(*found[1:])
+        thread.join(10)
+        assert rows == [found[0]]
+        goal = episode.candidates.world_from_camera[found[0]][:3, 3]
+        view.chosen(found[0])
+        episode.visit(found[0])
+        view.show()
+        page.until(f"player.clock === {episode.frames} && player.dirty === false")
+        np.testing.assert_allclose(page.value("player.runs[0].pose(player.clock).position"), goal, atol=1e-5)
+        assert page.value("player.runs[0].scene.drawn") == len(view._recorder.film().born)  # type: ignore[union-attr]
+        last = page.picture()
+        assert (np.abs(first.astype(int) - last) > 20).mean() > 0.01
+        page.value("player.scrub(1)")
+        page.until("player.dirty === false")
+        back = page.picture()
+        assert (np.abs(back.astype(int) - last) > 20).mean() > 0.01
+        page.value("document.getElementById('now').click(), 1")
+        page.until(f"player.clock === {episode.frames} && player.dirty === false")
+        view.end()
+        page.until("document.getElementById('state').textContent === 'ended'")
+        assert page.errors == []
+    assert view._recorder is not None

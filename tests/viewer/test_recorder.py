@@ -1,0 +1,44 @@
+"""Who came and who went, and where planes lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.viewer.recorder import _Lives, plane_rectangles
+
+
+def test_the_rectangle_of_a_plane_lies_as_its_surface_does() -> None:
+    seen = np.zeros((40, 40), np.uint8)
+    np.fill_diagonal(seen, 1)  # a strip of 40 cells at 45 degrees
+    graph = {
+        "centroids": np.array([[1.0, 2.0, 3.0]] * 2),
+        "patch_shapes": np.array([[40, 40], [0, 0]]),
+        "patch_starts": np.array([0, 200, 200]),
+        "patch_bits": np.packbits(seen),
+        "patch_corners": np.array([[5.0, 0.0, 1.0]] * 2),
+        "patch_axes": np.array([[[1.0, 0, 0], [0, 0, 1.0]]] * 2),
+        "cell": np.array(0.1),
+    }
+    strip, nothing = plane_rectangles(graph)
+    sides = np.linalg.norm(np.diff(strip, axis=0), axis=1)
+    np.testing.assert_allclose(sorted(sides[:2]), [0.1 * 2**0.5, 4 * 2**0.5], atol=1e-5)
+    np.testing.assert_allclose(strip.mean(axis=0), [7.0, 0.0, 3.0], atol=1e-5)
+    np.testing.assert_array_equal(nothing, [[1.0, 2.0, 3.0]] * 4)
+
+
+def test_who_is_removed_is_kept_as_it_was_last() -> None:
+    gaussians, lives = GaussianMap(), _Lives()
+    block = np.arange(14 * 5, dtype=np.float32).reshape(14, 5)
+    gaussians.append(block[:, :3])
+    lives.note(gaussians, 1)
+    gaussians.append(block[:, 3:])
+    gaussians.parameters[0, :5] += 100.0
+    lives.note(gaussians, 6)
+    gaussians.keep(np.array([True, False, True, True, True]))
+    lives.note(gaussians, 11)
+    parameters, born, died = lives.all()
+    assert born.tolist() == [1, 1, 1, 6, 6] and sorted(died.tolist())[0] == 11
+    (gone,) = np.nonzero(died == 11)[0]
+    np.testing.assert_array_equal(parameters[1:, gone], block[1:, 1])
+    assert parameters[0, gone] == block[0, 1] + 100.0

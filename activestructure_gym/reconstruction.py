@@ -23,7 +23,7 @@ from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.mapping.make import make_mapper
-from activestructure_gym.motion import Agent, DistanceMap, first_blocked, interpolate, path_lengths, plan_path
+from activestructure_gym.motion import Agent, DistanceMap, Leg, first_blocked, interpolate, path_lengths, plan_path
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
@@ -127,6 +127,9 @@ class Reconstruction:
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
+        self.keyframe_rounds: list[int] = []  # times the mapper's iterations, of each keyframe
+        # By the end of each decision: poses executed, frames paid, 1 where they were spent in place to optimise.
+        self.legs: list[tuple[int, int, int]] = []
         self.stops: list[np.ndarray] = []  # poses where the way of each decision ended
         self.frames = 0
         self.metres = 0.0
@@ -183,12 +186,14 @@ class Reconstruction:
         elif table.ask[index] >= 0:
             self.stage = int(table.ask[index])
             self._offered.add(self.stage)
+            self._note_leg()
             self._offer()
             return Visit(True, 0, 0.0, ())
         elif table.ends[index]:
             reached = self.finished = True
         elif table.stay[index]:
-            reached = self._stay(int(table.stay[index]))
+            wanted = int(table.stay[index]) * self.config.keyframe_every
+            reached = self._stay(wanted) == wanted
             self.stops.append(self.pose)
         else:
             point = table.look_at[index]
@@ -205,8 +210,36 @@ class Reconstruction:
             self.stops.append(self.pose)
         if self.frames > frames_before:
             self._offered = {self.stage}
+        self._note_leg(stays=0 <= index < len(table) and bool(table.stay[index]))
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
+
+    def follow(self, leg: Leg) -> Visit:
+        """Execute given poses in place of a decision, as far as the budget reaches, and map as the leg says.
+
+        Nobody asks whether the way is free, or how far apart two poses are: who makes the leg answers for that. The
+        last frame of the budget is a keyframe.
+        """
+        self.decisions += 1
+        frames_before, metres_before, keyframes = self.frames, self.metres, list[Frame]()
+        if leg.stays:
+            self._stay(leg.stays)
+        for pose, rounds in zip(leg.poses, leg.rounds):
+            if self.exhausted:
+                break
+            self._step_to(pose)
+            if rounds or self.exhausted:
+                keyframes.append(self._keyframe(rounds or 1))
+        self.frames = min(self.frames + leg.lost, self.frame_budget)
+        self.stops.append(self.pose)
+        self._note_leg(stays=bool(leg.stays))
+        self._refresh()
+        paid = self.frames - frames_before
+        reached = paid == len(leg.poses) + leg.lost + leg.stays
+        return Visit(reached, paid, self.metres - metres_before, tuple(keyframes))
+
+    def _note_leg(self, *, stays: bool = False) -> None:
+        self.legs.append((len(self.trajectory), self.frames, int(stays)))
 
     def _plan(self, goal: np.ndarray, look_at: np.ndarray | None) -> np.ndarray | None:  # [T, 4, 4]
         motion = self.config.motion
@@ -221,18 +254,24 @@ class Reconstruction:
             )
             return None if path is None else interpolate(path, self.pose, goal, motion, look_at=look_at)
 
-    def _stay(self, rounds: int) -> bool:
-        """Optimise over all keyframes, in place, as long as the budget reaches; whether it reached for all rounds.
+    def _stay(self, wanted: int) -> int:
+        """Optimise over all keyframes, in place, for so many frames or as long as the budget reaches: how many it were.
 
         A frame has the share of the mapper's iterations that it has on a way.
         """
-        wanted = rounds * self.config.keyframe_every
         frames = min(wanted, self.config.frame_budget - self.frames)
         self.trajectory += [self.pose] * frames
         self.frames += frames
         with self._timed("mapping"):
             self.mapper.refine(round(self.config.mapper.iterations * frames / self.config.keyframe_every))
-        return frames == wanted
+        return frames
+
+    def _step_to(self, pose: np.ndarray) -> None:
+        step = pose[:3, 3] - self.pose[:3, 3]
+        self.metres += math.sqrt(step @ step)
+        self.pose = pose
+        self.trajectory.append(pose)
+        self.frames += 1
 
     def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
         """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached.
@@ -242,15 +281,11 @@ class Reconstruction:
         keyframes: list[Frame] = []
         index, end = 0, len(poses)  # poses[:end] is free as far as the volume knows
         while index < end and not self.exhausted:
-            step = poses[index][:3, 3] - self.pose[:3, 3]
-            self.metres += math.sqrt(step @ step)
-            self.pose = poses[index]
-            self.trajectory.append(self.pose)
-            self.frames += 1
+            self._step_to(poses[index])
             index += 1
             if index == end or self.exhausted or self.frames % self.config.keyframe_every == 0:
                 rounds = self.config.revisit_rounds if revisits and index == len(poses) else 1
-                keyframes.append(self._keyframe(rounds * self.config.mapper.iterations))
+                keyframes.append(self._keyframe(rounds))
                 with self._timed("planning"):
                     blocked = first_blocked(
                         self.volume, poses[index:end], self.config.motion.min_clearance, start=self.pose
@@ -258,7 +293,7 @@ class Reconstruction:
                 end = end if blocked is None else index + blocked
         return index == len(poses), keyframes
 
-    def _keyframe(self, iterations: int | None = None) -> Frame:
+    def _keyframe(self, rounds: int = 1) -> Frame:
         with self._timed("sensor"):
             frame = self.sensor.capture(self.pose)
         sensor = self.config.sensor
@@ -268,10 +303,11 @@ class Reconstruction:
         with self._timed("volume"):
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with self._timed("mapping"):
-            self.mapper.observe(frame, iterations=iterations)
+            self.mapper.observe(frame, iterations=rounds * self.config.mapper.iterations)
         with self._timed("planes"):
             self.planes.integrate(frame)
         self.keyframe_indices.append(len(self.trajectory) - 1)
+        self.keyframe_rounds.append(rounds)
         return frame
 
     @property

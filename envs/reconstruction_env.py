@@ -18,7 +18,7 @@ from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, rewar
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
-from activestructure_gym.reconstruction import Reconstruction
+from activestructure_gym.reconstruction import Reconstruction, Visit
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
 
@@ -196,12 +196,16 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             raise gym.error.ResetNeeded("this episode has ended (or never began): call reset() before step()")
         if not self.action_space.contains(action):
             raise gym.error.InvalidAction(f"expected an integer in [0, {self.action_space.n}), got {action!r}")
-        episode = self.reconstruction
-        share_before = self._coverage.share
-        invalid = not int(action) < len(episode.candidates)
+        invalid = not int(action) < len(self.reconstruction.candidates)
         if self._view is not None:
             self._view.chosen(int(action))
-        visit = episode.visit(int(action))
+        return self._outcome(self.reconstruction.visit(int(action)), invalid=invalid)
+
+    def _outcome(
+        self, visit: Visit, *, invalid: bool
+    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """What `step` returns after ``visit``."""
+        episode, share_before = self.reconstruction, self._coverage.share
         known = len(episode.keyframe_indices) - len(visit.keyframes)
         for frame, index in zip(visit.keyframes, episode.keyframe_indices[known:]):
             # The true pose: a frame carries the one the sensor reports.

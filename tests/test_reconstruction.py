@@ -15,6 +15,7 @@ from activestructure_gym.geometry import look_along, rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.ground_truth.surface_samples import uniform_samples
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
+from activestructure_gym.motion import Leg, recorded_legs
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import Scene, load_scene
@@ -249,6 +250,47 @@ def test_the_map_improves_over_an_episode(box: Scene) -> None:
     assert run.volume.observed_share > share
     assert run.gains[:, 0].mean() < 0.5 * holes
     assert run.mapper.map.count > 1000
+
+
+def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
+    """Ways, revisits, stays, another stage, rows that are none: whatever was decided, to the last bit."""
+    stages = [["pool", "stay?rounds=2"], ["turns?count=4"]]
+    settings = {"views.stages": stages, "views.max_revisits": 4, "revisit_rounds": 3, "views.max_candidates": 40}
+    played = episode(box, frames=90, **settings)
+    rng, kinds = np.random.default_rng(1), set()
+    while not played.exhausted:
+        table = played.candidates
+        stays, asks = np.flatnonzero(table.stay), np.flatnonzero(table.ask >= 0)
+        revisits = np.flatnonzero(table.revisit)
+        kind = played.decisions % 5
+        choice = {0: stays, 1: revisits, 2: asks}.get(kind, np.array([999]) if kind == 3 else np.zeros(0, int))
+        played.visit(int(choice[0]) if len(choice) else int(rng.integers(len(table))))
+        kinds |= {kind} if len(choice) else {9}
+    assert kinds == {0, 1, 2, 3, 9}
+    arrays = {
+        "world_from_camera": np.stack(played.trajectory),
+        "keyframes": np.array(played.keyframe_indices),
+        "keyframe_rounds": np.array(played.keyframe_rounds),
+        "legs": np.array(played.legs),
+    }
+    again = Reconstruction(played.config)
+    again.start(ground_truth_of(box), 0, arrays["world_from_camera"][0])
+    for leg in recorded_legs(arrays):
+        again.follow(leg)
+    count = played.mapper.map.count
+    assert again.mapper.map.count == count > 100
+    assert again.mapper.map.parameters[:, :count].tobytes() == played.mapper.map.parameters[:, :count].tobytes()
+    assert (again.frames, again.metres, again.decisions) == (played.frames, played.metres, played.decisions)
+    assert again.legs == played.legs and again.keyframe_rounds == played.keyframe_rounds
+    np.testing.assert_array_equal(again.planes.state.deficit, played.planes.state.deficit)
+
+
+def test_the_budget_ends_a_leg_with_a_keyframe(box: Scene) -> None:
+    run = episode(box, frames=4)
+    poses = np.stack([run.pose] * 9)
+    visit = run.follow(Leg(poses, (0,) * 9))
+    assert (visit.frames, visit.reached, len(visit.keyframes)) == (3, False, 1)
+    assert run.keyframe_indices == [0, 3] and run.exhausted
 
 
 def test_the_graph_describes_the_state_at_the_decision(box: Scene) -> None:

@@ -1,6 +1,7 @@
 """Motion from view to view: reachability, paths, and the frames along them."""
 
 from activestructure_gym.motion.clearance import first_blocked_edge
+from activestructure_gym.motion.legs import Leg, recorded_legs, regular_legs
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
 from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate, is_level
@@ -10,6 +11,7 @@ from activestructure_gym.motion.ways import Agent, Way, least_frames
 __all__ = [
     "Agent",
     "DistanceMap",
+    "Leg",
     "MotionConfig",
     "VoronoiGraph",
     "Way",
@@ -22,5 +24,7 @@ __all__ = [
     "path_lengths",
     "plan_path",
     "planar_graph",
+    "recorded_legs",
+    "regular_legs",
     "voronoi_graph",
 ]

@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from activestructure_gym.policies import Policy
 
 REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
+TRAJECTORY = "trajectory:"  # before the place of poses that are followed, in place of a policy
 _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # of a content hash, in a name that people read
+_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses")  # of files of poses
 _LONGEST = 80  # characters of a scene, and of a policy, in a file's name
 
 
@@ -133,7 +135,11 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
     for job in jobs:
         if imports_code(job.scene):
             registry.refuse_code("scene", job.scene, file)
-        if not is_reference(job.policy) and POLICIES.imports(job.policy.partition("?")[0]):
+        if (
+            not is_reference(job.policy)
+            and not is_trajectory(job.policy)
+            and POLICIES.imports(job.policy.partition("?")[0])
+        ):
             registry.refuse_code("policy", job.policy, file)
         gains = dict(job.overrides).get("gains", ())
         for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
@@ -185,16 +191,26 @@ def is_reference(policy: str) -> bool:
     return policy.startswith(REFERENCE)
 
 
+def is_trajectory(policy: str) -> bool:
+    """Whether a job's ``policy`` is none, but a trajectory that was given."""
+    return policy.startswith(TRAJECTORY)
+
+
 def policy_label(spec: str) -> str:
     """A short name for a policy: a checkpoint's without the folders it lies in, ``learned:bc@01234567``.
 
     The digits are those of its content, so that names differ where the checkpoints do. A file that is called ``best``
-    is the checkpoint of the run whose directory it lies in.
+    is the checkpoint of the run whose directory it lies in. A trajectory's name is that of its file, and of the folder
+    where the file is called as everywhere.
     """
     if is_reference(spec):
         return f"{spec.removeprefix(REFERENCE)} (reference, sees the ground truth)"
     family, colon, place = spec.partition(":")
     path, at, digits = place.partition("?")[0].rpartition("@")
+    if is_trajectory(spec) and at:
+        file, options = PurePath(path), place.partition("?")[2]
+        name = file.parent.name if file.stem in _USUAL_STEMS and file.parent.name else file.stem
+        return f"{TRAJECTORY}{name}@{digits}" + (f"?{options}" if options else "")
     if family != "learned" or not colon or not at:
         return spec
     file = PurePath(path)

@@ -144,6 +144,7 @@ _TRAJECTORY = {
     "intrinsics": Array("f", (4,)),
     "image_size": Array("iu", (2,), low=1, high=_WIDEST_IMAGE),
 }
+_LEGS = {"keyframe_rounds": Array("iu", ("K",), low=0, high=1000), "legs": Array("iu", ("D", 3), low=0)}
 _RANGE = {"max_range": Array("f", (), low=0, high=_FARTHEST)}  # of the sensor, metres; not every path says it
 _PICTURES = {
     "rendered": Array("u", ("views", "height", "width", 3), high=255, least=1),
@@ -181,7 +182,8 @@ _GRAPH = {
 
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
-    sizes = check_arrays(arrays, _TRAJECTORY | (_RANGE if "max_range" in arrays else {}))
+    legs = _LEGS if _LEGS.keys() <= arrays.keys() else {}  # of later runs, and of no other path
+    sizes = check_arrays(arrays, _TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
     if sizes["T"] > _MOST_POSES:
         raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
     poses = arrays["world_from_camera"]

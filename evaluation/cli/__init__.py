@@ -26,6 +26,7 @@ HELP = """usage: asg COMMAND [OPTIONS]
 ActiveStructure Gym: planners for active 3D reconstruction, compared.
 
   asg compare    run policies on scenes under one budget; ends with a table, curves and pictures
+  asg score      follow a given trajectory of any system, map on the way and measure the map
   asg policies   list the policies known by name, or describe one
   asg scenes     list the scenes known by name, or check one
   asg features   list the features of a candidate view that a policy can ask for

@@ -10,6 +10,7 @@ from activestructure_gym.errors import unknown_name
 
 COMMANDS = {
     "compare": "compare:Compare",
+    "score": "score:Score",
     "policies": "policies:Policies",
     "scenes": "scenes:Scenes",
     "features": "features:Features",

@@ -105,7 +105,7 @@ class Compare:
 
     def run(self) -> int:
         """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
-        return _compare(self)
+        return compare_with(self)
 
 
 # What runs without any option: chosen to end within a minute on two cores from a cold start.
@@ -116,7 +116,8 @@ DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples
 _MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "replay", "baseline", "trust_code")
 
 
-def _compare(options: Compare) -> int:
+def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
+    """Do what the options say; with a ``comparison``, that one in place of what they name."""
     # Before the slow imports: a directory that cannot be used is known at once.
     from activestructure_gym.evaluation.archive.store import COMPARISON
 
@@ -132,16 +133,17 @@ def _compare(options: Compare) -> int:
 
     from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
-    from activestructure_gym.evaluation.archive.jobs import policy_label
+    from activestructure_gym.evaluation.archive.jobs import is_trajectory, policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
+    from activestructure_gym.evaluation.running.following import named_trajectory
     from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
     get_engine(options.engine).check(limits)
     check_output(directory, resume=options.resume)
     began = time.monotonic()
-    comparison = None if bare else _comparison(options)
+    comparison = comparison or (None if bare else comparison_of(options))
     if comparison and options.engine != "ray":
         comparison.check_machine()
     with working(console, "loading") as notify:
@@ -150,7 +152,8 @@ def _compare(options: Compare) -> int:
     before = ((read_record(directory) or {}) if options.resume else {}).get("jobs", {}).values()
     known = list(dict.fromkeys((*policies, *(job["policy"] for job in before))))
     if options.baseline is not None and options.baseline not in known:
-        options = dataclasses.replace(options, baseline=canonical_policy(options.baseline))
+        canonical = named_trajectory if is_trajectory(options.baseline) else canonical_policy
+        options = dataclasses.replace(options, baseline=canonical(options.baseline))
         if options.baseline not in known:
             raise InputError(f"--baseline is one of the policies, {', '.join(known)}; got '{options.baseline}'")
     if comparison:
@@ -197,7 +200,8 @@ def _with_demo_defaults(options: Compare) -> Compare:
     )
 
 
-def _comparison(options: Compare) -> Comparison:
+def comparison_of(options: Compare) -> Comparison:
+    """The comparison that the options name."""
     from activestructure_gym.config import known_preset
     from activestructure_gym.evaluation.protocols import StandardProtocol
     from activestructure_gym.evaluation.running.comparison import Comparison

@@ -96,6 +96,7 @@ def _names() -> dict[str, Sequence[str]]:
     from activestructure_gym.config import PRESETS, ReconstructionConfig
     from activestructure_gym.evaluation.cli.config import leaves
     from activestructure_gym.features import FEATURES
+    from activestructure_gym.mapping import MAPPERS
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes import SCENES
 
@@ -111,6 +112,9 @@ def _names() -> dict[str, Sequence[str]]:
         "preset": list(PRESETS),
         "gains": features,
         "teacher": ["oracle", *features],
+        "axes": ["opencv", "opengl", "habitat", "ros"],
+        "mapper": list(MAPPERS),
+        "mappers": list(MAPPERS),
         "engine": ["local", "inline", "ray"],
         "protocols": ["standard", "activegamer"],
         "protocol": ["standard", "activegamer"],

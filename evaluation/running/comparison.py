@@ -12,12 +12,20 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
-from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, absolute_spec, is_reference, refuse_code
+from activestructure_gym.evaluation.archive.jobs import (
+    REFERENCE,
+    Job,
+    absolute_spec,
+    is_reference,
+    is_trajectory,
+    refuse_code,
+)
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
+from activestructure_gym.evaluation.running.following import Given
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.schedule import Terms, schedule_of
@@ -90,10 +98,11 @@ class Comparison:
         policies = self._check_policies()
         everybody = [*policies, *map(reference_job, self.references)]
         hashes = {}
-        with warming_up(policies or ["random"], self.overrides, notify):
+        planners = [policy for policy in policies if not is_trajectory(policy)]
+        with warming_up(planners or ["random"], self.overrides, notify):
             for number, spec in enumerate(self.scenes, start=1):
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
-                hashes[spec] = self._check_scene(spec).content_hash
+                hashes[spec] = self._check_scene(spec, policies).content_hash
             notify("making sure that all kernels are compiled")
         return [
             Job(
@@ -123,15 +132,22 @@ class Comparison:
         changes = dict(self.overrides)
         if self.frame_budget is not None:
             changes["frame_budget"] = self.frame_budget
+        named = []
         for spec in self.policies:
+            if is_trajectory(spec):
+                given = Given.of(spec)
+                configure(self.preset, given.changes(changes))
+                named.append(given.spec)
+                continue
+            named.append(canonical_policy(spec))
             policy = make_policy(spec)
             brought = schedule_of(policy, self.terms).overrides()
             configure(self.preset, brought | changes | {"gains": tuple(policy.required_gains)})
         for seed in self.seeds:
             Job(scene="", policy="", seed=seed, protocol=self.protocol, also=tuple(self.also_protocols))
-        return list(dict.fromkeys(canonical_policy(spec) for spec in self.policies))
+        return list(dict.fromkeys(named))
 
-    def _check_scene(self, spec: str) -> Scene:
+    def _check_scene(self, spec: str, policies: Sequence[str]) -> Scene:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.reconstruction_env import as_pose
         from activestructure_gym.ground_truth import check_start_pose, ground_truth_of
@@ -145,6 +161,8 @@ class Comparison:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.start_pose is not None:
             check_start_pose(known.free_space, scene.bounds, as_pose(self.start_pose), config.motion.body_radius)
+        for policy in filter(is_trajectory, policies):
+            Given.of(policy).course(known, config.keyframe_every)
         self.protocol.truth(known)
         for name in self.also_protocols:
             get_protocol(name).truth(known)

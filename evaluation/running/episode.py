@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.jobs import Job, is_reference
+from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.metrics.planning import planning_scores
@@ -163,6 +163,8 @@ def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
 def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
     """The job's policy and an env that offers the gains it asks for; or its reference, which alone gets the truth.
 
+    Or who follows the job's trajectory, which decides nothing.
+
     The env never ends an episode by how much surface was seen: that is ground truth, and no planner may profit.
     """
     from activestructure_gym.envs import ReconstructionEnv
@@ -181,6 +183,10 @@ def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
             start_pose=job.start_pose,
         )
         return make_reference(job.policy, env, known, job.protocol), env
+    if is_trajectory(job.policy):
+        from activestructure_gym.evaluation.running.following import follower_of
+
+        return follower_of(job, known)
     policy = make_policy(job.policy)
     env = ReconstructionEnv(
         scene=known,
@@ -205,7 +211,14 @@ def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Epis
         "gaussians": reconstruction.mapper.map.count,
         "collisions": path_collisions(scene, np.stack(reconstruction.trajectory)),
         "ended": episode.ended,
-    }
+    } | _followed(episode.env)
+
+
+def _followed(env: ReconstructionEnv) -> dict[str, float]:
+    """What is told of a trajectory that was given, nothing of any other."""
+    from activestructure_gym.evaluation.running.following import FollowingEnv, followed_metrics
+
+    return followed_metrics(env) if isinstance(env, FollowingEnv) else {}
 
 
 def path_collisions(scene: Scene, trajectory: np.ndarray) -> int:
@@ -241,7 +254,8 @@ class _Episode:
         observation, info = env.reset(seed=self.job.seed)
         policy.reset(self.job.seed)
         self._checkpoint()
-        ended = not np.any(observation["action_mask"])
+        given = is_trajectory(self.job.policy)
+        ended = not given and not np.any(observation["action_mask"])
         truncated = False
         while not (ended or truncated):
             began = time.perf_counter()
@@ -258,6 +272,7 @@ class _Episode:
             self.steps.append(step)
             self.tell(Progress("exploring", info["frames"], env.reconstruction.frame_budget, self.last_ratio))
         by_choice = "ended by the policy" if env.reconstruction.finished else "no candidate left"
+        by_choice = "the trajectory has ended" if given else by_choice
         self.ended = "frame budget used up" if truncated else by_choice
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
 
@@ -282,6 +297,8 @@ class _Episode:
 
         mask = observation["action_mask"]
         step: dict[str, Any] = {"decision": len(self.steps), "action": action, "candidates": int(np.sum(mask))}
+        if is_trajectory(self.job.policy):
+            return step | {"action": -1}
         if 0 <= action < len(mask):
             step["view"] = dict(zip(CANDIDATE_FEATURES, observation["candidates"][action]))
             step["gains"] = dict(zip(self.env.config.gains, observation["candidate_gains"][action]))
@@ -374,11 +391,13 @@ def _write_record(
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
-    """Every executed pose [T, 4, 4], which of them were keyframes [K], camera and range; see `Run.trajectory`."""
+    """Every executed pose [T, 4, 4], which of them were keyframes [K], decisions, camera, range; `Run.trajectory`."""
     camera = reconstruction.config.sensor.camera
     return {
         "world_from_camera": np.stack(reconstruction.trajectory),
         "keyframes": np.array(reconstruction.keyframe_indices, dtype=np.int64),
+        "keyframe_rounds": np.array(reconstruction.keyframe_rounds, dtype=np.int64),
+        "legs": np.array(reconstruction.legs, dtype=np.int64).reshape(-1, 3),
         "intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         "image_size": np.array([camera.width, camera.height], dtype=np.int64),
         "max_range": np.array(reconstruction.config.sensor.max_range, dtype=np.float64),

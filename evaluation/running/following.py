@@ -1,0 +1,222 @@
+"""Who follows a given trajectory in place of a policy: ``trajectory:FILE`` in the jobs of a comparison.
+
+The poses go through the sensor, the map and the protocols of every other run, frame by frame. Where a file is the
+``trajectory.npz`` of a run, keyframes, rounds and decisions are that run's, and so is the map, to the last bit, on the
+run's scene, seed and configuration.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.config import configure
+from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.envs.reconstruction_env import as_pose
+from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, Job
+from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
+from activestructure_gym.evaluation.trajectories.fit import checked
+from activestructure_gym.evaluation.trajectories.formats import arrays_of, find_file, read_poses
+from activestructure_gym.evaluation.trajectories.motion import motion_report
+from activestructure_gym.mapping import MAPPERS
+from activestructure_gym.motion import Leg, recorded_legs, regular_legs
+from activestructure_gym.specs import parse_options, typed_options
+
+if TYPE_CHECKING:
+    from activestructure_gym.ground_truth import GroundTruth
+
+_DIGITS = 8  # of the file's SHA-256, in its name
+_ROOM = 1e-3  # metres that must be free around the start of a camera that has been there
+
+
+@dataclass(frozen=True)
+class Given:
+    """A trajectory as it is asked for."""
+
+    place: str  # a file, or a folder that has one
+    digits: str = ""  # of the content that is meant
+    kind: str = "auto"  # format, see `formats`
+    axes: str = ""  # convention, see `axes`; the format's usual one if not given
+    inverted: bool = False  # whether poses map world to camera
+    start: tuple[float, float, float, float] | None = None  # x, y, z metres, yaw degrees, of the first pose
+    mapper: str = ""  # recipe that maps it; the configuration's if not given
+
+    @classmethod
+    def of(cls, spec: str) -> Given:
+        """What ``trajectory:FILE?axes=opengl&mapper=splatam`` asks for; raises `InputError`."""
+        name, _, query = spec.removeprefix(TRAJECTORY).partition("?")
+        place, at, digits = name.rpartition("@")
+        if not at or len(digits) != _DIGITS or Path(os.path.expanduser(name)).exists():
+            place, digits = name, ""
+        texts = parse_options(query, f"'{spec}'")
+        options = typed_options("a trajectory", _options, texts)
+        given = cls(place, digits, **{"kind" if key == "format" else key: value for key, value in options.items()})
+        if given.mapper and given.mapper not in MAPPERS:
+            raise unknown_name("mapper", given.mapper, MAPPERS)
+        return given
+
+    @property
+    def frames(self) -> int:
+        """Frames that it costs, whatever the scene."""
+        file, kind = self.file()
+        poses = read_poses(file, kind)
+        return Course(poses, _legs(file, kind, poses, 1)).frames
+
+    @property
+    def spec(self) -> str:
+        """The one text for it: absolute place, the first digits of its content, and what is not usual.
+
+        Raises `InputError` where the file is not there or another one than is meant.
+        """
+        file, kind = self.file()
+        usual = USUAL.get(kind, "opencv")
+        options = {
+            "axes": self.axes if self.axes not in ("", usual) else "",
+            "format": kind if kind != find_file(file)[1] else "",
+            "inverted": "true" if self.inverted else "",
+            "mapper": self.mapper,
+            "start": ",".join(f"{value:g}" for value in self.start or ()),
+        }
+        query = "&".join(f"{key}={value}" for key, value in options.items() if value)
+        return f"{TRAJECTORY}{file}@{_digits(file)}" + (f"?{query}" if query else "")
+
+    def file(self) -> tuple[Path, str]:
+        """The file and its format, checked against the digits."""
+        file, kind = find_file(self.place, self.kind)
+        file = file.resolve()
+        if any(letter in str(file) for letter in "?@,&"):
+            raise InputError(f"'{file}' has one of ? @ , & in its name, which separate options: rename it")
+        if self.digits and _digits(file) != self.digits:
+            raise InputError(f"the trajectory '{file}' has changed: expected {self.digits}, found {_digits(file)}")
+        return file, kind
+
+    def changes(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
+        """All changes of the preset's fields where ``overrides`` were asked for."""
+        mapper = {"mapper.name": self.mapper} if self.mapper else {}
+        return {"motion.body_radius": _ROOM, **overrides, **mapper}
+
+    def course(self, truth: GroundTruth, keyframe_every: int) -> Course:
+        """Its legs in a scene; raises `InputError` where a camera cannot have been there."""
+        file, kind = self.file()
+        written = read_poses(file, kind)
+        axes = self.axes or USUAL.get(kind, "opencv")
+        poses = in_our_axes(written, axes, inverted=self.inverted)
+        if self.start is not None:
+            poses = begun_at(poses, as_pose(self.start))
+        fit = checked(truth.free_space.clearance_at, written, poses, axes, self.inverted, file.name)
+        return Course(poses, _legs(file, kind, poses, keyframe_every), fit.outside)
+
+
+@dataclass(frozen=True)
+class Course:
+    """A trajectory in a scene."""
+
+    poses: np.ndarray  # [T, 4, 4] world_from_camera
+    legs: Sequence[Leg]  # what is done along them
+    outside: int = 0  # poses that are not in the scene's free space
+
+    @property
+    def frames(self) -> int:
+        """Frames that it costs, the first one included."""
+        return 1 + sum(len(leg.poses) + leg.lost + leg.stays for leg in self.legs)
+
+
+def named_trajectory(spec: str) -> str:
+    """The one text for ``trajectory:FILE?options``; raises `InputError`."""
+    return Given.of(spec).spec
+
+
+def _options(
+    format: str = "auto",
+    axes: str = "",
+    inverted: bool = False,
+    start: tuple[float, float, float, float] | None = None,
+    mapper: str = "",
+) -> None:
+    """The options of a trajectory, for `typed_options`."""
+
+
+def _digits(file: Path) -> str:
+    with open(file, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:_DIGITS]
+
+
+def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list[Leg]:
+    arrays = arrays_of(file) if kind == "npz" else {}
+    if not {"legs", "keyframes", "keyframe_rounds"} <= arrays.keys():
+        return regular_legs(poses, keyframe_every)
+    try:
+        return recorded_legs(arrays | {"world_from_camera": poses})
+    except (ValueError, IndexError) as error:
+        raise InputError(f"'{file}' is damaged: {error}") from error
+
+
+class FollowingEnv(ReconstructionEnv):
+    """An environment in which every step, whatever the action, is the next leg of a trajectory."""
+
+    def __init__(self, course: Course, **options: Any) -> None:
+        super().__init__(**options, start_pose=course.poses[0])
+        self.course = course
+        self._next = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin where the trajectory begins."""
+        self._next = 0
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Follow the next leg; terminates with the last one."""
+        legs = self.course.legs
+        leg = legs[self._next] if self._next < len(legs) else Leg(self.course.poses[:0], ())
+        self._next += 1
+        observation, reward, _, truncated, info = self._outcome(self.reconstruction.follow(leg), invalid=False)
+        return observation, reward, self._next >= len(legs), truncated, info
+
+
+class Follower:
+    """In place of a policy: decides nothing."""
+
+    def reset(self, seed: int) -> None:
+        """Nothing is drawn."""
+
+    def act(self, observation: dict[str, np.ndarray]) -> int:
+        """Any row: `FollowingEnv` takes none."""
+        return 0
+
+    def trace(self) -> dict[str, Any]:
+        """Nothing was weighed."""
+        return {}
+
+
+def follower_of(job: Job, known: GroundTruth) -> tuple[Follower, FollowingEnv]:
+    """Who follows the trajectory of a job, and its env."""
+    given = Given.of(job.policy)
+    changes = given.changes(dict(job.overrides))
+    config = configure(job.preset, changes)
+    course = given.course(known, config.keyframe_every)
+    env = FollowingEnv(
+        course,
+        scene=known,
+        preset=job.preset,
+        frame_budget=job.frame_budget,
+        gains=(),
+        config=changes,
+        coverage_target=None,
+    )
+    return Follower(), env
+
+
+def followed_metrics(env: FollowingEnv) -> dict[str, float]:
+    """How the trajectory moved beside the limits of planners, and how many of its poses stand in something."""
+    motion, executed = env.config.motion, np.stack(env.reconstruction.trajectory)
+    told = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)
+    return {**told, "poses_outside": env.course.outside}

@@ -1,0 +1,104 @@
+"""Trajectories as jobs: a run's own gives the run's map, another's is measured as it is or refused."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation import StandardProtocol, compare
+from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.running.comparison import Comparison
+from activestructure_gym.evaluation.running.following import Given, named_trajectory
+from activestructure_gym.geometry import look_along
+
+PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
+CONFIG = {"mapper.iterations": 2, "keyframe_every": 5, "views.max_revisits": 4}
+USUAL: dict[str, Any] = {"preset": "fast", "frame_budget": 40, "engine": "inline", "protocol": PROTOCOL}
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    (run,) = compare(["box"], ["random"], tmp_path_factory.mktemp("played") / "runs", config=CONFIG, **USUAL).runs
+    return run
+
+
+def test_a_run_scored_by_its_own_trajectory_is_the_same_run(played: Run, tmp_path: Path) -> None:
+    spec = f"trajectory:{played.directory / 'trajectory.npz'}"
+    result = compare(["box"], [spec, "random"], tmp_path / "runs", config=CONFIG, **USUAL)
+    again = next(run for run in result.runs if is_trajectory(run.job.policy))
+    for file in ("map.npz", "map.ply", "graph.npz", "trajectory.npz"):
+        assert (again.directory / file).read_bytes() == (played.directory / file).read_bytes(), file
+    numbers, before = again.metrics["metrics"], played.metrics["metrics"]
+    assert {name: numbers[name] for name in before} == before
+    assert again.metrics["curve"] == played.metrics["curve"]
+    assert (numbers["steps_too_long"], numbers["turns_too_wide"], numbers["poses_outside"]) == (0, 0, 0)
+    kept = compare(["box"], [spec], tmp_path / "runs", config=CONFIG, resume=True, **USUAL)
+    assert kept.skipped == 1 and not kept.failed
+
+
+def write(place: Path, poses: np.ndarray) -> Path:
+    place.write_text("\n".join(" ".join(f"{value:.17g}" for value in pose.ravel()) for pose in poses))
+    return place
+
+
+def flown(start: np.ndarray) -> np.ndarray:
+    """Six poses on the spot that turn by 15 degrees each."""
+    angles = np.radians(15.0 * np.arange(6))
+    return np.stack([look_along(start[:3, 3], np.array([np.cos(a), np.sin(a), 0.0])) for a in angles])
+
+
+def test_what_a_trajectory_does_beyond_the_limits_is_told(played: Run, tmp_path: Path) -> None:
+    poses = flown(played.trajectory["world_from_camera"][0])
+    poses[3:, :3, 3] += [0.0, 0.0, 0.15]
+    file = write(tmp_path / "poses.txt", poses)
+    (run,) = compare(["box"], [f"trajectory:{file}?mapper=splatam"], tmp_path / "runs", config=CONFIG, **USUAL).runs
+    numbers = run.metrics["metrics"]
+    assert (numbers["frames"], numbers["ended"]) == (6, "the trajectory has ended")
+    assert (numbers["steps_too_long"], numbers["turns_too_wide"], numbers["collisions"]) == (1, 5, 0)
+    assert numbers["largest_step_m"] == pytest.approx(0.15) and numbers["largest_turn_deg"] == pytest.approx(15.0)
+    assert run.config["configuration"]["mapper"]["name"] == "splatam"
+    assert run.trajectory["keyframes"].tolist() == [0, 4, 5]
+    assert run.policy.startswith(f"trajectory:{tmp_path.name}@") and run.policy.endswith("?mapper=splatam")
+
+
+def test_a_wrong_convention_is_refused_before_anything_runs(played: Run, tmp_path: Path) -> None:
+    poses = flown(played.trajectory["world_from_camera"][0])
+    poses[:, :3, 1:3] *= -1  # as OpenGL has them
+    file = write(tmp_path / "poses.txt", poses)
+    with pytest.raises(InputError, match="the most likely convention is --axes opengl"):
+        Comparison(["box"], [f"trajectory:{file}"], preset="fast").prepare()
+    relative = write(tmp_path / "relative.txt", np.linalg.inv(poses[0]) @ poses)
+    with pytest.raises(InputError, match="--start x,y,z,yaw says"):
+        Comparison(["box"], [f"trajectory:{relative}"], preset="fast").prepare()
+
+
+def test_a_trajectory_has_one_name_and_is_known_by_its_content(played: Run, tmp_path: Path) -> None:
+    file = write(tmp_path / "way.txt", flown(np.eye(4)))
+    spec = named_trajectory(f"trajectory:{file}?axes=opencv&format=nice_slam&mapper=splatam")
+    assert (
+        spec == named_trajectory(spec) and spec.startswith(f"trajectory:{file}@") and spec.endswith("?mapper=splatam")
+    )
+    assert policy_label(spec) == f"trajectory:way@{spec.partition('@')[2]}"
+    refuse_code([Job("box", spec, 0)], "a file")
+    assert Given.of(spec).frames == 6
+    write(file, flown(np.eye(4))[:3])
+    with pytest.raises(InputError, match=r"way.txt' has changed: expected"):
+        named_trajectory(spec)
+    with pytest.raises(InputError, match="unknown mapper 'splatan'; did you mean 'splatam'"):
+        named_trajectory(f"trajectory:{file}?mapper=splatan")
+    with pytest.raises(InputError, match="which separate options: rename it"):
+        named_trajectory(f"trajectory:{shutil.copy(file, tmp_path / 'a&b.txt')}")
+
+
+def test_damaged_legs_are_refused(played: Run, tmp_path: Path) -> None:
+    arrays = {**played.trajectory, "legs": np.array([[99, 99, 0]])}
+    np.savez(tmp_path / "trajectory.npz", **arrays)
+    with pytest.raises(InputError, match="is damaged: legs must rise"):
+        Comparison(["box"], [f"trajectory:{tmp_path}"], preset="fast").prepare()

@@ -1,0 +1,58 @@
+"""Legs of a trajectory, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.motion import recorded_legs, regular_legs
+
+
+def poses(count: int) -> np.ndarray:
+    made = np.tile(np.eye(4), (count, 1, 1))
+    made[:, 0, 3] = 0.1 * np.arange(count)
+    return made
+
+
+def test_every_fifth_frame_and_the_last_are_keyframes_of_a_bare_trajectory() -> None:
+    legs = regular_legs(poses(23), keyframe_every=5)
+    assert [len(leg.poses) for leg in legs] == [19, 3], "four keyframes a leg: frames 5, 10, 15 and 20, then the last"
+    rounds = [0, *legs[0].rounds, *legs[1].rounds]
+    assert [frame for frame, times in enumerate(rounds, start=1) if times] == [5, 10, 15, 20, 23]
+    np.testing.assert_array_equal(np.concatenate([leg.poses for leg in legs]), poses(23)[1:])
+    assert regular_legs(poses(1), 5) == []
+    assert [leg.rounds for leg in regular_legs(poses(2), 5)] == [(1,)]
+
+
+def arrays() -> dict[str, np.ndarray]:
+    """A way of two frames, a frame lost, three frames in place, and a revisit of four rounds."""
+    return {
+        "world_from_camera": poses(7),
+        "keyframes": np.array([0, 2, 6]),
+        "keyframe_rounds": np.array([1, 1, 4]),
+        "legs": np.array([[3, 3, 0], [3, 4, 0], [6, 7, 1], [7, 8, 0]]),
+    }
+
+
+def test_the_legs_of_a_run_are_read_back() -> None:
+    walk, lost, stay, revisit = recorded_legs(arrays())
+    assert walk.rounds == (0, 1) and np.array_equal(walk.poses, poses(7)[1:3])
+    assert (lost.lost, len(lost.poses)) == (1, 0)
+    assert (stay.stays, len(stay.poses), stay.lost) == (3, 0, 0)
+    assert revisit.rounds == (4,) and revisit.lost == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("legs", np.array([[3, 3, 0], [2, 4, 0], [6, 7, 1], [7, 8, 0]]), "must rise"),
+        ("legs", np.array([[8, 9, 0]]), "must rise to the 7 poses"),
+        ("legs", np.array([[7, 5, 0]]), "a frame be paid for each"),
+        ("legs", np.zeros((2, 3)), r"whole numbers \[D, 3\]"),
+        ("keyframe_rounds", np.array([1, 1]), "each of 3 keyframes"),
+        ("keyframe_rounds", np.array([1, 1, 10**6]), "from 0 to 1000"),
+    ],
+)
+def test_legs_that_do_not_fit_are_refused(name: str, value: np.ndarray, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        recorded_legs({**arrays(), name: value})

@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 GUIDE = Path(__file__).resolve().parents[1] / "docs" / "guide"
-SHOWN = ("first_episode.md", "compare.md", "own_parts.md", "run_format.md")
+SHOWN = ("first_episode.md", "compare.md", "own_parts.md", "run_format.md", "watching.md")
 
 
 def blocks(page: str) -> list[str]:

@@ -1,0 +1,121 @@
+"""The gallery of policies: what each decides by, its equation as its docstring gives it, and its curve among all."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from activestructure_gym.policies import POLICIES, Policy
+
+DOCS = Path(__file__).parents[1]
+CURVES = DOCS / "images" / "benchmark_curves.json"
+_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 340, 150, 34, 22  # of a chart, pixels
+_MEASURE, _LOW, _HIGH = "observed", 20.0, 90.0  # of the vertical axis, percent
+
+
+def pages() -> dict[str, str]:
+    """The gallery, and a page per policy."""
+    told = json.loads(CURVES.read_text(encoding="utf-8"))
+    sections = _sections((DOCS / "guide" / "planners.md").read_text(encoding="utf-8"))
+    names = sorted(POLICIES)
+    texts = {f"policies/{name}.md": _page(name, told, sections) for name in names}
+    last = {name: told["policies"][name][_MEASURE][-1] for name in names if name in told["policies"]}
+    order = sorted(last, key=lambda name: -last[name]) + [name for name in names if name not in last]
+    cards = "\n".join(_card(name, told) for name in order)
+    texts["policies/index.md"] = (
+        "# Policies\n\n"
+        f"Every policy that ships, first those that observed most of the surface in the benchmark ({told['runs']} runs "
+        f"each on {told['scenes']} scenes, 300 frames; [benchmark.md](../../notebook/benchmark.md)). A curve is the "
+        "share of the observable surface that was observed, over frames; the other policies stand behind it in grey. "
+        "Those at the end came after that benchmark; what their runs showed is in "
+        "[the notebook](../../notebook/planners.md).\n\n"
+        f'```{{raw}} html\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
+        "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
+    )
+    return texts
+
+
+def _card(name: str, told: dict) -> str:
+    kind = POLICIES.get(name)
+    chart = _chart(name, told) if name in told["policies"] else '<p class="none">no run in the benchmark</p>'
+    decides = _plain(kind.decides_by or _first(kind))
+    return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{chart}</a>'
+
+
+def _page(name: str, told: dict, sections: dict[str, str]) -> str:
+    kind = POLICIES.get(name)
+    parts = [f"# `{name}`\n", f"Decides by: {kind.decides_by or _first(kind)}. Source: {kind.source}.\n"]
+    if name in told["policies"]:
+        mine = told["policies"][name]
+        row = " | ".join(f"{mine[key][-1]:.1f}" for key in ("observed", "completion_ratio", "psnr"))
+        parts.append(
+            f"```{{raw}} html\n{_chart(name, told)}\n```\n\n"
+            "| after 300 frames | observed (%) | C.R. of means (%) | PSNR (dB) |\n|---|---:|---:|---:|\n"
+            f"| `{name}` | {row} |\n\n"
+            f"Means over {told['scenes']} scenes of means over seeds, {told['runs']} runs; with intervals in "
+            "[benchmark.md](../../notebook/benchmark.md).\n"
+        )
+    where = sections.get(name) or sections.get(name.removesuffix("_cov"))
+    if where:
+        parts.append(f"Formula, and what differs from the original: [planners.md](../../guide/planners.md#{where}).\n")
+    parts.append(
+        f"```{{eval-rst}}\n.. autoclass:: {kind.__module__}.{kind.__name__}\n   :no-index:\n   :show-inheritance:\n"
+        f"```\n\n```bash\nasg compare --policies {name},hole_area    # against the area of holes\n"
+        f"asg watch --policy {name}\n```\n"
+    )
+    return "\n".join(parts)
+
+
+def _sections(guide: str) -> dict[str, str]:
+    """Anchors of the headings of planners.md, by the policies they name."""
+    found = {}
+    for heading in re.findall(r"^## (.*)$", guide, flags=re.MULTILINE):
+        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for name in re.findall(r"`([\w-]+)`", heading):
+            found.setdefault(name, anchor)
+    return found
+
+
+def _first(kind: type[Policy]) -> str:
+    return (kind.__doc__ or "").strip().partition("\n")[0].rstrip(".")
+
+
+def _plain(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace("`", "")
+
+
+def _chart(name: str, told: dict) -> str:
+    frames = told["frames"]
+    grey = "".join(
+        _line(frames, told["policies"][other][_MEASURE], "other") for other in told["policies"] if other != name
+    )
+    mine = told["policies"][name][_MEASURE]
+    ticks = "".join(
+        f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH}" y1="{_y(value):.0f}" y2="{_y(value):.0f}"/>'
+        f'<text x="{_LEFT - 4}" y="{_y(value) + 4:.0f}" text-anchor="end">{value:.0f}</text>'
+        for value in (30.0, 50.0, 70.0, 90.0)
+    )
+    below = "".join(
+        f'<text x="{_x(frame, frames):.0f}" y="{_HEIGHT - 6}" text-anchor="{place}">{frame}</text>'
+        for frame, place in ((0, "start"), (100, "middle"), (200, "middle"), (300, "end"))
+    )
+    said = f"{name}: {mine[-1]:.0f} percent of the surface observed after {frames[-1]} frames"
+    lines = f"{ticks}{below}{grey}{_line(frames, mine, 'mine')}"
+    return f'<svg class="curve" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{said}">{lines}</svg>'
+
+
+def _line(frames: Sequence[float], values: Sequence[float], kind: str) -> str:
+    points = " ".join(
+        f"{_x(frame, frames):.1f},{_y(value):.1f}" for frame, value in zip(frames, values) if value >= _LOW
+    )
+    return f'<polyline class="{kind}" points="{points}"/>'
+
+
+def _x(frame: float, frames: Sequence[float]) -> float:
+    return _LEFT + (_WIDTH - _LEFT) * frame / frames[-1]
+
+
+def _y(value: float) -> float:
+    return 4 + (_HEIGHT - _BOTTOM - 4) * (_HIGH - value) / (_HIGH - _LOW)

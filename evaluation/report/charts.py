@@ -7,16 +7,26 @@ where its axes lie, so that the page can read a curve off (docs/notebook/perform
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
+from activestructure_gym.evaluation.report.drawing import (
+    Group,
+    Part,
+    drawing,
+    mark,
+    path,
+    shape,
+    stroke,
+    thinned,
+    words,
+)
 from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.layout import Judgement
-from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
+from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT, hue, is_grey
 
 _SIZE = (460, 300)  # of a line chart, in the units of its view box
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 18, 10, 44
@@ -26,41 +36,6 @@ _LETTERS = 27  # of a name beside or above a curve
 _BETWEEN = (12, 30)  # panels, to the right and downwards
 _EMPTY = 0.2  # share of the horizontal axis that may lie before the first curve
 _DASHES = ("", "7 4", "9 3 2 3", "2 3", "9 3 2 3 2 3", "1 2", "14 4", "4 6")
-_MARKS = (
-    "M-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", "M-3.6 -3.6h7.2v7.2h-7.2z", "M0 -4.8L4.6 3.4H-4.6z", "M0 -5L5 0L0 5L-5 0z",
-    "M0 4.8L4.6 -3.4H-4.6z", "M-1.6 -4.6h3.2v3h3v3.2h-3v3h-3.2v-3h-3v-3.2h3z",
-    "M-4.6 -2.8L-2.8 -4.6L0 -1.8L2.8 -4.6L4.6 -2.8L1.8 0L4.6 2.8L2.8 4.6L0 1.8L-2.8 4.6L-4.6 2.8L-1.8 0z",
-    "M0 -5.2L1.4 -1.7L5 -1.7L2.1 .7L3.1 4.4L0 2.2L-3.1 4.4L-2.1 .7L-5 -1.7L-1.4 -1.7z",
-)  # fmt: skip
-
-
-class _Shape(NamedTuple):
-    """An SVG element of a chart, by its attributes."""
-
-    attributes: dict[str, str | None]
-
-
-class _Words(NamedTuple):
-    """A text element of a chart."""
-
-    text: str
-    x: float
-    y: float
-    anchor: str
-    kind: str | None
-    transform: str | None
-
-
-_Part = _Shape | _Words
-
-
-class _Group(NamedTuple):
-    """The elements of one policy."""
-
-    attributes: dict[str, str]
-    parts: Sequence[_Part]
-    below: Sequence[_Part] = ()  # painted before what all groups share
-    says: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,36 +84,39 @@ def line_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str,
     def y_of(value: float) -> float:
         return height - _BOTTOM - (value - y_range[0]) / (y_range[1] - y_range[0]) * (height - _TOP - _BOTTOM)
 
-    parts: list[_Part] = []
+    parts: list[Part] = []
     for tick in y_ticks:
-        parts.append(_stroke("grid", left, y_of(tick), width - _RIGHT, y_of(tick)))
-        parts.append(_words(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
+        parts.append(stroke("grid", left, y_of(tick), width - _RIGHT, y_of(tick)))
+        parts.append(words(tick_text(tick, y_ticks), left - 7, y_of(tick) + 4, "end"))
     for tick in x_ticks:
-        parts.append(_stroke("tick", x_of(tick), height - _BOTTOM, x_of(tick), height - _BOTTOM + 4))
-        parts.append(_words(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
-    parts.append(_stroke("axis", left, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
-    parts.append(_words(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
+        parts.append(stroke("tick", x_of(tick), height - _BOTTOM, x_of(tick), height - _BOTTOM + 4))
+        parts.append(words(tick_text(tick, x_ticks), x_of(tick), height - _BOTTOM + 17, "middle"))
+    parts.append(stroke("axis", left, height - _BOTTOM, width - _RIGHT, height - _BOTTOM))
+    parts.append(words(x_label, (left + width - _RIGHT) / 2, height - 8, "middle", "label"))
     middle = (_TOP + height - _BOTTOM) / 2
-    parts.append(_words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
+    parts.append(words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"))
     groups = []
-    for line in lines:
+    for line in sorted(lines, key=lambda line: not is_grey(line.index)):  # those in colour lie on top
         places = [x_of(float(x)) for x in line.x]
-        own: list[_Part] = []
-        if line.low is not None and line.high is not None:
+        own: list[Part] = []
+        grey = is_grey(line.index)
+        if line.low is not None and line.high is not None and not grey:
             edge = [*zip(places, line.high), *reversed(list(zip(places, line.low)))]
-            own.append(_shape("band", _path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
+            own.append(shape("band", path([(x, y_of(float(y))) for x, y in edge]) + "Z"))
         curve = [(x, y_of(float(y))) for x, y in zip(places, line.y)]
-        own.append(_shape("curve", _path(curve), **{"stroke-dasharray": _DASHES[line.index % len(_DASHES)] or None}))
-        own.append(_mark(line.index, *curve[-1]))
-        kind = f"series s{line.index} p{line.index % len(COLOURS)}"
-        groups.append(_Group({"class": kind, "data-name": line.name}, own))
+        if grey:
+            own.append(shape("curve", path(thinned(curve))))
+        else:
+            own.append(shape("curve", path(curve), **{"stroke-dasharray": _DASHES[line.index] or None}))
+            own.append(mark(line.index, *curve[-1]))
+        groups.append(Group({"class": f"series s{line.index} {hue(line.index)}", "data-name": line.name}, own))
     data = {
         "data-frame": f"{left} {_TOP} {width - _RIGHT} {height - _BOTTOM}",
         "data-x": f"{x_range[0]:g} {x_range[1]:g}",
         "data-y": f"{y_range[0]:g} {y_range[1]:g}",
         "data-unit": f"{x_label}|{y_label}",
     }
-    return _chart("chart", (width, height), title, axes=parts, groups=groups, data=data)
+    return drawing("chart", (width, height), title, axes=parts, groups=groups, data=data)
 
 
 def span(lines: Sequence[Line], holds: Sequence[float] = ()) -> tuple[float, float]:
@@ -171,38 +149,38 @@ def panel_chart(lines: Sequence[Line], *, title: str, x_label: str, y_label: str
         upwards = np.clip((y - y_low) / (y_high - y_low), 0.0, 1.0)
         return list(zip((x / right * panel_width).tolist(), ((1.0 - upwards) * panel_height).tolist()))
 
-    others = "".join(_path(places(line.x, line.y)) for line in lines)
-    mark = "others-" + "".join(letter if letter.isalnum() else "-" for letter in title)
+    others = "".join(path(places(line.x, line.y)) for line in lines)
+    others_id = "others-" + "".join(letter if letter.isalnum() else "-" for letter in title)
     groups = []
     for number, line in enumerate(lines):
         column, row = number % columns, number // columns
         lowest = number + columns >= len(lines)  # nothing stands below it
-        below: list[_Part] = []
+        below: list[Part] = []
         for tick in y_ticks:
             y = panel_height * (1.0 - (tick - y_low) / (y_high - y_low))
-            below.append(_stroke("grid", 0.0, y, panel_width, y))
+            below.append(stroke("grid", 0.0, y, panel_width, y))
             if column == 0:
-                below.append(_words(tick_text(tick, y_ticks), -7, y + 4, "end"))
+                below.append(words(tick_text(tick, y_ticks), -7, y + 4, "end"))
         if lowest:
             for tick in x_ticks:
                 x = tick / right * panel_width
                 anchor = "start" if x < 15 else "end" if x > panel_width - 15 else "middle"  # panels stand close
-                below.append(_words(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
-        own: list[_Part] = []
+                below.append(words(tick_text(tick, x_ticks), x, panel_height + 17, anchor))
+        own: list[Part] = []
         if line.low is not None and line.high is not None:
             edge = [*places(line.x, line.high), *reversed(places(line.x, line.low))]
-            own.append(_shape("band", _path(edge) + "Z"))
-        own.append(_shape("curve", _path(places(line.x, line.y))))
-        own.append(_words(shortened(line.name, _LETTERS), 0, -6, "start", "label"))
+            own.append(shape("band", path(edge) + "Z"))
+        own.append(shape("curve", path(places(line.x, line.y))))
+        own.append(words(shortened(line.name, _LETTERS), 0, -6, "start", "label"))
         place = f"translate({_LEFT + column * (panel_width + _BETWEEN[0])} {20 + row * (panel_height + _BETWEEN[1])})"
-        groups.append(_Group({"class": f"panel p{line.index % len(COLOURS)}", "transform": place}, own, below))
+        groups.append(Group({"class": f"panel {hue(line.index)}", "transform": place}, own, below))
     middle = height / 2
     labels = [
-        _words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"),
-        _words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"),
+        words(x_label, (_LEFT + width - _RIGHT) / 2, height - 6, "middle", "label"),
+        words(y_label, 12, middle, "middle", "label", transform=f"rotate(-90 12 {middle:g})"),
     ]
-    shared = {"id": mark, "d": others}
-    return _chart("chart panels", (width, height), title, groups=groups, labels=labels, shared=shared)
+    shared = {"id": others_id, "d": others}
+    return drawing("chart panels", (width, height), title, groups=groups, labels=labels, shared=shared)
 
 
 def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Markup:
@@ -220,36 +198,39 @@ def interval_chart(bars: Sequence[Bar], *, title: str, label: str) -> Markup:
         return name_width + (value - low) / (high - low) * (width - name_width - _RIGHT)
 
     floor = height - _BOTTOM
-    parts: list[_Part] = []
+    parts: list[Part] = []
     for tick in x_ticks:
-        parts.append(_stroke("grid", x_of(tick), _TOP, x_of(tick), floor))
-        parts.append(_words(tick_text(tick, x_ticks, signed=True), x_of(tick), floor + 17, "middle"))
-    parts.append(_stroke("zero", x_of(0.0), _TOP - 4, x_of(0.0), floor))
-    parts.append(_words(label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
+        parts.append(stroke("grid", x_of(tick), _TOP, x_of(tick), floor))
+        parts.append(words(tick_text(tick, x_ticks, signed=True), x_of(tick), floor + 17, "middle"))
+    parts.append(stroke("zero", x_of(0.0), _TOP - 4, x_of(0.0), floor))
+    parts.append(words(label, (name_width + width - _RIGHT) / 2, height - 8, "middle", "label"))
     groups = []
     for number, bar in enumerate(bars):
         y = _TOP + row * (number + 0.5)
-        own: list[_Part] = [_words(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
+        own: list[Part] = [words(shortened(bar.name, _LETTERS), name_width - 8, y + 4, "end")]
         if bar.low is not None and bar.high is not None:
-            own.append(_stroke("interval", x_of(bar.low), y, x_of(bar.high), y))
-            own += [_stroke("interval end", x_of(end), y - 5, x_of(end), y + 5) for end in (bar.low, bar.high)]
-        own.append(_mark(bar.index, x_of(bar.value), y))
+            own.append(stroke("interval", x_of(bar.low), y, x_of(bar.high), y))
+            own += [stroke("interval end", x_of(end), y - 5, x_of(end), y + 5) for end in (bar.low, bar.high)]
+        own.append(mark(bar.index, x_of(bar.value), y))
         says = f"{bar.name}: {bar.value:+.3g}"
         if bar.low is not None and bar.high is not None:
             says += f", 95 % interval {bar.low:+.3g} to {bar.high:+.3g}"
-        groups.append(_Group({"class": f"row {bar.tone} p{bar.index % len(COLOURS)}"}, own, says=says))
-    return _chart("chart intervals", (width, height), title, axes=parts, groups=groups)
+        groups.append(Group({"class": f"row {bar.tone} {hue(bar.index)}"}, own, says=says))
+    return drawing("chart intervals", (width, height), title, axes=parts, groups=groups)
 
 
 def key_mark(index: int) -> Markup:
     """A policy's line and mark, for a legend."""
-    line = _shape("curve", "M1 7H33", **{"stroke-dasharray": _DASHES[index % len(_DASHES)] or None})
-    mark = _shape("mark", _MARKS[index % len(_MARKS)], transform="translate(17 7)")
-    return render("key_mark.svg.j2", kind=f"key p{index % len(COLOURS)}", parts=[line, mark])
+    line = shape("curve", "M1 7H33", **{"stroke-dasharray": _DASHES[index % len(_DASHES)] or None})
+    return render("key_mark.svg.j2", kind=f"key {hue(index)}", parts=[line, mark(index, 17, 7)])
 
 
 def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, title: str) -> str:
-    """Rows of charts as one SVG file with a legend of ``names``, for pages that are not ours."""
+    """Rows of charts as one SVG file with a legend of ``names``, for pages that are not ours.
+
+    Those that are grey share an entry.
+    """
+    names, grey = names[: len(COLOURS)], len(names[len(COLOURS) :])
     placed, right, y = [], 0.0, 40.0
     for row in charts:
         sizes = [_size(chart) for chart in row]
@@ -263,15 +244,18 @@ def standalone(charts: Sequence[Sequence[Markup]], names: Sequence[str], *, titl
         needed = 64 + 7.2 * len(name)
         if x > 16.0 and x + needed > right:
             x, y = 16.0, y + 22
-        legend.append((_placed(key_mark(index), x, y, 34, 14), _words(name, x + 40, y + 11, "start")))
+        legend.append((_placed(key_mark(index), x, y, 34, 14), words(name, x + 40, y + 11, "start")))
         x += needed
+    if grey:
+        x, y = 16.0, y + 22
+        legend.append((_placed(key_mark(len(COLOURS)), x, y, 34, 14), words(f"{grey} others", x + 40, y + 11, "start")))
     right, y = max(right, math.ceil(x)), y + 26 if names else y
     whole = render(
         "standalone.svg.j2",
         width=f"{right:g}",
         height=f"{y:g}",
         style=Markup(chart_style()),
-        heading=[_words(title, 12, 24, "start", "heading")],
+        heading=[words(title, 12, 24, "start", "heading")],
         charts=placed,
         legend=legend,
     )
@@ -296,6 +280,7 @@ def chart_style() -> str:
     return (
         "svg{--ink:#212529;--faint:#6c757d;--hair:#dee2e6}"
         f"{colours}"
+        ".rest{--c:var(--faint)}.series.rest .curve{stroke-width:1;opacity:.4}"
         "@media(prefers-color-scheme:dark){svg{--ink:#e6e9ec;--faint:#9aa4ad;--hair:#39414a}" + by_night + "}"
         "text{font:13px system-ui,sans-serif;fill:var(--faint)}.label,.heading{fill:var(--ink)}"
         ".heading{font-size:17px;font-weight:700}"
@@ -331,41 +316,3 @@ def shortened(text: str, letters: int) -> str:
         return text
     head = (letters - 1) // 2
     return f"{text[:head]}…{text[len(text) - (letters - 1 - head) :]}"
-
-
-def _path(points: Sequence[tuple[float, float]]) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
-
-
-def _shape(kind: str, d: str, **attributes: str | None) -> _Shape:
-    return _Shape({"class": kind, "d": d, **attributes})
-
-
-def _stroke(kind: str, x1: float, y1: float, x2: float, y2: float) -> _Shape:
-    return _shape(kind, f"M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}")
-
-
-def _mark(index: int, x: float, y: float) -> _Shape:
-    return _shape("mark", _MARKS[index % len(_MARKS)], transform=f"translate({x:.1f} {y:.1f})")
-
-
-def _words(text: str, x: float, y: float, anchor: str, kind: str | None = None, transform: str | None = None) -> _Words:
-    return _Words(text, x, y, anchor, kind, transform)
-
-
-def _chart(
-    kind: str,
-    size: tuple[float, float],
-    title: str,
-    *,
-    axes: Sequence[_Part] = (),
-    groups: Sequence[_Group] = (),
-    labels: Sequence[_Part] = (),
-    data: Mapping[str, str] | None = None,
-    shared: Mapping[str, str] | None = None,  # a path that every group has
-) -> Markup:
-    width, height = size
-    return render(
-        "chart.svg.j2", kind=kind, width=width, height=height, title=title, axes=axes, groups=groups, labels=labels,
-        data=data or {}, shared=shared,
-    )  # fmt: skip

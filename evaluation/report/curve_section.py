@@ -21,13 +21,14 @@ def convergence_section(results: Results) -> Markup:
     says += ", band: 95 % bootstrap interval at every place" if seeds > 1 else "; no band with one seed"
     return render(
         "convergence.html.j2",
-        legend=[(policy, key_mark(index)) for index, policy in enumerate(results.policies)],
+        legend=[(policy, key_mark(index)) for index, policy in enumerate(results.palette[: len(style.COLOURS)])],
+        rest=results.palette[len(style.COLOURS) :],
         says=says,
         charts=chart_grid(results),
         panels=policy_panels(results),
         interquartile=chart_grid(results, None, interquartile_mean) if seeds > 1 else None,
-        planning=None if planning is None else html_table(planning, colours=results.policies),
-        areas=html_table(verdicts.area_table(results), colours=results.policies),
+        planning=None if planning is None else html_table(planning, colours=results.palette),
+        areas=html_table(verdicts.area_table(results), colours=results.palette),
     )
 
 

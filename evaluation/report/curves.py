@@ -12,7 +12,8 @@ from markupsafe import Markup
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts import Line, line_chart, span
 from activestructure_gym.evaluation.report.results import Results, once
-from activestructure_gym.evaluation.statistics import Statistic, area_under, curve_band, mean, on_axis
+from activestructure_gym.evaluation.report.style import is_grey
+from activestructure_gym.evaluation.statistics import BAND_REPEATS, Statistic, area_under, curve_band, mean, on_axis
 
 _POINTS = 61  # places of the common axis
 _SETTLED = 0.01  # of a chart's height, within which of its end a curve says nothing more
@@ -80,15 +81,17 @@ def convergence(
     scene: str | None = None,
     statistic: Statistic = mean,
     until: float = math.inf,
+    banded: bool = True,
 ) -> list[Line]:
     """A line per policy that has curves on the scene, or on all of them: the statistic with its 95 % band.
 
-    Curves are brought onto one axis; a run that has ended keeps its last value. A line begins where all of its runs
-    have begun and ends with the longest of them, or at ``until``.
+    Those without a colour have their bands only where everybody is ``banded``. Curves are brought onto one axis; a run
+    that has ended keeps its last value. A line begins where all of its runs have begun and ends with the longest of
+    them, or at ``until``.
     """
     lines = []
     scenes = [scene] if scene else results.scenes
-    for index, policy in enumerate(results.policies):
+    for policy in results.policies:
         strata = [_curves(results.of(policy, own), cost, measure) for own in scenes]
         if not all(strata):
             continue
@@ -96,8 +99,9 @@ def convergence(
         start, end = max(x[0] for x, _ in curves), max(x[-1] for x, _ in curves)
         axis = np.linspace(start, max(start, min(end, until)), _POINTS)
         on_one = [np.stack([on_axis(x, y, axis) for x, y in own]) for own in strata]
-        value, low, high = curve_band(on_one, statistic)
-        lines.append(Line(policy, index, axis, value, low, high))
+        index = results.palette.index(policy)
+        repeats = BAND_REPEATS if banded or not is_grey(index) else 0
+        lines.append(Line(policy, index, axis, *curve_band(on_one, statistic, repeats=repeats)))
     return lines
 
 
@@ -126,14 +130,14 @@ def _telling(results: Results, cost: Cost, measure: Measure, scene: str | None, 
 
     Frames are the budget and always shown whole.
     """
-    lines = convergence(results, cost.key, measure.key, scene, statistic)
+    lines = convergence(results, cost.key, measure.key, scene, statistic, banded=False)
     if cost.key == "frames" or not lines:
         return lines
     low, high = span(lines)
     settled = max(_settled(line, _SETTLED * (high - low)) for line in lines)
     if not max(line.x[0] for line in lines) < settled < _TAIL * max(line.x[-1] for line in lines):
         return lines
-    return convergence(results, cost.key, measure.key, scene, statistic, until=1.1 * settled)
+    return convergence(results, cost.key, measure.key, scene, statistic, until=1.1 * settled, banded=False)
 
 
 def _settled(line: Line, within: float) -> float:

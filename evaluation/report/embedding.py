@@ -10,8 +10,8 @@ from PIL import Image
 
 from activestructure_gym.evaluation.report.html import render
 
-WIDE, THUMBNAIL = 560, 280  # pixels: of a picture that is looked at, of one among many
-_QUALITY = 60  # of WebP
+WIDE, THUMBNAIL = 480, 240  # pixels: of a picture that is looked at, of one among many
+_QUALITY = 55  # of WebP
 
 
 def data_uri(image: Image.Image, *, widest: int = WIDE) -> str:

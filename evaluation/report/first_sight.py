@@ -32,7 +32,7 @@ def first_sight(results: Results, anchor: str, directory: Path | None = None) ->
         "first_sight.html.j2",
         truth=picture(to_image(runs[0].pictures["true"][index]), "the true view"),
         plan_key=PLAN_KEY,
-        tiles=[_tile(run, index, results.policies.index(run.policy), directory) for run in runs],
+        tiles=[_tile(run, index, results.palette.index(run.policy), directory) for run in runs],
         where=where,
         black=BLACK,
         flight=flight([(run.trajectory, run.graph) for run in runs]),

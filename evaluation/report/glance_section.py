@@ -18,7 +18,7 @@ from activestructure_gym.evaluation.report.results import Results
 def glance_section(results: Results) -> Markup:
     """Cards of the leaders, the meanings, and the table of all policies side by side."""
     first, *others = [
-        html_table(ablation_table(results, aspect), colours=results.policies) for aspect in aspects(results.runs)
+        html_table(ablation_table(results, aspect), colours=results.palette) for aspect in aspects(results.runs)
     ]
     return render(
         "glance.html.j2",
@@ -44,7 +44,7 @@ def _card(results: Results, lead: verdicts.Lead) -> dict[str, Any]:
         "title": column.title,
         "value": f"{lead.mean.value:.{column.digits}f}",
         "unit": column.unit,
-        "winners": [(results.policies.index(policy), policy) for policy in (lead.policy, *lead.level)],
+        "winners": [(results.palette.index(policy), policy) for policy in (lead.policy, *lead.level)],
         "shared": bool(lead.level),
         "ahead": ahead,
         "verdict": words,

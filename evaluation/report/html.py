@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.layout import Cell, Table
 from activestructure_gym.evaluation.report.places import without_places
+from activestructure_gym.evaluation.report.style import hue
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # A line break beside a tag, with the indentation after it: there for whoever reads the template.
@@ -36,6 +37,7 @@ def _environment() -> Environment:
     )
     environment.filters |= {
         "counted": counted,
+        "hue": hue,
         "place": "{:.1f}".format,
         "with_its_arrow": lambda text: text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑"),  # none begins a line
         "without_places": without_places,
@@ -63,16 +65,20 @@ class _Shown(NamedTuple):
     dot: int | None  # of the policy it names
 
 
-def html_table(table: Table, *, colours: Sequence[str] = ()) -> Markup:
-    """A table with its caption; policies named in ``colours`` carry their colour. Sortable where rows stand alone."""
+def html_table(table: Table, *, colours: Sequence[str] = (), exact: bool = True) -> Markup:
+    """A table with its caption; policies named in ``colours`` carry their colour. Sortable where rows stand alone.
+
+    By numbers in full where ``exact``, else as they are printed.
+    """
     ends = [0, *table.blocks, len(table.rows)]
     blocks = [
-        [_row(table, index, end, colours) for index in range(start, end)] for start, end in zip(ends[:-1], ends[1:])
+        [_row(table, index, end, colours, exact) for index in range(start, end)]
+        for start, end in zip(ends[:-1], ends[1:])
     ]
     return render("table.html.j2", table=table, blocks=blocks)
 
 
-def _row(table: Table, index: int, end: int, colours: Sequence[str]) -> list[_Shown]:
+def _row(table: Table, index: int, end: int, colours: Sequence[str], exact: bool) -> list[_Shown]:
     """A row of the block that ends before row ``end``; a first cell that repeats the one above it is left out."""
     cells = []
     for column, cell in enumerate(table.rows[index]):
@@ -81,11 +87,11 @@ def _row(table: Table, index: int, end: int, colours: Sequence[str]) -> list[_Sh
             if table.shown(index, 0) == "":
                 continue
             rows_below = sum(row[0].text == cell.text for row in table.rows[index:end])
-        cells.append(_shown(cell, column, table, rows_below, colours))
+        cells.append(_shown(cell, column, table, rows_below, colours, exact))
     return cells
 
 
-def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[str]) -> _Shown:
+def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[str], exact: bool) -> _Shown:
     numeric, name = table.headings[column].numeric, cell.note or cell.text
     kinds = ("n" if numeric else "", f"r{cell.rank}" if cell.rank else "", cell.tone)
     text, spread = _parted(cell.text) if numeric else (cell.text, "")
@@ -94,7 +100,7 @@ def _shown(cell: Cell, column: int, table: Table, rows: int, colours: Sequence[s
         "title": {1: "1st", 2: "2nd", 3: "3rd"}.get(cell.rank, cell.note if cell.note != cell.text else "") or None,
         "scope": "row" if column == 0 else None,
         "rowspan": rows if rows > 1 else None,
-        "data-value": repr(cell.value) if cell.value is not None else None,
+        "data-value": repr(cell.value) if exact and cell.value is not None else None,
     }
     dot = colours.index(name) if not numeric and name in colours else None
     return _Shown("th" if column == 0 else "td", attributes, text, spread, dot)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import style
-from activestructure_gym.evaluation.report.canvas import stored_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +28,7 @@ _TERMS = {
     "deficiency": ("#D55E00", "-."),
     "floor": ("#7F7F7F", ":"),
 }
-_FACTORS = {"travel": ("#009E73", "-"), "discount": ("#CC79A7", "--"), "suppressed": ("#E69F00", "-.")}
-_TITLE_ROWS = "asg:title_rows"  # entry of the picture's file: rows of pixels its title takes
+FACTORS = {"travel": ("#009E73", "-"), "discount": ("#CC79A7", "--"), "suppressed": ("#E69F00", "-.")}
 _SHORT = 0.16  # share of the axis below which a phase's name is cut to its first word
 
 
@@ -49,7 +45,7 @@ class Band:
 def bands(steps: Steps) -> list[Band]:
     """The phases of an episode; empty for a policy that has none."""
     found: list[Band] = []
-    for step, start in zip(steps, _starts(steps)):
+    for step, start in zip(steps, starts(steps)):
         trace = step.get("trace") or {}
         phase = trace.get("phase")
         if phase is None:
@@ -77,9 +73,7 @@ def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where 
     return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 
 
-def plot_phases(
-    episodes: Sequence[tuple[str, Steps]], path: Path | IO[bytes], *, title: str, gains: bool = True
-) -> None:
+def plot_phases(episodes: Sequence[tuple[str, Steps]], path: Path, *, title: str, gains: bool = True) -> None:
     """One block of panels per episode (its label and steps), all over the frames paid.
 
     Mean deficit and mean quality of structural and object planes, area of the deficiency centres; with ``gains`` also
@@ -91,7 +85,7 @@ def plot_phases(
         _plot(episodes, path, title, gains)
 
 
-def _plot(episodes: Sequence[tuple[str, Steps]], path: Path | IO[bytes], title: str, gains: bool) -> None:
+def _plot(episodes: Sequence[tuple[str, Steps]], path: Path, title: str, gains: bool) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -119,27 +113,13 @@ def _plot(episodes: Sequence[tuple[str, Steps]], path: Path | IO[bytes], title: 
         for axis in everything:
             axis.set_ylim(0, top)
     block[-1].set_xlabel("frames" + "".join(f"\n{note}" for note in notes), fontsize=10)
-    heading = figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
+    figure.suptitle(title, fontsize=14, fontweight="bold", x=0.01, ha="left")
     with warnings.catch_warnings():  # a scene's name may hold letters the font lacks; the curves do not
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # lays out and draws once; `savefig` does so twice
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    about = PngInfo()
-    rows = picture.height - int(heading.get_window_extent().y0) if title else 0
-    about.add_text(_TITLE_ROWS, str(rows))
-    picture.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=about)
-
-
-def stored_timeline(path: Path) -> Image.Image | None:
-    """The picture that `plot_phases` drew into a file, without its title; None for any other file."""
-    picture = stored_picture(path)
-    if picture is None:
-        return None
-    rows = picture.info.get(_TITLE_ROWS)
-    if not isinstance(rows, str) or not re.fullmatch("[0-9]{1,5}", rows) or int(rows) >= picture.height:
-        return None
-    return picture.crop((0, int(rows), *picture.size))
+    picture.save(path, "PNG", dpi=(figure.dpi, figure.dpi))
 
 
 def _panels(steps: Steps, gains: bool) -> list[tuple[Any, float]]:  # what draws a panel, and its height in inches
@@ -147,19 +127,19 @@ def _panels(steps: Steps, gains: bool) -> list[tuple[Any, float]]:  # what draws
         return [(_deficit, 1.9)]
     panels: list[tuple[Any, float]] = [(_deficit, 2.0), (_quality, 1.4), (_holes, 1.1)]
     terms = chosen_terms(steps)
-    if any(name not in _FACTORS for name in terms):
+    if any(name not in FACTORS for name in terms):
         panels.append((_gain, 1.8))
-    if any(name in _FACTORS for name in terms):
+    if any(name in FACTORS for name in terms):
         panels.append((_factors, 1.2))
     return panels
 
 
-def _starts(steps: Steps) -> list[float]:
+def starts(steps: Steps) -> list[float]:
     """Frames paid when each decision was made; the first frame belongs to none."""
     return [1, *(step["frames"] for step in steps[:-1])][: len(steps)]
 
 
-def _series(steps: Steps, name: str) -> tuple[np.ndarray, np.ndarray]:
+def graph_series(steps: Steps, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Frames and values of one number of the graph at the end of each decision; nan, a gap, where there was none."""
     values = [(step.get("graph") or {}).get(name) for step in steps]
     frames = np.array([step["frames"] for step in steps], float)
@@ -169,9 +149,9 @@ def _series(steps: Steps, name: str) -> tuple[np.ndarray, np.ndarray]:
 def _by_kind(axis: Axes, steps: Steps, quantity: str) -> None:
     """Means over structural planes, over objects and over all."""
     for kind, colour, dash in _KINDS:
-        series = _series(steps, f"{quantity}_{kind}")
+        series = graph_series(steps, f"{quantity}_{kind}")
         axis.plot(*series, color=_hex(colour), linestyle=dash, marker="o", markersize=3, label=kind)
-    axis.plot(*_series(steps, quantity), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
+    axis.plot(*graph_series(steps, quantity), color=_hex(style.INK), linewidth=1, linestyle=":", label="all planes")
     axis.set_ylabel(f"mean {quantity}")
 
 
@@ -186,7 +166,7 @@ def _quality(axis: Axes, steps: Steps) -> None:
 
 
 def _holes(axis: Axes, steps: Steps) -> None:
-    x, area = _series(steps, "deficiency_area")
+    x, area = graph_series(steps, "deficiency_area")
     axis.fill_between(x, area, color="#CED4DA", linewidth=0, label="deficiency\ncentres")
     axis.plot(x, area, color=_hex(style.FAINT_INK), linewidth=1.2)
     axis.set_ylabel("deficient [m²]")
@@ -195,12 +175,12 @@ def _holes(axis: Axes, steps: Steps) -> None:
 
 def _gain(axis: Axes, steps: Steps) -> None:
     terms, others = chosen_terms(steps), 0
-    edges = np.array([*_starts(steps), steps[-1]["frames"]], float)
+    edges = np.array([*starts(steps), steps[-1]["frames"]], float)
     axis.axhline(0, color=_hex(style.FAINT_INK), linewidth=0.8)
     if "total" in terms:
         axis.stairs(terms["total"], edges, baseline=0, fill=True, color="#CED4DA", label="total")
     for name, values in terms.items():
-        if name in _FACTORS or name == "total":
+        if name in FACTORS or name == "total":
             continue
         colour, dash = _TERMS.get(name, (style.colour(others + 3), style.DASHES[others % len(style.DASHES)]))
         others += name not in _TERMS
@@ -210,8 +190,8 @@ def _gain(axis: Axes, steps: Steps) -> None:
 
 def _factors(axis: Axes, steps: Steps) -> None:
     terms = chosen_terms(steps)
-    edges = np.array([*_starts(steps), steps[-1]["frames"]], float)
-    for name, (colour, dash) in _FACTORS.items():
+    edges = np.array([*starts(steps), steps[-1]["frames"]], float)
+    for name, (colour, dash) in FACTORS.items():
         if name in terms:
             axis.stairs(
                 terms[name], edges, baseline=None, color=colour, linestyle=dash, linewidth=1.4,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +20,8 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison, r
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.report.style import COLOURS
+from activestructure_gym.evaluation.statistics import mean, pooled
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -67,6 +70,21 @@ class Results:
     def policies(self) -> list[str]:
         """Policies, in the order of the runs."""
         return list(dict.fromkeys(run.policy for run in self.runs))
+
+    @cached_property
+    def palette(self) -> list[str]:
+        """Policies in the order of their colours: that of the runs; where colours do not suffice, the foremost first.
+
+        Those are the baseline and those with the highest mean C.R. of the policies that finished on every scene.
+        """
+        if len(self.policies) <= len(COLOURS):
+            return self.policies
+        means = {
+            policy: float(mean(*pooled(strata)))
+            for policy in self.policies
+            if (strata := self.strata(policy, "completion_ratio")) is not None
+        }
+        return sorted(self.policies, key=lambda name: (name != self.baseline, -means.get(name, -math.inf)))
 
     @cached_property
     def planners(self) -> list[bool]:

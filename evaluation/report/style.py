@@ -22,6 +22,16 @@ def colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
+def is_grey(index: int) -> bool:
+    """Whether the ``index``-th policy has no colour of its own: it is none of the first, and there are not enough."""
+    return index >= len(COLOURS)
+
+
+def hue(index: int) -> str:
+    """The class of what the page draws in a policy's colour."""
+    return "rest" if is_grey(index) else f"p{index}"
+
+
 def path_colour(share: float) -> tuple[int, int, int]:
     """Colour of a share of the path: dark blue at its first frame (0) to yellow at its last (1), ever lighter."""
     stops = ((44, 27, 110), (48, 103, 141), (33, 144, 140), (94, 186, 95), (238, 203, 36))

@@ -126,7 +126,7 @@ def _scene_pictures(directory: Path, results: Results, scene: str, ending: str) 
 def _curves(path: Path, results: Results, scene: str | None) -> Path:
     """All measures over frames, metres and seconds as one SVG."""
     title = f"Convergence on {scene}" if scene else f"Convergence, mean over {len(results.scenes)} scenes"
-    return _written(path, standalone(chart_rows(results, scene), results.policies, title=title))
+    return _written(path, standalone(chart_rows(results, scene), results.palette, title=title))
 
 
 def _scene_section(results: Results, scene: str, pictures: Sequence[Path], directory: Path) -> str:

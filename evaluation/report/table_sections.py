@@ -19,7 +19,7 @@ def quality_section(results: Results) -> Markup | None:
     tables = []
     if len(results.scenes) > 1:
         tables = [
-            (aspect.title, html_table(quality_table(results, aspect, average=False), colours=results.policies))
+            (aspect.title, html_table(quality_table(results, aspect, average=False), colours=results.palette))
             for aspect in aspects(results.runs)
         ]
     return render(
@@ -44,15 +44,15 @@ def differences_section(results: Results) -> Markup | None:
         baseline=results.baseline,
         intervals=intervals,
         charts=[chart for chart in charts if chart is not None],
-        table=html_table(table, colours=results.policies),
-        matrices=[html_table(matrix, colours=results.policies) for matrix in matrices if matrix is not None],
+        table=html_table(table, colours=results.palette),
+        matrices=[html_table(matrix, colours=results.palette) for matrix in matrices if matrix is not None],
     )
 
 
 def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
     """A title and a chart of every policy's difference to the baseline; None where there is none."""
     bars = [
-        Bar(policy, results.policies.index(policy), d.value, d.low, d.high, verdicts.verdict(pair, column)[1])
+        Bar(policy, results.palette.index(policy), d.value, d.low, d.high, verdicts.verdict(pair, column)[1])
         for policy, pair in verdicts.differences(results, column).items()
         if (d := pair.difference)
     ]
@@ -65,4 +65,4 @@ def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
 
 def costs_section(results: Results) -> Markup:
     """Path, decisions and seconds."""
-    return render("costs.html.j2", table=html_table(verdicts.cost_table(results), colours=results.policies))
+    return render("costs.html.j2", table=html_table(verdicts.cost_table(results), colours=results.palette))

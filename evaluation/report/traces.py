@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import ratios_text, value_of
+from activestructure_gym.evaluation.report.history import history_chart
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
 from activestructure_gym.evaluation.report.phases import bands, chosen_terms
@@ -19,19 +20,19 @@ _DIGITS = 3
 _GRAPH = (("planes", None, 0), ("deficit", "deficit", 4), ("deficient (m²)", "deficiency_area", 1))
 
 
-def run_trace(run: Run, directory: Path | None = None) -> Markup:
-    """Folded: identity and result in one line; behind it phases, decisions and where the run's files are."""
+def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
+    """Identity and result in one line, and what is folded behind it: phases, decisions, where the run's files are."""
     numbers = {key: value_of(run, key) for key in ("psnr", "metres", "collisions", "seconds")}
     parts = [f"{run.policy}, seed {run.job.seed}", ratios_text(run)]
     for key, form in (("psnr", "{:.2f} dB"), ("metres", "{:.1f} m")):
         if (value := numbers[key]) is not None:
             parts.append(form.format(value))
     parts.append(f"{len(run.steps)} decisions, {run.timing['total']:.0f} s")
-    return render(
+    return " · ".join(parts), render(
         "trace.html.j2",
-        summary=" · ".join(parts),
         timeline=timeline(run),
-        table=html_table(trace_table(run)),
+        history=history_chart(run.steps),
+        table=html_table(trace_table(run), exact=False),
         job=run.key,
         directory=run.directory.name,
         links=run_links(run, directory),

@@ -12,12 +12,13 @@ from activestructure_gym.evaluation.statistics.aggregates import (
     mean,
     median,
 )
-from activestructure_gym.evaluation.statistics.curves import area_under, curve_band, on_axis
+from activestructure_gym.evaluation.statistics.curves import BAND_REPEATS, area_under, curve_band, on_axis
 from activestructure_gym.evaluation.statistics.improvement import probability_of_improvement, win_share
 from activestructure_gym.evaluation.statistics.paired import PairedDifference, paired_difference
-from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate, stratified_draws
+from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate, pooled, stratified_draws
 
 __all__ = [
+    "BAND_REPEATS",
     "STATISTICS",
     "Estimate",
     "PairedDifference",
@@ -30,6 +31,7 @@ __all__ = [
     "median",
     "on_axis",
     "paired_difference",
+    "pooled",
     "probability_of_improvement",
     "stratified_draws",
     "win_share",

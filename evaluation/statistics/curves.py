@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.evaluation.statistics.aggregates import Statistic, mean
 from activestructure_gym.evaluation.statistics.resampling import LEVEL, interval, pooled, stratified_draws
 
-_REPEATS = 1000  # resamples of a band, which is looked at and not read off
+BAND_REPEATS = 1000  # resamples of a band, which is looked at and not read off
 
 
 def on_axis(x: np.ndarray, y: np.ndarray, axis: np.ndarray) -> np.ndarray:  # [P], [P], [G] -> [G]
@@ -36,17 +36,17 @@ def curve_band(
     statistic: Statistic = mean,
     *,
     level: float = LEVEL,
-    repeats: int = _REPEATS,
+    repeats: int = BAND_REPEATS,
     seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:  # [G] each
     """The statistic at every place, and its pointwise interval; whole runs are drawn again, so places hang together.
 
-    No interval (None, None) where a scene has a single run.
+    No interval (None, None) where a scene has a single run, or without resamples.
     """
     columns = [pooled([curves[:, place] for curves in strata]) for place in range(strata[0].shape[1])]
     values, sizes = np.stack([column for column, _ in columns]), columns[0][1]  # [G, N]
     line = statistic(values, sizes)
-    if min(sizes) < 2:
+    if min(sizes) < 2 or not repeats:
         return line, None, None
     low, high = interval(statistic(values[:, stratified_draws(sizes, repeats, seed)], sizes), level)
     return line, low, high

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -72,11 +73,20 @@ def probability_of_improvement(
     runs = sum(map(len, ours)) + sum(map(len, theirs))
     if min(map(len, (*ours, *theirs))) < 2:
         return Estimate(point, None, None, runs)
-    rng = np.random.default_rng(seed)
     total = np.zeros(repeats)
+    sizes = tuple(size for share in shares for size in share.shape)
+    drawn = iter(_weights(sizes, repeats, seed))
     for share in shares:
-        n, m = share.shape
-        drawn = [rng.multinomial(size, np.full(size, 1.0 / size), repeats) / size for size in (n, m)]  # [R, n], [R, m]
-        total += ((drawn[0] @ share) * drawn[1]).sum(axis=1)
+        total += ((next(drawn) @ share) * next(drawn)).sum(axis=1)
     low, high = interval(total / len(shares), level)
     return Estimate(point, float(low), float(high), runs)
+
+
+@functools.lru_cache(maxsize=64)
+def _weights(sizes: tuple[int, ...], repeats: int, seed: int) -> tuple[np.ndarray, ...]:  # [R, n] each, read-only
+    """Of every sample of n runs drawn again the share that each of them has in it."""
+    rng = np.random.default_rng(seed)
+    drawn = tuple(rng.multinomial(size, np.full(size, 1.0 / size), repeats) / size for size in sizes)
+    for weights in drawn:
+        weights.setflags(write=False)
+    return drawn

@@ -23,7 +23,10 @@
   const key = (row, column) => {
     const cell = row.cells[column];
     const value = cell.dataset.value;
-    return value === undefined ? cell.textContent.trim() : Number(value);
+    if (value !== undefined) return Number(value);
+    const text = cell.textContent.trim();
+    const number = text ? Number(text.replaceAll(",", "").replace("−", "-")) : NaN;
+    return Number.isNaN(number) ? text : number;
   };
   const compare = (a, b) => {
     const numbers = [a, b].map((value) => typeof value === "number");
@@ -31,7 +34,7 @@
     if (numbers[0] !== numbers[1]) return numbers[0] ? -1 : 1;
     return a.localeCompare(b, undefined, { numeric: true });
   };
-  for (const table of document.querySelectorAll("table.sortable")) {
+  const makeSortable = (table) => {
     for (const button of table.querySelectorAll("thead button")) {
       button.addEventListener("click", () => {
         const head = button.closest("th");
@@ -49,7 +52,7 @@
         body.append(...rows);
       });
     }
-  }
+  };
 
   // A hint beside every table that goes on to the right.
   const hint = (box) => {
@@ -57,9 +60,36 @@
     box.parentElement.style.setProperty("--tall", `${box.offsetHeight - 2}px`);
   };
   const sizes = new ResizeObserver((entries) => entries.forEach((entry) => hint(entry.target)));
-  for (const box of document.querySelectorAll("figure.table > .wide")) {
-    sizes.observe(box);
-    box.addEventListener("scroll", () => hint(box), { passive: true });
+  const dress = (part) => {
+    part.querySelectorAll("table.sortable").forEach(makeSortable);
+    for (const box of part.querySelectorAll("figure.table > .wide")) {
+      sizes.observe(box);
+      box.addEventListener("scroll", () => hint(box), { passive: true });
+    }
+  };
+  dress(document);
+
+  // Every run's decisions, unpacked when the first of a scene is opened.
+  const unpack = async (word) => {
+    const bytes = Uint8Array.from(atob(word), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return JSON.parse(await new Response(stream).text());
+  };
+  for (const group of document.querySelectorAll(".traces")) {
+    let texts;
+    const folded = [...group.children];
+    for (const [number, trace] of folded.entries()) {
+      const open = async () => {
+        texts ??= unpack(group.dataset.packed);
+        try {
+          trace.insertAdjacentHTML("beforeend", (await texts)[number]);
+          dress(trace);
+        } catch {
+          trace.append("This browser cannot unpack it; the same is in the run's steps.jsonl.");
+        }
+      };
+      trace.addEventListener("toggle", open, { once: true });
+    }
   }
 
   // Pictures, enlarged: click or Enter opens, click or Escape closes, arrows go to the one before and after.
@@ -99,7 +129,8 @@
       const shown = button.getAttribute("aria-pressed") !== "true";
       button.setAttribute("aria-pressed", String(shown));
       for (const series of document.querySelectorAll(`.series.${button.dataset.series}`)) {
-        series.classList.toggle("off", !shown);
+        if (series.classList.contains("rest")) series.classList.toggle("lit", shown);
+        else series.classList.toggle("off", !shown);
       }
     });
   }
@@ -111,8 +142,15 @@
   reading.hidden = true;
   document.body.append(reading);
   const numbersOf = (text) => text.split(" ").map(Number);
-  const pointsOf = (series) =>
-    series.querySelector(".curve").getAttribute("d").slice(1).split("L").map(numbersOf);
+  const pointsOf = (series) => {  // a place, then steps
+    const numbers = series.querySelector(".curve").getAttribute("d").match(/-?[\d.]+/g).map(Number);
+    const points = [[numbers[0], numbers[1]]];
+    for (let at = 2; at < numbers.length; at += 2) {
+      const [x, y] = points[points.length - 1];
+      points.push([x + numbers[at], y + numbers[at + 1]]);
+    }
+    return points;
+  };
   for (const chart of document.querySelectorAll("svg.chart[data-frame]")) {
     const [left, top, right, bottom] = numbersOf(chart.dataset.frame);
     const [xLow, xHigh] = numbersOf(chart.dataset.x);
@@ -130,7 +168,7 @@
       const x = ((event.clientX - box.left) / box.width) * chart.viewBox.baseVal.width;
       if (x < left || x > right) return away();
       const lines = [];
-      for (const series of chart.querySelectorAll(".series:not(.off)")) {
+      for (const series of chart.querySelectorAll(".series:not(.off):not(.rest), .series.lit")) {
         const points = pointsOf(series);
         if (x < points[0][0] - 1 || x > points[points.length - 1][0] + 1) continue;
         const after = Math.max(1, points.findIndex((point) => point[0] >= x));

@@ -41,13 +41,44 @@ def line(name="a", index=0, band=True):
     return Line(name, index, x, x / 2, *((x / 2 - 1, x / 2 + 1) if band else (None, None)))
 
 
+def points_of(path: str) -> np.ndarray:  # [P, 2]
+    """The places of a path that is a place and steps from there."""
+    numbers = re.fullmatch(r"M([-\d. ]+)l([-\d. ]+)Z?", path).groups()
+    first, steps = (np.array([float(n) for n in re.findall(r"-?[\d.]+", text)]).reshape(-1, 2) for text in numbers)
+    return first + np.concatenate([[[0.0, 0.0]], np.cumsum(steps, axis=0)])
+
+
+def test_steps_of_a_path_do_not_add_up_their_rounding():
+    x = np.linspace(0.0, 7.0, 62)
+    wave = Line("a", 0, x, 50.0 + 3.0 * np.sin(x))
+    svg = ElementTree.fromstring(line_chart([wave], title="t", x_label="x", y_label="y"))
+    left, top, right, bottom = (float(n) for n in svg.get("data-frame").split())
+    low, high = (float(n) for n in svg.get("data-y").split())
+    points = points_of(svg.find("g").find("path[@class='curve']").get("d"))
+    wanted = bottom - (wave.y - low) / (high - low) * (bottom - top)
+    assert np.abs(points[:, 1] - wanted).max() < 0.051 and np.abs(np.diff(points[:, 0])).max() < 7
+
+
+def test_of_more_lines_than_colours_the_last_are_grey_and_lie_below():
+    wave = np.array([1.0, 2.0])
+    lines = [Line(f"policy {k}", k, wave, wave, wave - 1, wave + 1) for k in range(10)]
+    svg = ElementTree.fromstring(line_chart(lines, title="t", x_label="x", y_label="y"))
+    kinds = [group.get("class").split()[1:] for group in svg.findall("g")]
+    assert kinds == [["s8", "rest"], ["s9", "rest"], *([f"s{k}", f"p{k}"] for k in range(8))]
+    assert sum(group.find("path[@class='band']") is not None for group in svg.findall("g")) == 8
+    whole = standalone(
+        [[line_chart(lines, title="t", x_label="x", y_label="y")]], [one.name for one in lines], title=""
+    )
+    assert "2 others" in whole and ">policy 7<" in whole and ">policy 8<" not in whole
+
+
 def test_a_curve_lies_where_its_values_are():
     chart = line_chart([line()], title="t", x_label="frames", y_label="C.R.")
     svg = ElementTree.fromstring(chart)
     left, top, right, bottom = (float(n) for n in svg.get("data-frame").split())
     (y_low, y_high) = (float(n) for n in svg.get("data-y").split())
     path = svg.find("g").find("path[@class='curve']").get("d")
-    points = np.array([[float(n) for n in pair.split()] for pair in path[1:].split("L")])
+    points = points_of(path)
     np.testing.assert_allclose((points[:, 0] - left) / (right - left) * 100.0, line().x, atol=0.02)
     np.testing.assert_allclose(y_low + (bottom - points[:, 1]) / (bottom - top) * (y_high - y_low), line().y, atol=0.02)
     assert svg.find("g").find("path[@class='band']") is not None
@@ -93,7 +124,7 @@ def test_every_policy_has_a_panel_with_its_own_curve_before_all_others():
     places = [tuple(map(float, re.findall(r"[\d.]+", panel.get("transform")))) for panel in panels]
     assert len({x for x, _ in places}) == 5 and len({y for _, y in places}) == 3
     curve = panels[0].find("path[@class='curve']").get("d")
-    points = np.array([[float(n) for n in pair.split()] for pair in curve[1:].split("L")])
+    points = points_of(curve)
     np.testing.assert_allclose(points[:, 0] / points[-1, 0] * 100.0, lines[0].x, atol=0.1)
     np.testing.assert_allclose((1 - points[:, 1] / 104.0) * 60.0, lines[0].y, atol=0.1)  # the axis ends at 60
     ElementTree.fromstring(panel_chart([], title="", x_label="x", y_label="y"))

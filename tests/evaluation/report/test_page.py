@@ -9,6 +9,7 @@ from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.plan import FILLS
 from activestructure_gym.evaluation.report.results import Results, Source
 from activestructure_gym.evaluation.report.summary import PAGE, write_results
+from activestructure_gym.evaluation.report.traces import run_trace
 from tests.evaluation.report import chromium
 
 HOSTILE = '<img src=x onerror="fetch(1)">'
@@ -127,20 +128,21 @@ def test_runs_beside_the_page_are_linked_their_replays_first(make_run, tmp_path)
 
     place = f"jobs/{run.directory.name}"
     every = [f"{place}/replay.html", f"{place}/plan.png"]
-    assert addresses(tmp_path) == [every[0], *every, *every]  # first sight, plan, decisions
+    assert addresses(tmp_path) == [every[0], *every]  # first sight, plan
+    assert all(f'href="{address}"' in run_trace(run, tmp_path)[1] for address in every)
     assert addresses(tmp_path / "report")[0] == f"../{every[0]}"
     assert addresses(tmp_path / "far" / "away") == addresses(None) == []
     assert (tmp_path / every[0]).is_file()
     (run.directory / "replay.html").unlink()
-    assert addresses(tmp_path) == [every[1], every[1]]
+    assert addresses(tmp_path) == [every[1]]
 
 
 def test_of_many_policies_the_foremost_are_shown_in_full_and_the_others_small(make_run):
     runs = [make_run(policy=name, planes=True, completion_ratio=10.0 * k) for k, name in enumerate("abcdefghi", 1)]
     text = html_page(Results(runs, [], "a"))
     assert [name for name in "abcdefghi" if f"planes of {name} in 3D, by type" in text] == list("adefghi")
-    widths = dict(re.findall(r'alt="plan with the path of (.)" width="(\d+)"', text))
-    assert {name for name, width in widths.items() if int(width) <= 280} == {"b", "c"} and len(widths) == 9
+    widths = dict(re.findall(r'alt="map of (.) from above with its path: [^"]*" width="(\d+)"', text))
+    assert {name for name, width in widths.items() if int(width) <= 240} == {"b", "c"} and len(widths) == 9
     assert all(f"planes of {name} from above, by deficit" in text for name in "abcdefghi")
 
 
@@ -295,6 +297,23 @@ def test_it_fits_a_telephone(path, browser):
         assert not [text for text, rows, _, height in cells if rows == 1 and height > 150]  # no tower of letters
     finally:
         browser.size(1280, 900)
+
+
+def test_decisions_are_unpacked_where_they_are_opened(path, results, browser):
+    browser.open(path)
+    assert browser.ask("document.querySelectorAll('.trace table').length") == 0
+    rows = browser.ask(
+        """(async () => { const trace = document.querySelectorAll('#scene-2 .trace')[2]; trace.open = true;
+        while (!trace.querySelector('table')) await new Promise((done) => setTimeout(done, 10));
+        return [[...trace.querySelectorAll('tbody tr')].map((row) => row.cells[1].textContent),
+        trace.querySelector('summary').textContent, trace.querySelector('p').textContent]; })()"""
+    )
+    run = results.of(HOSTILE, SCENE)[0]
+    assert rows[0] == ["10", "20", "30", "40", "50", "60"] and rows[1].startswith(f"{HOSTILE}, seed 0")
+    assert run.key in rows[2]
+    sort = "document.querySelectorAll('.trace thead button')[1]"
+    assert browser.ask(f"{sort}.click(); {sort}.closest('th').getAttribute('aria-sort')") == "ascending"
+    assert browser.complaints() == []
 
 
 def test_a_chart_can_be_read_off(path, browser):

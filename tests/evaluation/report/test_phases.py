@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from activestructure_gym.evaluation.report import phases
-from activestructure_gym.evaluation.report.phases import Band, bands, chosen_terms, plot_phases, stored_timeline
+from activestructure_gym.evaluation.report.phases import Band, bands, chosen_terms, plot_phases
 
 
 def with_phases(steps):
@@ -55,24 +54,6 @@ def test_the_discovery_term_has_the_name_of_the_gain_it_is_made_of(steps):
     assert set(chosen_terms(steps)) == {"pixel", "travel"}
 
 
-def test_a_stored_timeline_comes_without_its_title(steps, tmp_path):
-    plot_phases([("", steps)], tmp_path / "with.png", title="A title of some length")
-    plot_phases([("", steps)], tmp_path / "without.png", title="")
-    with Image.open(tmp_path / "with.png") as image:
-        whole = np.asarray(image).astype(int)
-        assert image.info["dpi"][0] == pytest.approx(120, abs=0.1)
-    shown, plain = stored_timeline(tmp_path / "with.png"), stored_timeline(tmp_path / "without.png")
-    rows = len(whole) - shown.height
-    assert 20 < rows < 50 and whole[:rows].min() < 50  # the title's ink
-    assert (whole[rows - 1 : rows + 2] == 255).all()  # no letter is cut
-    np.testing.assert_array_equal(np.asarray(shown), whole[rows:])
-    assert plain.size == (whole.shape[1], whole.shape[0])
-    plain.save(tmp_path / "of-another-origin.png")
-    (tmp_path / "damaged.png").write_bytes(b"\x89PNG")
-    for name in ("of-another-origin.png", "damaged.png", "missing.png"):
-        assert stored_timeline(tmp_path / name) is None
-
-
 def test_a_policy_without_phases_has_curves_and_no_bands(steps, tmp_path):
     assert bands(steps) == []
     plot_phases([("", steps)], tmp_path / "plain.png", title="title")
@@ -101,11 +82,3 @@ def test_a_dollar_is_a_dollar(steps, tmp_path):
         step["trace"] |= {"phase": phase, "changed": "it costs 3 $_"}
     plot_phases([("", steps)], tmp_path / "phases.png", title="$\\nothing_")
     assert (tmp_path / "phases.png").is_file()
-
-
-@pytest.mark.parametrize("rows", ["-5", "99999", "1e3", "9" * 5000, ""])
-def test_a_timeline_that_is_none_of_ours_is_drawn_again(rows, tmp_path):
-    about = PngInfo()
-    about.add_text("asg:title_rows", rows)
-    Image.new("RGB", (20, 10)).save(tmp_path / "phases.png", pnginfo=about)
-    assert stored_timeline(tmp_path / "phases.png") is None

@@ -11,7 +11,7 @@ def test_a_row_per_decision(make_run):
     assert [row["s"] for row in by_name] == ["2.00", "2.00", "2.00", "n/a", "n/a", "n/a"]
     assert by_name[1]["pixel"] == "0.250" and by_name[0]["planes"] == "5"
     assert timeline(run) is None
-    assert "6 decisions" in run_trace(run)
+    assert "6 decisions" in run_trace(run)[0]
 
 
 def test_phases_and_why_they_changed(make_run):
@@ -26,6 +26,7 @@ def test_phases_and_why_they_changed(make_run):
     row = dict(zip(headings, table.rows[2]))
     assert row["phase"].text == "II objects ←" and row["phase"].note == "pool & empty"
     assert row["total"].text == "0.400" and row["runner-up"].text == "0.300"
-    text = run_trace(run)
+    summary, text = run_trace(run)
+    assert "<b>, seed 0" in summary
     assert "pool &amp; empty" in text and "<b>," not in text
     assert text.count('class="phase f0"') == 1 and text.count('class="phase f1"') == 1

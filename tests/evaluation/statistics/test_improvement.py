@@ -48,3 +48,16 @@ def test_without_overlap_it_is_certain_and_with_one_run_it_has_no_interval():
 def test_scenes_must_match():
     with pytest.raises(ValueError, match="same scenes"):
         probability_of_improvement([np.ones(2)], [])
+
+
+def test_weights_of_resamples_are_those_of_a_generator_of_their_own():
+    rng = np.random.default_rng(5)
+    strata = [[rng.normal(size=n) for n in sizes] for sizes in ((3, 4), (2, 5))]
+    ours, theirs = ([pair[side] for pair in strata] for side in (0, 1))
+    fresh, total = np.random.default_rng(0), np.zeros(5000)
+    for x, y in strata:
+        a, b = (fresh.multinomial(len(z), np.full(len(z), 1 / len(z)), 5000) / len(z) for z in (x, y))
+        total += np.einsum("rn,nm,rm->r", a, win_share(x, y), b) / 2
+    for _ in range(2):  # kept draws are those of the first time
+        found = probability_of_improvement(ours, theirs)
+        np.testing.assert_allclose([found.low, found.high], np.percentile(total, [2.5, 97.5]), atol=1e-12)

@@ -48,6 +48,11 @@ class Compare:
         '`all`. Options stand behind a question mark: "active_gs?travel=shared" is a planner with everybody\'s travel '
         "term."
     )
+    mappers: NoNames = ()
+    (
+        "Who maps the trajectories among the policies (trajectory:FILE, :sweep, :passive): default, splatam, monogs, "
+        "gaussian_slam, co_slam, one run for each."
+    )
     seeds: Annotated[tuple[str, ...], option("N [N ...]")] = ("0",)
     """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
     references: NoNames = ()
@@ -205,6 +210,7 @@ def comparison_of(options: Compare) -> Comparison:
     from activestructure_gym.config import known_preset
     from activestructure_gym.evaluation.protocols import StandardProtocol
     from activestructure_gym.evaluation.running.comparison import Comparison
+    from activestructure_gym.evaluation.running.following import with_mappers
 
     use_lpips_weights(options.lpips_weights)
     protocol = StandardProtocol(view_source=options.view_source)
@@ -214,7 +220,7 @@ def comparison_of(options: Compare) -> Comparison:
         protocol = dataclasses.replace(protocol, views=options.views)
     return Comparison(
         scenes=split_scenes(options.scenes),
-        policies=split_policies(options.policies),
+        policies=with_mappers(split_policies(options.policies), split_list(options.mappers)),
         references=split_list(options.references),
         seeds=parse_seeds(options.seeds),
         preset=known_preset(options.preset or (NATIVE_PRESET if options.terms == "native" else "default")),

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.evaluation.archive.jobs import is_reference, refuse_code
+from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory, refuse_code
 from activestructure_gym.evaluation.archive.store import CONFIG, Run
 from activestructure_gym.viewer import Film, Recorder
 
@@ -48,21 +48,26 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     """The environment of ``run`` at its start; raises what `play_again` does."""
     from activestructure_gym.envs import ReconstructionEnv
     from activestructure_gym.evaluation.running.episode import load_job_scene
+    from activestructure_gym.evaluation.running.following import follower_of
     from activestructure_gym.ground_truth import ground_truth_of
 
     job, stored = run.job, run.config["configuration"]
     if not trusted:  # a policy is made on native terms alone, to learn what it brings
         refuse_code([job if job.terms == "native" else replace(job, policy="random")], run.directory / CONFIG)
-    gains = () if is_reference(job.policy) else _at_hand(stored["gains"])
-    env = ReconstructionEnv(
-        scene=ground_truth_of(load_job_scene(job)),
-        preset=job.preset,
-        frame_budget=stored["frame_budget"],
-        gains=gains,
-        config={**_changes(run), "views.max_candidates": stored["views"]["max_candidates"]},
-        coverage_target=None,
-        start_pose=job.start_pose,
-    )
+    truth = ground_truth_of(load_job_scene(job))
+    env: ReconstructionEnv
+    if is_trajectory(job.policy):
+        env = follower_of(job, truth)[1]
+    else:
+        env = ReconstructionEnv(
+            scene=truth,
+            preset=job.preset,
+            frame_budget=stored["frame_budget"],
+            gains=() if is_reference(job.policy) else _at_hand(stored["gains"]),
+            config={**_changes(run), "views.max_candidates": stored["views"]["max_candidates"]},
+            coverage_target=None,
+            start_pose=job.start_pose,
+        )
     try:
         env.reset(seed=job.seed)
         yield env

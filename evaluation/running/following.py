@@ -1,8 +1,9 @@
 """Who follows a given trajectory in place of a policy: ``trajectory:FILE`` in the jobs of a comparison.
 
-The poses go through the sensor, the map and the protocols of every other run, frame by frame. Where a file is the
-``trajectory.npz`` of a run, keyframes, rounds and decisions are that run's, and so is the map, to the last bit, on the
-run's scene, seed and configuration.
+``trajectory:sweep`` is a generated passive sweep, ``trajectory:passive`` the sequence that was recorded with the scene,
+or the sweep where there is none. The poses go through the sensor, the map and the protocols of every other run, frame
+by frame. Where a file is the ``trajectory.npz`` of a run, keyframes, rounds and decisions are that run's, and so is the
+map, to the last bit, on the run's scene, seed and configuration.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from activestructure_gym.config import configure
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.reconstruction_env import as_pose
 from activestructure_gym.errors import InputError, unknown_name
-from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, Job
+from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, Job, is_trajectory
 from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
 from activestructure_gym.evaluation.trajectories.fit import checked
 from activestructure_gym.evaluation.trajectories.formats import arrays_of, find_file, read_poses
@@ -32,6 +33,7 @@ from activestructure_gym.specs import parse_options, typed_options
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
 
+SWEEP, PASSIVE = "sweep", "passive"  # in place of a file
 _DIGITS = 8  # of the file's SHA-256, in its name
 _ROOM = 1e-3  # metres that must be free around the start of a camera that has been there
 
@@ -40,7 +42,7 @@ _ROOM = 1e-3  # metres that must be free around the start of a camera that has b
 class Given:
     """A trajectory as it is asked for."""
 
-    place: str  # a file, or a folder that has one
+    place: str  # a file, or a folder that has one; or `SWEEP`, `PASSIVE`
     digits: str = ""  # of the content that is meant
     kind: str = "auto"  # format, see `formats`
     axes: str = ""  # convention, see `axes`; the format's usual one if not given
@@ -60,11 +62,20 @@ class Given:
         given = cls(place, digits, **{"kind" if key == "format" else key: value for key, value in options.items()})
         if given.mapper and given.mapper not in MAPPERS:
             raise unknown_name("mapper", given.mapper, MAPPERS)
+        if not given.of_file and set(options) - {"mapper"}:
+            raise InputError(f"'{spec}': a {place} is made for the scene and takes the option mapper alone")
         return given
 
     @property
-    def frames(self) -> int:
-        """Frames that it costs, whatever the scene."""
+    def of_file(self) -> bool:
+        """Whether it stands in a file."""
+        return self.place not in (SWEEP, PASSIVE)
+
+    @property
+    def frames(self) -> int | None:
+        """Frames that it costs, whatever the scene; None where the scene decides."""
+        if not self.of_file:
+            return None
         file, kind = self.file()
         poses = read_poses(file, kind)
         return Course(poses, _legs(file, kind, poses, 1)).frames
@@ -75,6 +86,8 @@ class Given:
 
         Raises `InputError` where the file is not there or another one than is meant.
         """
+        if not self.of_file:
+            return f"{TRAJECTORY}{self.place}" + (f"?mapper={self.mapper}" if self.mapper else "")
         file, kind = self.file()
         usual = USUAL.get(kind, "opencv")
         options = {
@@ -100,10 +113,20 @@ class Given:
     def changes(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
         """All changes of the preset's fields where ``overrides`` were asked for."""
         mapper = {"mapper.name": self.mapper} if self.mapper else {}
-        return {"motion.body_radius": _ROOM, **overrides, **mapper}
+        room = {} if self.place == SWEEP else {"motion.body_radius": _ROOM}
+        return {**room, **overrides, **mapper}
 
-    def course(self, truth: GroundTruth, keyframe_every: int) -> Course:
-        """Its legs in a scene; raises `InputError` where a camera cannot have been there."""
+    def course(self, truth: GroundTruth, keyframe_every: int) -> Course | None:
+        """Its legs in a scene, None for a sweep, which depends on the start of an episode.
+
+        Raises `InputError` where a camera cannot have been there.
+        """
+        if self.place == PASSIVE and truth.scene.evaluation_views is not None:
+            poses = truth.scene.evaluation_views.world_from_camera
+            fit = checked(truth.free_space.clearance_at, poses, poses, "opencv", False, f"{truth.scene.name}, recorded")
+            return Course(poses, regular_legs(poses, keyframe_every), fit.outside)
+        if not self.of_file:
+            return None
         file, kind = self.file()
         written = read_poses(file, kind)
         axes = self.axes or USUAL.get(kind, "opencv")
@@ -131,6 +154,24 @@ class Course:
 def named_trajectory(spec: str) -> str:
     """The one text for ``trajectory:FILE?options``; raises `InputError`."""
     return Given.of(spec).spec
+
+
+def with_mappers(policies: Sequence[str], mappers: Sequence[str]) -> list[str]:
+    """The policies, every trajectory among them once for each mapper; raises `InputError` where there is none."""
+    if not mappers:
+        return list(policies)
+    if not any(map(is_trajectory, policies)):
+        raise InputError(
+            "--mappers is for trajectories among the policies, such as trajectory:passive; planners map by --set "
+            "mapper.name=..."
+        )
+    return [
+        spec
+        for policy in policies
+        for spec in (
+            [replace(Given.of(policy), mapper=name).spec for name in mappers] if is_trajectory(policy) else [policy]
+        )
+    ]
 
 
 def _options(
@@ -161,17 +202,29 @@ def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list
 class FollowingEnv(ReconstructionEnv):
     """An environment in which every step, whatever the action, is the next leg of a trajectory."""
 
-    def __init__(self, course: Course, **options: Any) -> None:
-        super().__init__(**options, start_pose=course.poses[0])
-        self.course = course
+    course: Course
+
+    def __init__(self, course: Course | None, truth: GroundTruth, **options: Any) -> None:
+        given = {} if course is None else {"start_pose": course.poses[0]}
+        super().__init__(**options | given, scene=truth)
+        self._given, self._truth = course, truth
         self._next = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin where the trajectory begins."""
+        """Begin where the trajectory begins; a sweep begins where any episode would."""
         self._next = 0
-        return super().reset(seed=seed, options=options)
+        begun = super().reset(seed=seed, options=options)
+        self.course = self._given or self._sweep()
+        return begun
+
+    def _sweep(self) -> Course:
+        from activestructure_gym.evaluation.running.sweep import sweep
+
+        config = self.config
+        poses = sweep(self._truth.free_space, self.reconstruction.pose, config.frame_budget, config.motion)
+        return Course(poses, regular_legs(poses, config.keyframe_every))
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Follow the next leg; terminates with the last one."""
@@ -202,15 +255,15 @@ def follower_of(job: Job, known: GroundTruth) -> tuple[Follower, FollowingEnv]:
     given = Given.of(job.policy)
     changes = given.changes(dict(job.overrides))
     config = configure(job.preset, changes)
-    course = given.course(known, config.keyframe_every)
     env = FollowingEnv(
-        course,
-        scene=known,
+        given.course(known, config.keyframe_every),
+        known,
         preset=job.preset,
         frame_budget=job.frame_budget,
         gains=(),
         config=changes,
         coverage_target=None,
+        start_pose=job.start_pose,
     )
     return Follower(), env
 

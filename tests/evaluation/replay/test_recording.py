@@ -14,6 +14,8 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay import Recording, play_again
+from activestructure_gym.evaluation.running.episode import run_job
+from activestructure_gym.evaluation.running.following import named_trajectory
 
 
 def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: list[Recording]) -> None:
@@ -49,6 +51,14 @@ def test_a_moment_shows_what_there_was_to_decide_by(recordings: list[Recording])
     greedy = next(one for one in recordings if one.run.policy == "hole_area")
     aimless = next(one for one in recordings if one.run.policy == "random")
     assert greedy.moments[0].worth.max() > 0 and np.isnan(aimless.moments[0].worth).all()
+
+
+def test_a_trajectory_that_was_followed_is_watched_without_choices(finished: list[Run], tmp_path: Path) -> None:
+    job = replace(finished[0].job, policy=named_trajectory(f"trajectory:{finished[0].directory}"))
+    run = run_job(job, tmp_path / "run")
+    recording = play_again(run)
+    assert recording.differs == "" and {moment.row for moment in recording.moments} == {-1}
+    np.testing.assert_array_equal(recording.poses, finished[0].trajectory["world_from_camera"])
 
 
 def test_another_episode_than_the_stored_one_is_told(finished: list[Run], tmp_path: Path) -> None:

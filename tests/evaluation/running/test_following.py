@@ -15,7 +15,8 @@ from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.running.comparison import Comparison
-from activestructure_gym.evaluation.running.following import Given, named_trajectory
+from activestructure_gym.evaluation.running.following import Given, named_trajectory, with_mappers
+from activestructure_gym.evaluation.trajectories.formats import read_poses
 from activestructure_gym.geometry import look_along
 
 PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000)
@@ -102,3 +103,32 @@ def test_damaged_legs_are_refused(played: Run, tmp_path: Path) -> None:
     np.savez(tmp_path / "trajectory.npz", **arrays)
     with pytest.raises(InputError, match="is damaged: legs must rise"):
         Comparison(["box"], [f"trajectory:{tmp_path}"], preset="fast").prepare()
+
+
+def test_a_sweep_is_the_same_for_every_mapper_and_starts_where_planners_do(played: Run, tmp_path: Path) -> None:
+    policies = with_mappers(["random", "trajectory:sweep"], ["default", "splatam"])
+    assert policies == ["random", "trajectory:sweep?mapper=default", "trajectory:sweep?mapper=splatam"]
+    result = compare(["box"], policies, tmp_path / "runs", config=CONFIG, **USUAL)
+    random, ours, splatam = result.runs
+    assert ours.trajectory["world_from_camera"].tobytes() == splatam.trajectory["world_from_camera"].tobytes()
+    assert (ours.trajectory["world_from_camera"][0] == random.trajectory["world_from_camera"][0]).all()
+    assert [run.config["configuration"]["mapper"]["name"] for run in (ours, splatam)] == ["default", "splatam"]
+    assert ours.metrics["metrics"]["frames"] == 40 and ours.metrics["metrics"]["collisions"] == 0
+    assert ours.metrics["metrics"]["gaussians"] != splatam.metrics["metrics"]["gaussians"]
+
+
+def test_mappers_are_for_trajectories() -> None:
+    assert with_mappers(["random"], []) == ["random"]
+    with pytest.raises(InputError, match="--mappers is for trajectories"):
+        with_mappers(["random"], ["splatam"])
+    with pytest.raises(InputError, match="takes the option mapper alone"):
+        named_trajectory("trajectory:sweep?axes=ros")
+
+
+def test_the_sequence_that_was_recorded_with_a_scene_is_the_passive_one(shared: Path, tmp_path: Path) -> None:
+    fixture = shared / "scenes" / "replica_fixture"
+    scene = f"{fixture / 'room_fix'}?sequence={fixture / 'seq' / 'room_fix'}"
+    (run,) = compare([scene], ["trajectory:passive"], tmp_path / "runs", config=CONFIG, **USUAL).runs
+    recorded = read_poses(fixture / "seq" / "room_fix", "nice_slam")
+    assert run.trajectory["world_from_camera"].tobytes() == recorded.tobytes()
+    assert run.metrics["metrics"]["frames"] == 12 and run.metrics["metrics"]["steps_too_long"] > 0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from activestructure_gym.policies.base import POLICIES, Observation, nearest_of_best
 from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.schedule import SELECTED_VIEWS
 
 
 @POLICIES.register("gavis")
@@ -13,6 +16,7 @@ class Gavis(Planner):
     decides_by = "entropy of what a view shows, known only where it was seen from that side"
     source = "by a digest of Xue et al., GAVIS, CVPR 2026"
     required_gains = ("gavis",)
+    brings = replace(SELECTED_VIEWS, budget="")
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; of equals the one with the fewest frames."""

@@ -71,3 +71,8 @@ def schedule_of(policy: Any, terms: Terms) -> Schedule:
 
 # All active systems that the paper compares, and its own, map by SplaTAM's recipe (Sec. 4.1).
 SPLATAM = Schedule(mapper="splatam", budget="2000 frames of 1200 x 680 (Sec. 4.1)")
+
+# Selectors of views, which pick one after the other out of a given set: nothing is mapped on the way, and a map is
+# optimised for 100 iterations per view before the next one is picked (`interval_epochs`, [fisherrf, code]; there 100
+# for each view there is, in all 19,000 for 20 views). The set has no counterpart in a room; the shared pool is it.
+SELECTED_VIEWS = Schedule(goal_keyframes=True, iterations=100, budget="10 or 20 views out of a data set")

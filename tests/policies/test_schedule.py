@@ -38,6 +38,44 @@ def test_what_a_policy_brings_is_a_configuration_that_it_can_play(name: str) -> 
     env.close()
 
 
+def begin(name: str, scene: str = "room", **changes: Any) -> tuple[Any, Policy, dict[str, np.ndarray]]:
+    env, policy = make_env_and_policy(
+        name, scene, terms="native", preset="fast", frame_budget=60, config={**SMALL, **changes}
+    )
+    policy.reset(0)
+    return env.unwrapped, policy, env.reset(seed=0)[0]
+
+
+@pytest.mark.parametrize("name", ["popgs_logdet", "next_best_sense", "gavis"])
+def test_selectors_of_views_map_what_they_pick_and_nothing_on_the_way(name: str) -> None:
+    env, policy, observation = begin(name)
+    keyframes, before, longest, ended = 1, 1, 0, False
+    while not ended:
+        observation, _, terminated, ended, info = env.step(policy.act(observation))
+        assert info["keyframes"] == (keyframes := keyframes + 1)
+        before, longest = info["frames"], max(longest, info["frames"] - before)
+        ended |= terminated
+    assert longest > 5  # a keyframe every 5 frames would be more
+
+
+def test_rules_as_published_bring_their_schedule_and_hybrids_of_ours_bring_none() -> None:
+    for name in POLICIES:
+        if name.startswith(("popgs_", "next_best_sense")):
+            brought = schedule_of(POLICIES.get(name), "native")
+            assert (brought.overrides() == {}) == name.endswith("_cov"), name
+            assert brought.iterations == (None if name.endswith("_cov") else 100)
+
+
+def test_r3_recon_is_offered_views_of_the_frontier_and_around_the_agent() -> None:
+    env, policy, observation = begin("r3_recon")
+    observation, *_ = env.step(policy.act(observation))
+    candidates = policy.candidates(observation)
+    facing, around = candidates.source("frontier_facing?rows=30"), candidates.source("around?rows=70")
+    assert 0 < facing.sum() <= 30 and 0 < around.sum() <= 70 and len(candidates) == 100
+    np.testing.assert_array_equal(facing | around, candidates.valid)
+    assert np.linalg.norm(candidates.xyz[around] - observation["pose"][:3], axis=1).max() <= 0.5 + 1e-5
+
+
 def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:
     assert Schedule().overrides() == {}
     full = Schedule(

@@ -37,7 +37,7 @@ def test_it_goes_round_the_wall_and_covers_both_rooms() -> None:
     assert through_the_door < length < 1.05 * through_the_door + 0.2
     poses = sweep(space, START, 10_000, MOTION)
     assert (space.clearance_at(poses[:, :3, 3]) > 0).all() and np.ptp(poses[:, 2, 3]) < 1e-12
-    free = space.centers(np.argwhere(space.clearance[:, :, 1] > 0.3))[:, :2]
+    free = space.centers(space.free_voxels)[:, :2]
     apart = np.linalg.norm(free[:, None] - poses[None, ::10, :2, 3], axis=-1).min(axis=1)
     assert apart.max() <= SPACING_M
     assert len(poses) > 3 * 36 * len(layer.tour()), "a full turn in each place, on three tours"

@@ -65,7 +65,7 @@ CONFIG: Check = table(
                 "width": number(1, _WIDEST_IMAGE, whole=True), "height": number(1, _WIDEST_IMAGE, whole=True),
                 "depth_noise": anything,
             }),
-        }),
+        }, {"motion": table({}, {"max_step_m": _size, "max_turn_deg": _size})}),
         "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), text),
                           others=text),
     },
@@ -77,6 +77,8 @@ _MEASURED = (
     *(f"tsdf_{name}" for name in ("accuracy_cm", "completion_cm", "completion_ratio", "precision", "f_score")),
     "observed_area", *LATE.values(),
 )  # fmt: skip
+# Of a trajectory that was given.
+_FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside")
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {
     "decision": _count, "frames": _size, "metres": _size, "completion_ratio": number(), "psnr": number()
@@ -94,6 +96,7 @@ METRICS: Check = table(
             },
             dict.fromkeys((*_MEASURED, "decisions", "keyframes", "gaussians"), maybe(number()))
             | {f"frames_to_{level}": maybe(_size) for level in LEVELS}
+            | dict.fromkeys(_FOLLOWED, _size)
             | {"planning_notes": table(others=text)},
         ),
         "curve": each(table(_POINT, _POINT_MORE), least=1),

@@ -251,6 +251,7 @@ def _announce(
 
 def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:
     from activestructure_gym.evaluation.archive.comparison import read_record
+    from activestructure_gym.evaluation.report.method_text import trajectories_text
     from activestructure_gym.evaluation.report.planning_table import rich_planning_table
     from activestructure_gym.evaluation.report.results import Results
     from activestructure_gym.evaluation.report.summary import write_report
@@ -269,6 +270,8 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
         print_whole(console, rich_table(table_rows(result.runs), title=_title(result)))
         if (planning := rich_planning_table(Results(result.runs, []))) is not None:
             print_whole(console, planning)
+        for told in trajectories_text(Results(result.runs, [])):
+            console.print(escape(told.replace("`", "")), soft_wrap=True)
         page, summary = escape(str(files[-1])), files[-2]
         console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
         console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")

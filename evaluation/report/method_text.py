@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from activestructure_gym.evaluation.archive.jobs import is_trajectory
 from activestructure_gym.evaluation.report.columns import QUALITY, aspects, measured, reason_of, value_of
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.results import Results
@@ -131,6 +132,36 @@ def terms_text(results: Results) -> list[str]:
     return [f"Native terms: every policy with candidate views and a schedule of its own. {'; '.join(told)}."]
 
 
+def trajectories_text(results: Results) -> list[str]:
+    """What trajectories that were given did beside the limits that planners keep, where there are any."""
+    told = []
+    for name in results.policies:
+        runs = [run for run in results.runs if run.policy == name and is_trajectory(run.job.policy)]
+        if not runs:
+            continue
+        motion = runs[0].config["configuration"].get("motion", {})
+        step, turn = motion.get("max_step_m", 0.0), motion.get("max_turn_deg", 0.0)
+        total = {key: sum(run.metrics["metrics"].get(key, 0) for run in runs) for key in _BESIDE}
+        most = {key: max(run.metrics["metrics"].get(key, 0.0) for run in runs) for key in _LARGEST}
+        told.append(
+            f"`{name}` ({total['frames']} frames) {total['collisions']} collisions, {total['poses_outside']} poses "
+            f"outside of the free space, {total['steps_too_long']} steps over {step:g} m (largest "
+            f"{most['largest_step_m']:.2f} m), {total['turns_too_wide']} turns over {turn:g} degrees (largest "
+            f"{most['largest_turn_deg']:.0f})"
+        )
+    return [f"Given trajectories, which were followed and not planned: {'; '.join(told)}."] if told else []
+
+
+_BESIDE = ("frames", "collisions", "poses_outside", "steps_too_long", "turns_too_wide")
+_LARGEST = ("largest_step_m", "largest_turn_deg")
+
+
 def definitions(results: Results) -> list[str]:
     """All texts of this module, a paragraph each; code stands between backticks."""
-    return [*terms_text(results), *protocol_texts(results), *statistics_text(), machine_text(results)]
+    return [
+        *terms_text(results),
+        *trajectories_text(results),
+        *protocol_texts(results),
+        *statistics_text(),
+        machine_text(results),
+    ]

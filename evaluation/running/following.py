@@ -123,7 +123,9 @@ class Given:
         """
         if self.place == PASSIVE and truth.scene.evaluation_views is not None:
             poses = truth.scene.evaluation_views.world_from_camera
-            fit = checked(truth.free_space.clearance_at, poses, poses, "opencv", False, f"{truth.scene.name}, recorded")
+            fit = checked(
+                truth.free_space.clearance_at, poses, poses, "opencv", False, f"recorded' in '{truth.scene.name}"
+            )
             return Course(poses, regular_legs(poses, keyframe_every), fit.outside)
         if not self.of_file:
             return None
@@ -133,7 +135,8 @@ class Given:
         poses = in_our_axes(written, axes, inverted=self.inverted)
         if self.start is not None:
             poses = begun_at(poses, as_pose(self.start))
-        fit = checked(truth.free_space.clearance_at, written, poses, axes, self.inverted, file.name)
+        name = f"{file.name}' in '{truth.scene.name}"
+        fit = checked(truth.free_space.clearance_at, written, poses, axes, self.inverted, name)
         return Course(poses, _legs(file, kind, poses, keyframe_every), fit.outside)
 
 

@@ -14,6 +14,8 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.method_text import trajectories_text
+from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.evaluation.running.following import Given, named_trajectory, with_mappers
 from activestructure_gym.evaluation.trajectories.formats import read_poses
@@ -66,6 +68,9 @@ def test_what_a_trajectory_does_beyond_the_limits_is_told(played: Run, tmp_path:
     assert numbers["largest_step_m"] == pytest.approx(0.15) and numbers["largest_turn_deg"] == pytest.approx(15.0)
     assert run.config["configuration"]["mapper"]["name"] == "splatam"
     assert run.trajectory["keyframes"].tolist() == [0, 4, 5]
+    (told,) = trajectories_text(gather([tmp_path / "runs"]))
+    assert "6 frames) 0 collisions, 0 poses outside of the free space, 1 steps over 0.1 m (largest 0.15 m)" in told
+    assert "5 turns over 10 degrees (largest 15)" in told
     assert run.policy.startswith(f"trajectory:{tmp_path.name}@") and run.policy.endswith("?mapper=splatam")
 
 

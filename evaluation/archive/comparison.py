@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,26 @@ def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
     labels = scene_labels({job.scene: job.scene_hash for job in jobs})
     found = [store.read_done(run_directory(directory, job), job, labels[job.scene]) for job in jobs]
     return [run for run in found if run is not None]
+
+
+def each_run(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
+    """The runs in directories of comparisons and of runs, every file of each compared with its sum; and by directory
+    why others are none.
+    """
+    runs, refused = list[Run](), dict[str, str]()
+    for directory in directories:
+        marks = sorted((directory / store.JOBS).glob(f"*/{store.DONE}"))
+        if not marks and not (directory / store.DONE).is_file():
+            raise InputError(f"'{directory}' is neither a finished run nor a comparison with one")
+        for place in [mark.parent for mark in marks] or [directory]:
+            try:
+                run = store.read_run(place)
+                store.read_all(run)
+                runs.append(run)
+            except InputError as error:
+                refused[str(place)] = str(error)
+    labels = scene_labels({run.job.scene: run.job.scene_hash for run in runs})
+    return [replace(run, scene=labels[run.job.scene]) for run in runs], refused
 
 
 def open_comparison(directory: Path) -> list[Run]:

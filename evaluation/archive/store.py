@@ -168,10 +168,15 @@ def damage_of(directory: Path, job: Job) -> str | None:
             return f"'{directory}' is not a finished run: it has no {DONE} file"
         if run.policy != policy_label(job.policy):
             return f"'{directory}' is of '{run.policy}', which was called '{job.policy}' when it was made"
-        _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
+        read_all(run)
     except InputError as error:
         return str(error)
     return None
+
+
+def read_all(run: Run) -> None:
+    """Read every file of a run and compare it with its sum; raises `InputError` about the first that is damaged."""
+    _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
 
 
 def set_aside(directory: Path) -> None:

@@ -35,6 +35,8 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg bench      measure the speed of the sensor, the rasteriser, the evaluation
   asg train      train a learned policy (bc, rank, ppo), or score policies on layouts nobody was trained on
   asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
+  asg verify     play finished runs again and compare them with what they stored, byte for byte
+  asg leaderboard  one page of runs from anybody, self-reported until they were verified here
   asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
   asg report     write the report of finished runs: one page, and tables for papers
   asg replay     write a run, or two side by side, as one page to watch: the map as it grows

@@ -19,6 +19,8 @@ COMMANDS = {
     "bench": "bench:Bench",
     "train": "train:Train",
     "evaluate": "evaluate:Evaluate",
+    "verify": "verify:Verify",
+    "leaderboard": "leaderboard:Leaderboard",
     "export": "export:Export",
     "report": "report:Report",
     "replay": "replay:Replay",

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
-from importlib import metadata
+from functools import cache
+from importlib import import_module, metadata
 from pathlib import Path
 
 from activestructure_gym._version import __version__
 from activestructure_gym.cores import core_count
+
+_SHOWING = {"cli", "report", "replay", "viewer", "benchmarks"}  # rooms that make no number of a run
 
 # What a number can depend on.
 PACKAGES = (
@@ -33,13 +37,32 @@ PACKAGES = (
 
 def versions() -> dict[str, str]:
     """Version of this package, of Python and of every package that takes part; "missing" where it is not installed."""
-    found = {"activestructure-gym": __version__, "python": platform.python_version()}
+    found = {"activestructure-gym": __version__, "code": code_sum(), "python": platform.python_version()}
     for package in PACKAGES:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             found[package] = "missing"
     return found
+
+
+@cache
+def code_sum() -> str:
+    """SHA-256 over the names and contents of the Python files that numbers are made by, of this package as it runs.
+
+    What shows results (pages, pictures, the command line) is left out.
+    """
+    import activestructure_gym
+
+    total = hashlib.sha256()
+    for name in ("", "envs", "policies", "evaluation"):
+        package = import_module(f"activestructure_gym.{name}") if name else activestructure_gym
+        root = Path(package.__path__[0])
+        for file in sorted(root.rglob("*.py")):
+            parts = (*([name] if name else []), *file.relative_to(root).parts)
+            if _SHOWING.isdisjoint(parts) and (name or parts[0] not in ("envs", "policies", "evaluation")):
+                total.update("/".join(parts).encode() + b"\0" + file.read_bytes() + b"\0")
+    return total.hexdigest()
 
 
 def hardware() -> dict[str, str | int]:

@@ -19,7 +19,7 @@ from activestructure_gym.evaluation.report.table_sections import costs_section, 
 
 _ASSETS = Path(__file__).with_name("assets")
 # Whatever a scene's or a policy's name may hold, the page loads nothing and sends nothing.
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+CONTENT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def html_page(results: Results, directory: Path | None = None) -> str:
@@ -42,16 +42,17 @@ def html_page(results: Results, directory: Path | None = None) -> str:
     body = Markup().join(section for section in sections if section is not None)
     return render(
         "page.html.j2",
-        policy=_POLICY,
+        policy=CONTENT_POLICY,
         title=title,
-        style=Markup(_colours()) + _asset("report.css"),
+        style=Markup(_colours()) + page_asset("report.css"),
         links=[(anchor, text) for anchor, text in named.items() if f' id="{anchor}"' in body],
         body=body,
-        script=_asset("report.js"),
+        script=page_asset("report.js"),
     )
 
 
-def _asset(name: str) -> Markup:
+def page_asset(name: str) -> Markup:
+    """One of the page's own files, as it is."""
     return Markup((_ASSETS / name).read_text(encoding="utf-8"))
 
 

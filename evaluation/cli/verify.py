@@ -1,0 +1,70 @@
+"""``asg verify``: finished runs played again, and compared with what they stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.fields import Runs, Switch
+from activestructure_gym.evaluation.cli.options import use_trust
+from activestructure_gym.evaluation.cli.output import make_console
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.running.episode import Progress
+
+_MARKS = {"identical": "[green]✓[/]", "within tolerances": "[yellow]≈[/]"}
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Play finished runs again and compare them with what they stored: every file byte for byte.
+
+    Where they were made on another processor or with other versions their numbers are compared, within tolerances. What
+    came out is remembered on this machine, outside the runs, and shown by `asg leaderboard`.
+    """
+
+    runs: Runs = ()
+    """Directories of runs or of comparisons."""
+    trust_code: Switch = False
+    """Let the runs' files name code, package.module:Name, that is run."""
+
+    def run(self) -> int:
+        """0 if every run came out as it was stored, 1 if one did not."""
+        use_trust(self.trust_code)
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from activestructure_gym.evaluation.archive.comparison import each_run
+        from activestructure_gym.evaluation.archive.verified import GOOD, Verification, keep
+        from activestructure_gym.evaluation.running.verifying import verify
+
+        if not self.runs:
+            raise InputError("asg verify needs the directory of a comparison or of a run")
+        console = make_console()
+        runs, refused = each_run([Path(name) for name in self.runs])
+        failed = len(refused)
+        for reason in refused.values():
+            console.print(f"[red]✗[/] damaged: {escape(reason)}", soft_wrap=True)
+        columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
+        for run in runs:
+            with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+                task = bar.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
+
+                def tell(progress: Progress, bar=bar, task=task) -> None:  # type: ignore[no-untyped-def]
+                    bar.update(task, completed=progress.frames)
+
+                try:
+                    found = verify(run, tell)
+                    keep(run.directory, found)
+                except InputError as error:  # of one run: the others are played
+                    found = Verification("differs", (f"cannot be played here: {error}",))
+            failed += found.verdict not in GOOD
+            mark = _MARKS.get(found.verdict, "[red]✗[/]")
+            said = f"{mark} {escape(run.job.title)}: {found.verdict}"
+            console.print("; ".join((said, *map(escape, found.why))), soft_wrap=True)
+        if failed:
+            console.print(f"[red]✗[/] {failed} of {len(runs) + len(refused)} did not come out as stored")
+        return 1 if failed else 0

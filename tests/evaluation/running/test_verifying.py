@@ -1,0 +1,175 @@
+"""A run that is played again comes out the same, and what was changed in one does not."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation import StandardProtocol, compare, read_run
+from activestructure_gym.evaluation.archive import verified
+from activestructure_gym.evaluation.archive.store import DONE, Run
+from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.machine.hardware import code_sum
+from activestructure_gym.evaluation.report.leaderboard import leaderboard_page, rows_of
+from activestructure_gym.evaluation.running.verifying import TOLERANCES, out_of_tolerance, verify
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    result = compare(
+        ["box"],
+        ["random"],
+        tmp_path_factory.mktemp("made") / "runs",
+        preset="fast",
+        frame_budget=12,
+        config={"mapper.iterations": 1, "sensor": {"width": 64, "height": 36}},
+        engine="inline",
+        protocol=replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
+    )
+    return result.runs[0]
+
+
+@pytest.fixture
+def run(made: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """A copy that may be changed, with marks of its own."""
+    monkeypatch.setenv(verified.VARIABLE, str(tmp_path / "marks"))
+    return read_run(Path(shutil.copytree(made.directory, tmp_path / "runs" / "jobs" / made.directory.name)))
+
+
+def change(run: Run, name: str, act: Any, *, forge: bool = False) -> Run:
+    """``run`` with a file that ``act`` made something else of; forged, the sums are of that."""
+    path = run.directory / name
+    path.write_bytes(act(path.read_bytes()))
+    if forge:
+        done, digest = run.directory / DONE, hashlib.sha256(path.read_bytes()).hexdigest()
+        lines = [f"{digest}  {name}" if line.endswith(f"  {name}") else line for line in done.read_text().splitlines()]
+        done.write_text("\n".join(lines) + "\n")
+        return read_run(run.directory)
+    return run
+
+
+def better(data: bytes) -> bytes:
+    content = json.loads(data)
+    content["metrics"]["psnr"] += 5.0
+    return json.dumps(content).encode()
+
+
+def test_an_untouched_run_is_identical_and_known_from_then_on(run: Run) -> None:
+    assert verified.known(run.directory) is None
+    heard: list[str] = []
+    found = verify(run, lambda progress: heard.append(progress.stage))
+    assert (found.verdict, found.why, found.code) == ("identical", (), code_sum()) and "exploring" in heard
+    verified.keep(run.directory, found)
+    assert verified.known(run.directory) == found
+    assert run.config["versions"]["code"] == code_sum()
+    # A mark inside the run would be of whoever handed it in.
+    assert not any(verified.marks_directory().name in str(file) for file in run.directory.rglob("*"))
+
+
+@pytest.mark.parametrize(
+    "name", ["metrics.json", "steps.jsonl", "map.npz", "trajectory.npz", "pictures.npz", "graph.npz"]
+)
+def test_one_changed_byte_is_refused_with_the_files_name(run: Run, name: str) -> None:
+    def turned(data: bytes) -> bytes:
+        middle = len(data) // 2
+        return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+    verified.keep(run.directory, verified.Verification("identical"))
+    found = verify(change(run, name, turned))
+    assert found.verdict == "damaged" and name in found.why[0]
+
+
+def test_numbers_that_were_forged_with_their_sums_do_not_come_out(run: Run) -> None:
+    verified.keep(run.directory, verified.Verification("identical"))
+    forged = change(run, "metrics.json", better, forge=True)
+    assert verified.known(run.directory) is None  # it is another run's
+    found = verify(forged)
+    assert found.verdict == "differs" and "metrics.json" in found.why[0]
+    assert any(why.startswith("psnr ") for why in found.why)
+
+
+def test_elsewhere_numbers_count_within_tolerances(run: Run) -> None:
+    def of_another_machine(data: bytes) -> bytes:
+        content = json.loads(data)
+        content["hardware"]["processor"] = "another one"
+        return json.dumps(content).encode()
+
+    def a_little_better(data: bytes) -> bytes:
+        content = json.loads(data)
+        content["metrics"]["psnr"] += 0.5 * TOLERANCES["psnr"]
+        return json.dumps(content).encode()
+
+    other = change(run, "timing.json", of_another_machine, forge=True)
+    assert verify(other).verdict == "identical"  # it may be slower and reach the same bytes
+    found = verify(change(other, "metrics.json", a_little_better, forge=True))
+    assert found.verdict == "within tolerances" and found.why[0].startswith("made on another one, played again on ")
+    found = verify(change(other, "metrics.json", better, forge=True))
+    assert found.verdict == "differs" and len(found.why) == 2
+
+
+def test_tolerances_are_of_both_sides_and_of_numbers_that_both_have() -> None:
+    assert out_of_tolerance({"psnr": 20.0, "ssim": None}, {"psnr": 20.5, "ssim": None}) == []
+    assert len(out_of_tolerance({"psnr": 20.0}, {"psnr": 19.4})) == 1
+    assert out_of_tolerance({"ssim": None}, {"ssim": 0.5}) == ["ssim none, again 0.50, which may differ by 0.02"]
+
+
+def test_code_is_not_run_for_who_hands_in_a_run(run: Run) -> None:
+    with pytest.raises(InputError, match="names the policy .* add --trust-code"):
+        verify(replace(run, job=replace(run.job, policy="tests.policies.test_schedule:Bringer")))
+
+
+def test_a_row_is_self_reported_until_it_was_verified_here(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    directory = str(run.directory)
+
+    def said() -> str:
+        ((rows, _),) = rows_of([run], lambda one: verified.known(one.directory))
+        return rows[0].status
+
+    assert main(["leaderboard", directory]) == 0
+    assert "self-reported" in (tmp_path / "leaderboard.html").read_text() and said() == "self-reported"
+    assert main(["verify", directory]) == 0
+    assert "box · random · seed 0: identical" in capsys.readouterr().out and said() == "verified"
+    assert main(["leaderboard", directory]) == 0
+    page = (tmp_path / "leaderboard.html").read_text()
+    for text in (run.sums["map.npz"], run.sums["metrics.json"], run.config["scene"]["content_hash"], ">verified<"):
+        assert text in page
+    assert "asg compare --scenes box --policies random --seeds 0 --preset fast --frames 12 --set" in page
+    change(run, "metrics.json", better)
+    assert main(["verify", directory]) == 1 and "metrics.json" in capsys.readouterr().out
+    assert main(["leaderboard", directory]) == 2 and "metrics.json" in capsys.readouterr().err
+    assert main(["verify"]) == 2 and main(["leaderboard", str(tmp_path)]) == 2
+
+
+def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> None:
+    def other(policy: str, seed: int, ratio: float) -> Run:
+        metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": ratio}}
+        return replace(run, job=replace(run.job, policy=policy, seed=seed), metrics=metrics)
+
+    played = [("random", 0, 50.0), ("random", 1, 60.0), ("hole_area", 0, 70.0), ("hole_area", 1, 80.0)]
+    runs = [other(*one) for one in (*played, ("frontier", 0, 99.0))]
+    runs.append(replace(other("random", 0, 1.0), job=replace(run.job, preset="default")))
+    verdicts = {("random", 0): "identical", ("random", 1): "differs", ("hole_area", 0): "within tolerances"}
+
+    def known(one: Run) -> verified.Verification | None:
+        verdict = verdicts.get((one.job.policy, one.job.seed)) if one.job.preset == "fast" else None
+        return verified.Verification(verdict) if verdict else None  # type: ignore[arg-type]
+
+    (rows, wanted), (others, _) = rows_of(runs, known)
+    assert [row.policy for row in rows] == ["hole_area", "random", "frontier"] and wanted == 2
+    assert [row.status for row in rows] == [
+        "verified 1 of 2 runs, others self-reported, within tolerances",
+        "refuted: 1 run came out otherwise", "self-reported",
+    ]  # fmt: skip
+    assert len(others) == 1
+    page = leaderboard_page(runs, known, {"/home/who/runs/<b>": "damaged"})
+    assert "<b>&lt;" not in page and "/home/who" not in page and "&lt;b&gt;" in page

@@ -14,6 +14,8 @@ from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.cli.output import make_console
 
 if TYPE_CHECKING:
+    from rich.progress import TaskID
+
     from activestructure_gym.evaluation.running.episode import Progress
 
 _MARKS = {"identical": "[green]✓[/]", "within tolerances": "[yellow]≈[/]"}
@@ -35,7 +37,8 @@ class Verify:
     def run(self) -> int:
         """0 if every run came out as it was stored, 1 if one did not."""
         use_trust(self.trust_code)
-        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
 
         from activestructure_gym.evaluation.archive.comparison import each_run
         from activestructure_gym.evaluation.archive.verified import GOOD, Verification, keep
@@ -50,10 +53,10 @@ class Verify:
             console.print(f"[red]✗[/] damaged: {escape(reason)}", soft_wrap=True)
         columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
         for run in runs:
-            with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+            with Bar(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
                 task = bar.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
 
-                def tell(progress: Progress, bar=bar, task=task) -> None:  # type: ignore[no-untyped-def]
+                def tell(progress: Progress, bar: Bar = bar, task: TaskID = task) -> None:
                     bar.update(task, completed=progress.frames)
 
                 try:

@@ -69,9 +69,9 @@ def history_chart(steps: Steps) -> Markup | None:
             parts.append(stroke("grid", _LEFT, level, _WIDTH - _RIGHT, level))
             parts.append(words(tick_text(tick, y_ticks), _LEFT - 6, level + 4, "end"))
         for kind, own in panel.series.values():
-            x = np.stack([starting, ending], axis=1) if panel.held else ending[:, None]
-            y = np.repeat(y_of(own)[:, None], x.shape[1], axis=1)
-            parts.append(shape(f"curve {kind}", _pieces(_LEFT + x / end * width, y)))
+            places = np.stack([starting, ending], axis=1) if panel.held else ending[:, None]
+            heights = np.repeat(y_of(own)[:, None], places.shape[1], axis=1)
+            parts.append(shape(f"curve {kind}", _pieces(_LEFT + places / end * width, heights)))
         parts += _legend(panel)
         groups.append(Group({"transform": f"translate(0 {top:g})"}, parts))
         top += _HEAD + panel.height

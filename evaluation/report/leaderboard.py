@@ -201,8 +201,7 @@ def _column(rows: Sequence[Row], column: Column, ranks: Sequence[bool]) -> list[
 
 
 def _status(row: Row) -> Cell:
-    tone = "bad" if row.refuted else "good" if row.verified else ""
-    return Cell(row.status, tone=tone)
+    return Cell(row.status, tone="bad" if row.refuted else "good" if row.verified else "")
 
 
 def _made_on(row: Row) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.report import style, verdicts
-from activestructure_gym.evaluation.report.charts import key_mark, panel_chart
-from activestructure_gym.evaluation.report.curves import COSTS, chart_rows, convergence, measures_of
+from activestructure_gym.evaluation.report.charts import Line, key_mark, panel_chart
+from activestructure_gym.evaluation.report.curves import COSTS, Measure, chart_rows, convergence, measures_of
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.planning_table import planning_table
 from activestructure_gym.evaluation.report.results import Results, once
@@ -33,9 +36,35 @@ def convergence_section(results: Results) -> Markup:
 
 
 def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Markup:
-    """All measures over frames, metres and seconds."""
-    charts = [chart for row in chart_rows(results, scene, statistic) for chart in row]
-    return render("chart_grid.html.j2", charts=charts)
+    """All measures over frames, metres and seconds, each with a sentence of what there is to see."""
+    rows = [
+        (reading(convergence(results, COSTS[0].key, measure.key, scene, statistic, banded=False), measure), charts)
+        for measure, charts in zip(measures_of(results), chart_rows(results, scene, statistic), strict=True)
+    ]
+    return render("chart_grid.html.j2", rows=rows)
+
+
+def reading(lines: Sequence[Line], measure: Measure) -> str:
+    """Who is highest in the end and half way through the frames, as the curves show it."""
+    if not lines:
+        return ""
+    half = 0.5 * max(float(line.x[-1]) for line in lines)
+    ends = {line.name: f"{line.y[-1]:.{measure.digits}f}" for line in lines}
+    middles = {line.name: f"{np.interp(half, line.x, line.y):.{measure.digits}f}" for line in lines}
+    best, early = (max(map(float, found.values())) for found in (ends, middles))
+    last, first = (
+        [name for name, text in found.items() if float(text) == top] for found, top in ((ends, best), (middles, early))
+    )
+    top, before = f"{best:.{measure.digits}f} {measure.unit}", f"{early:.{measure.digits}f} {measure.unit}"
+    if len(lines) == 1:
+        return f"{measure.header}: {before} at frame {half:.0f}, {top} in the end."
+    text = f"{measure.header}: {_named(last)} highest in the end with {top}"
+    return f"{text}{f'; {_named(first)} so' if first != last else ', and'} at frame {half:.0f} with {before}."
+
+
+def _named(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:3]) if len(names) != 2 else " and ".join(names)
+    return f"{shown}{f' and {len(names) - 3} more' if len(names) > 3 else ''} {'is' if len(names) == 1 else 'are'}"
 
 
 @once

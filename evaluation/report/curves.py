@@ -74,6 +74,7 @@ def measures_of(results: Results) -> list[Measure]:
     return [m for m in MEASURES if any(p.get(m.key) is not None for run in results.runs for p in run.metrics["curve"])]
 
 
+@once
 def convergence(
     results: Results,
     cost: str,

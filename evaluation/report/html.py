@@ -13,6 +13,7 @@ from jinja2.ext import Extension
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.layout import Cell, Table
+from activestructure_gym.evaluation.report.packing import packed
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.style import hue
 
@@ -38,6 +39,7 @@ def _environment() -> Environment:
     environment.filters |= {
         "counted": counted,
         "hue": hue,
+        "packed": packed,
         "place": "{:.1f}".format,
         "with_its_arrow": lambda text: text.replace(" ↓", "\u00a0↓").replace(" ↑", "\u00a0↑"),  # none begins a line
         "without_places": without_places,

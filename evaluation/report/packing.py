@@ -5,10 +5,10 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 
-def packed(texts: Sequence[str]) -> str:
+def packed(texts: Iterable[str]) -> str:
     """Texts as one word for an attribute: a JSON list, deflated (RFC 1950) and in base64.
 
     What `DecompressionStream("deflate")` of a browser unpacks.

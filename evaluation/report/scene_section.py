@@ -14,7 +14,6 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import COLUMNS
 from activestructure_gym.evaluation.report.curve_section import chart_grid
 from activestructure_gym.evaluation.report.html import html_table, render
-from activestructure_gym.evaluation.report.packing import packed
 from activestructure_gym.evaluation.report.picture_keys import DEFICIT_KEY, PLAN_KEY, TYPE_KEY
 from activestructure_gym.evaluation.report.pictures import BLACK
 from activestructure_gym.evaluation.report.places import without_places
@@ -58,8 +57,7 @@ def scene_section(results: Results, scene: str, anchor: str, directory: Path | N
         more_graphs=[graph for graph in graphs if not graph["pictures"]],
         deficit_key=DEFICIT_KEY,
         type_key=TYPE_KEY,
-        traces=[summary for summary, _ in traces],
-        traces_packed=packed([content for _, content in traces]),
+        traces=traces,
     )
 
 

@@ -25,6 +25,7 @@ def quality_section(results: Results) -> Markup | None:
     return render(
         "quality.html.j2",
         first=tables[0][1] if tables else None,
+        rows=len(results.policies) * len(aspects(results.runs)[0].columns),
         others=tables[1:],
         aggregates=html_table(verdicts.aggregate_table(results)),
     )
@@ -45,6 +46,7 @@ def differences_section(results: Results) -> Markup | None:
         intervals=intervals,
         charts=[chart for chart in charts if chart is not None],
         table=html_table(table, colours=results.palette),
+        rows=len(table.rows),
         matrices=[html_table(matrix, colours=results.palette) for matrix in matrices if matrix is not None],
     )
 

@@ -60,38 +60,6 @@
     box.parentElement.style.setProperty("--tall", `${box.offsetHeight - 2}px`);
   };
   const sizes = new ResizeObserver((entries) => entries.forEach((entry) => hint(entry.target)));
-  const dress = (part) => {
-    part.querySelectorAll("table.sortable").forEach(makeSortable);
-    for (const box of part.querySelectorAll("figure.table > .wide")) {
-      sizes.observe(box);
-      box.addEventListener("scroll", () => hint(box), { passive: true });
-    }
-  };
-  dress(document);
-
-  // Every run's decisions, unpacked when the first of a scene is opened.
-  const unpack = async (word) => {
-    const bytes = Uint8Array.from(atob(word), (letter) => letter.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    return JSON.parse(await new Response(stream).text());
-  };
-  for (const group of document.querySelectorAll(".traces")) {
-    let texts;
-    const folded = [...group.children];
-    for (const [number, trace] of folded.entries()) {
-      const open = async () => {
-        texts ??= unpack(group.dataset.packed);
-        try {
-          trace.insertAdjacentHTML("beforeend", (await texts)[number]);
-          dress(trace);
-        } catch {
-          trace.append("This browser cannot unpack it; the same is in the run's steps.jsonl.");
-        }
-      };
-      trace.addEventListener("toggle", open, { once: true });
-    }
-  }
-
   // Pictures, enlarged: click or Enter opens, click or Escape closes, arrows go to the one before and after.
   const overlay = document.getElementById("enlarged");
   const images = [...document.querySelectorAll("main img")];
@@ -124,14 +92,18 @@
   });
 
   // A policy's curves, hidden and shown everywhere.
-  for (const button of document.querySelectorAll("button.legend")) {
+  const legend = [...document.querySelectorAll("button.legend")];
+  const follow = (button, part) => {
+    const shown = button.getAttribute("aria-pressed") === "true";
+    for (const series of part.querySelectorAll(`.series.${button.dataset.series}`)) {
+      if (series.classList.contains("rest")) series.classList.toggle("lit", shown);
+      else series.classList.toggle("off", !shown);
+    }
+  };
+  for (const button of legend) {
     button.addEventListener("click", () => {
-      const shown = button.getAttribute("aria-pressed") !== "true";
-      button.setAttribute("aria-pressed", String(shown));
-      for (const series of document.querySelectorAll(`.series.${button.dataset.series}`)) {
-        if (series.classList.contains("rest")) series.classList.toggle("lit", shown);
-        else series.classList.toggle("off", !shown);
-      }
+      button.setAttribute("aria-pressed", String(button.getAttribute("aria-pressed") !== "true"));
+      follow(button, document);
     });
   }
 
@@ -151,7 +123,7 @@
     }
     return points;
   };
-  for (const chart of document.querySelectorAll("svg.chart[data-frame]")) {
+  const makeReadable = (chart) => {
     const [left, top, right, bottom] = numbersOf(chart.dataset.frame);
     const [xLow, xHigh] = numbersOf(chart.dataset.x);
     const [yLow, yHigh] = numbersOf(chart.dataset.y);
@@ -195,5 +167,40 @@
       reading.style.top = `${event.pageY + 12}px`;
       probe.setAttribute("d", `M${x} ${top}V${bottom}`);
     });
+  };
+
+  // What a part of the page needs, be it there from the start or unpacked later.
+  const dress = (part) => {
+    part.querySelectorAll("table.sortable").forEach(makeSortable);
+    part.querySelectorAll("svg.chart[data-frame]").forEach(makeReadable);
+    for (const button of legend) follow(button, part);
+    for (const box of part.querySelectorAll("figure.table > .wide")) {
+      sizes.observe(box);
+      box.addEventListener("scroll", () => hint(box), { passive: true });
+    }
+  };
+  dress(document);
+
+  // Folded parts, unpacked when the first of a group is opened.
+  const unpack = async (word) => {
+    const bytes = Uint8Array.from(atob(word), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return JSON.parse(await new Response(stream).text());
+  };
+  for (const group of document.querySelectorAll(".packed")) {
+    let texts;
+    const folded = [...group.querySelectorAll(":scope > details")];
+    for (const [number, part] of folded.entries()) {
+      const open = async () => {
+        texts ??= unpack(group.dataset.packed);
+        try {
+          part.insertAdjacentHTML("beforeend", (await texts)[number]);
+          dress(part);
+        } catch {
+          part.append("This browser cannot unpack what is folded here.");
+        }
+      };
+      part.addEventListener("toggle", open, { once: true });
+    }
   }
 })();

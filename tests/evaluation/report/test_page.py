@@ -107,12 +107,16 @@ def test_tables_sort_curves_hide_and_dark_is_dark(path, browser):
     browser.prefer("light")
 
 
-def test_a_policy_is_hidden_alone_where_another_has_its_colour(make_run, browser, tmp_path):
+def test_of_more_policies_than_colours_the_others_are_grey_until_asked_for(make_run, browser, tmp_path):
     page = tmp_path / "many.html"
     page.write_text(html_page(Results([make_run(policy=name) for name in "abcdefghij"], [])))
     browser.open(page)
+    grey = "document.querySelector('.legends details .legend')"
+    lit = "[...new Set([...document.querySelectorAll('.series.rest.lit')].map((series) => series.dataset.name))]"
+    assert browser.ask(f"{grey}.textContent") == "i" and browser.ask(lit) == []  # there are eight colours
+    assert browser.ask(f"{grey}.click();{lit}") == ["i"] and browser.ask(f"{grey}.click();{lit}") == []
     hidden = "new Set([...document.querySelectorAll('.series.off')].map((series) => series.dataset.name))"
-    assert browser.ask(f"document.querySelector('.legend').click();[...{hidden}]") == ["a"]  # "i" has its colour
+    assert browser.ask(f"document.querySelector('.legend').click();[...{hidden}]") == ["a"]
     assert browser.ask("document.querySelectorAll('svg.panels .panel').length") == 20
 
 
@@ -284,11 +288,16 @@ def test_a_table_that_goes_on_says_so(path, browser, width):
 
 
 def test_it_fits_a_telephone(path, browser):
-    browser.size(390, 800)
+    browser.size(320, 640)
     try:
         browser.open(path)
-        browser.ask("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
-        assert browser.ask("document.documentElement.scrollWidth") <= 390
+        browser.ask(
+            """(async () => { const folded = () => document.querySelectorAll('details:not([open])');
+            while (folded().length) { folded().forEach((one) => { one.open = true; });
+            await new Promise((done) => setTimeout(done, 100)); } })()"""
+        )
+        assert browser.ask("document.querySelectorAll('.trace tbody').length") == 8
+        assert browser.ask("document.documentElement.scrollWidth") <= 320
         cells = browser.ask(
             "[...document.querySelectorAll('tbody td, tbody th, figure:not(.trace figure) th')].map((cell) => "
             "[cell.textContent, cell.rowSpan, cell.getBoundingClientRect().width, cell.getBoundingClientRect().height])"
@@ -304,7 +313,7 @@ def test_decisions_are_unpacked_where_they_are_opened(path, results, browser):
     assert browser.ask("document.querySelectorAll('.trace table').length") == 0
     rows = browser.ask(
         """(async () => { const trace = document.querySelectorAll('#scene-2 .trace')[2]; trace.open = true;
-        while (!trace.querySelector('table')) await new Promise((done) => setTimeout(done, 10));
+        while (!trace.querySelector('tbody tr')) await new Promise((done) => setTimeout(done, 10));
         return [[...trace.querySelectorAll('tbody tr')].map((row) => row.cells[1].textContent),
         trace.querySelector('summary').textContent, trace.querySelector('p').textContent]; })()"""
     )
@@ -313,6 +322,20 @@ def test_decisions_are_unpacked_where_they_are_opened(path, results, browser):
     assert run.key in rows[2]
     sort = "document.querySelectorAll('.trace thead button')[1]"
     assert browser.ask(f"{sort}.click(); {sort}.closest('th').getAttribute('aria-sort')") == "ascending"
+    assert browser.complaints() == []
+
+
+def test_a_policy_that_is_hidden_is_hidden_in_what_is_unpacked_later(path, browser):
+    browser.open(path)
+    browser.ask("document.querySelector('.legend').click()")
+    hidden = browser.ask(
+        """(async () => { const part = [...document.querySelectorAll('.packed details')].find((one) =>
+        one.textContent.includes('interquartile')); part.open = true;
+        while (!part.querySelector('svg')) await new Promise((done) => setTimeout(done, 10));
+        const kinds = ['.series.s0', '.series.s0.off', '.series.off'];
+        return kinds.map((kind) => part.querySelectorAll(kind).length); })()"""
+    )
+    assert hidden[0] >= 6 and hidden == hidden[:1] * 3
     assert browser.complaints() == []
 
 

@@ -29,6 +29,7 @@ _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # of a content hash, in a name that people read
 _USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses")  # of files of poses
+_RUN = re.compile(r"--seed\d+--[0-9a-f]{12}$")  # at the end of a run directory's name
 _LONGEST = 80  # characters of a scene, and of a policy, in a file's name
 
 
@@ -200,8 +201,8 @@ def policy_label(spec: str) -> str:
     """A short name for a policy: a checkpoint's without the folders it lies in, ``learned:bc@01234567``.
 
     The digits are those of its content, so that names differ where the checkpoints do. A file that is called ``best``
-    is the checkpoint of the run whose directory it lies in. A trajectory's name is that of its file, and of the folder
-    where the file is called as everywhere.
+    is the checkpoint of the run whose directory it lies in. A trajectory's name is that of its file, or of the folder
+    where the file is called as everywhere: ``trajectory:room0@01234567``; a run's is its policy and seed.
     """
     if is_reference(spec):
         return f"{spec.removeprefix(REFERENCE)} (reference, sees the ground truth)"
@@ -210,6 +211,7 @@ def policy_label(spec: str) -> str:
     if is_trajectory(spec) and at:
         file, options = PurePath(path), place.partition("?")[2]
         name = file.parent.name if file.stem in _USUAL_STEMS and file.parent.name else file.stem
+        name = "--".join(name.split("--")[1:3]) if _RUN.search(name) else name
         return f"{TRAJECTORY}{name}@{digits}" + (f"?{options}" if options else "")
     if family != "learned" or not colon or not at:
         return spec

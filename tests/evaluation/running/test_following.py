@@ -36,6 +36,7 @@ def test_a_run_scored_by_its_own_trajectory_is_the_same_run(played: Run, tmp_pat
     spec = f"trajectory:{played.directory / 'trajectory.npz'}"
     result = compare(["box"], [spec, "random"], tmp_path / "runs", config=CONFIG, **USUAL)
     again = next(run for run in result.runs if is_trajectory(run.job.policy))
+    assert again.policy.startswith("trajectory:random--seed0@")
     for file in ("map.npz", "map.ply", "graph.npz", "trajectory.npz"):
         assert (again.directory / file).read_bytes() == (played.directory / file).read_bytes(), file
     numbers, before = again.metrics["metrics"], played.metrics["metrics"]

@@ -29,8 +29,10 @@ _BYTE = 1 << 20  # which one Windows locks: it lets nobody read a locked byte
 
 
 @contextmanager
-def hold(directory: Path) -> Iterator[int]:
+def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
     """Make ``directory`` and hold it while the block runs; gives the descriptor that keeps the hold.
+
+    ``shared`` holds let each other in, and nobody who wants the directory for himself.
 
     Raises `InputError` where another supervisor lives that holds it. Where only the workers of one that was killed are
     left, waits for them to end. Without effect on file systems that know no locks.
@@ -41,7 +43,7 @@ def hold(directory: Path) -> Iterator[int]:
     except OSError as error:
         raise InputError(f"the output '{directory}' cannot be made: {error.strerror}") from error
     try:
-        _take(descriptor, directory)
+        _take(descriptor, directory, shared=shared)
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
         os.write(descriptor, f"{os.getpid()} {machine_mark()}".encode())
@@ -50,21 +52,21 @@ def hold(directory: Path) -> Iterator[int]:
         os.close(descriptor)
 
 
-def check_free(directory: Path) -> None:
-    """Raise `InputError` where a supervisor holds ``directory``; writes nothing."""
+def check_free(directory: Path, *, shared: bool = False) -> None:
+    """Raise `InputError` where a supervisor holds ``directory``, if need be but a ``shared`` one; writes nothing."""
     try:
         descriptor = os.open(directory / LOCK, os.O_RDWR)
     except OSError:
         return  # not there; or not ours to write, which others say better
     try:
-        _take(descriptor, directory)
+        _take(descriptor, directory, shared=shared)
     finally:
         os.close(descriptor)
 
 
-def _take(descriptor: int, directory: Path) -> None:
+def _take(descriptor: int, directory: Path, *, shared: bool = False) -> None:
     waited = 0.0  # not by the clock: time during which everything is suspended does not count
-    while not _try(descriptor):
+    while not _try(descriptor, shared=shared):
         process, _, machine = _owner(descriptor).partition(" ")
         if not process.isdigit() or machine != machine_mark() or is_alive(int(process)):
             who = f"process {process}" if machine == machine_mark() else "a process of another machine"
@@ -78,12 +80,12 @@ def _take(descriptor: int, directory: Path) -> None:
         waited += _TICK
 
 
-def _try(descriptor: int) -> bool:
+def _try(descriptor: int, *, shared: bool = False) -> bool:
     """Take the lock if it is free."""
     try:
         if fcntl is not None:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        elif not shared:  # Windows has no shared ones
             import msvcrt
 
             os.lseek(descriptor, _BYTE, os.SEEK_SET)

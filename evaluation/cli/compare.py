@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
 from rich.markup import escape
@@ -85,6 +85,11 @@ class Compare:
     )
     workers: int = 0
     """Runs at a time; 0 is one per core."""
+    shard: Annotated[str | None, option("I/N", "")] = None
+    (
+        "Be the I-th of N programs that work off this comparison and share nothing but --out: all get the same "
+        "options. The jobs of one that is lost are taken over."
+    )
     timeout: float = 0.0
     """Minutes after which a run is stopped and tried again; 0 is any time."""
     retries: int = 1
@@ -118,7 +123,7 @@ DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples
 
 
 # What decides how and where a comparison runs, or how it is told, and not what is compared.
-_MANNER = ("out", "resume", "engine", "workers", "timeout", "retries", "replay", "baseline", "trust_code")
+_MANNER = ("out", "resume", "engine", "workers", "shard", "timeout", "retries", "replay", "baseline", "trust_code")
 
 
 def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
@@ -130,6 +135,8 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     console = make_console()
     if options.resume and not options.out:
         raise InputError("--resume needs --out: the directory of the comparison to go on with")
+    if options.shard is not None and not options.out:
+        raise InputError("--shard needs --out: the directory that all shards share")
     bare = options.resume and options == Compare(**{name: getattr(options, name) for name in _MANNER})
     demo = not options.scenes and not bare
     if demo:
@@ -142,11 +149,13 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
     from activestructure_gym.evaluation.running.following import named_trajectory
+    from activestructure_gym.evaluation.running.sharding import Shard, run_shard
     from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
     get_engine(options.engine).check(limits)
-    check_output(directory, resume=options.resume)
+    shard = None if options.shard is None else Shard.parse(options.shard)
+    check_output(directory, resume=options.resume, shared=shard is not None)
     began = time.monotonic()
     comparison = comparison or (None if bare else comparison_of(options))
     if comparison and options.engine != "ray":
@@ -167,13 +176,19 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.running.live_progress import LiveProgress
 
     try:
-        with hold(directory) as held:
+        with hold(directory, shared=shard is not None) as held:
+            given: dict[str, Any] = {
+                "engine": options.engine, "limits": limits, "command": _command_line(), "held": held,
+                "tell": lambda text: console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True),
+            }  # fmt: skip
             with LiveProgress(console) as live:
-                result = run_comparison(
-                    jobs, directory, live, engine=options.engine, limits=limits, resume=options.resume,
-                    command=_command_line(), held=held,
-                    tell=lambda text: console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True),
-                )  # fmt: skip
+                if shard is None:
+                    result = run_comparison(jobs, directory, live, resume=options.resume, **given)
+                else:
+                    result, reports = run_shard(jobs, directory, live, shard, again=options.resume, **given)
+            if shard is not None and not reports:
+                console.print(f"all of it is done; another shard reports it, or `asg report {escape(str(directory))}`")
+                return 1 if result.failed else 0
             seconds = time.monotonic() - began
             if options.replay:  # before the report, which links to them
                 from activestructure_gym.evaluation.cli.replay import add_replays

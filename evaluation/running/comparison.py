@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.claims import CLAIMS
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
 from activestructure_gym.evaluation.archive.jobs import (
@@ -179,19 +180,22 @@ class Result:
     missing: int = 0  # jobs of earlier sittings that are not finished and were not asked for
 
 
-def check_output(directory: Path, *, resume: bool) -> None:
-    """Refuse a directory that cannot be written, or that holds something else; raises `InputError`."""
+def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None:
+    """Refuse a directory that cannot be written, or that holds something else; raises `InputError`.
+
+    ``shared`` with others, it may hold what they have begun.
+    """
     if directory.exists() and not directory.is_dir():
         raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
     if directory.is_dir():
-        check_free(directory)
+        check_free(directory, shared=shared)
         if (directory / store.COMPARISON).is_file():
-            if not resume:
+            if not (resume or shared):
                 raise InputError(
                     f"'{directory}' holds a comparison already; add --resume to go on, or choose another one"
                 )
-        elif resume and (directory / store.JOBS).is_dir():
-            pass  # its record is lost, its runs are not
+        elif (resume and (directory / store.JOBS).is_dir()) or (shared and (directory / CLAIMS).is_dir()):
+            pass  # its record is lost, its runs are not; or it is just being written
         elif any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
     parent = directory
@@ -284,7 +288,7 @@ def run_comparison(
             tell(f"{job.title} counts as not finished: {damage}")
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
-    record = _record(everything, read_record(directory), engine=engine, slots=slots, command=command)
+    record = new_record(everything, read_record(directory), engine=engine, slots=slots, command=command)
     store.write_json(directory / store.COMPARISON, record)
     listener.begin(todo, len(jobs) - len(todo))
     watch = _Recording(listener, directory, record)
@@ -297,7 +301,7 @@ def run_comparison(
     return Result(finished_runs(directory, everything), watch.failed, len(jobs) - len(todo), len(missing))
 
 
-def _record(
+def new_record(
     jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
 ) -> dict[str, Any]:
     """The content of ``compare.json``; the command is the first sitting's, those of later ones stand beside it."""

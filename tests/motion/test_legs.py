@@ -35,6 +35,8 @@ def arrays() -> dict[str, np.ndarray]:
 
 
 def test_the_legs_of_a_run_are_read_back() -> None:
+    unsigned = {name: value.astype(np.uint64) for name, value in arrays().items() if name == "legs"}
+    assert [leg.rounds for leg in recorded_legs(arrays() | unsigned)] == [leg.rounds for leg in recorded_legs(arrays())]
     walk, lost, stay, revisit = recorded_legs(arrays())
     assert walk.rounds == (0, 1) and np.array_equal(walk.poses, poses(7)[1:3])
     assert (lost.lost, len(lost.poses)) == (1, 0)

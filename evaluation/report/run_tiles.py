@@ -45,7 +45,8 @@ class Tiles:
         """A picture above the run's numbers."""
         index, links, result = self.palette.index(run.policy), run_links(run, self.directory), result_text(run)
         if run.policy not in self.full:  # a thumbnail has no room
-            result, links = f"C.R. {run.metrics['metrics']['completion_ratio']:.1f} %", links[:1]
+            result = f"C.R. {run.metrics['metrics']['completion_ratio']:.1f} %"
+            links = [link for link in links if link.name in ("replay", "plan", "planes in 3D")]
         return {"picture": drawn, "index": index, "policy": run.policy, "result": result, "says": says, "links": links}
 
 

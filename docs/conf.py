@@ -26,12 +26,14 @@ autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_use_rtype = False
+linkcheck_timeout = 20  # seconds; of docs/build --links
 
 html_theme = "furo"
 html_title = f"ActiveStructure Gym {__version__}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
+html_show_copyright = False
 html_copy_source = False
 html_theme_options = {
     "navigation_with_keys": True,

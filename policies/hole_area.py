@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("hole_area")
 class HoleArea(SharedGreedy):
-    """Area of the unknown behind what the map leaves uncovered: no Plane Scene Graph, no phases."""
+    """score = A / (1 + frames / 5), A the area of the unknown behind what the map leaves uncovered."""
 
     decides_by = "unseen area behind holes of the map"
     source = "this project"

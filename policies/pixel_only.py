@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("pixel_only")
 class PixelOnly(SharedGreedy):
-    """IG_px, Eq. 15 with omega = 0 and rho = 0."""
+    """score = IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0."""
 
     decides_by = "uncovered pixels, with the shared travel factor"
     source = "ActiveStructure, Eq. 15 with omega = rho = 0"

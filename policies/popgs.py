@@ -21,7 +21,7 @@ from activestructure_gym.policies.schedule import SELECTED_VIEWS
 
 @POLICIES.register("popgs_logdet")
 class LogDet(Greedy):
-    """D-optimality."""
+    """argmax sum log(1 + d / h), h = H + lambda: D-optimality."""
 
     decides_by = "the volume of the map's uncertainty"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -31,7 +31,7 @@ class LogDet(Greedy):
 
 @POLICIES.register("popgs_logdet_cov")
 class LogDetCov(Greedy):
-    """D-optimality and unseen space."""
+    """argmax G_cov + lambda_o G_Q with G_Q = sum log(1 + d / h): D-optimality and unseen space."""
 
     decides_by = "the volume of the map's uncertainty, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -40,7 +40,7 @@ class LogDetCov(Greedy):
 
 @POLICIES.register("popgs_cov_trace")
 class CovTrace(Greedy):
-    """Trace of the covariance."""
+    """argmax sum 1 / h - 1 / (h + d), h = H + lambda: trace of the covariance."""
 
     decides_by = "the sum of the map's variances"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -50,7 +50,7 @@ class CovTrace(Greedy):
 
 @POLICIES.register("popgs_cov_trace_cov")
 class CovTraceCov(Greedy):
-    """Trace of the covariance and unseen space."""
+    """argmax G_cov + lambda_o G_Q with G_Q = sum 1 / h - 1 / (h + d): trace of the covariance and unseen space."""
 
     decides_by = "the sum of the map's variances, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -59,7 +59,7 @@ class CovTraceCov(Greedy):
 
 @POLICIES.register("popgs_info_trace")
 class InfoTrace(Greedy):
-    """Trace of the information."""
+    """argmax sum d: trace of the information."""
 
     decides_by = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -69,7 +69,7 @@ class InfoTrace(Greedy):
 
 @POLICIES.register("popgs_info_trace_cov")
 class InfoTraceCov(Greedy):
-    """Trace of the information and unseen space."""
+    """argmax G_cov + lambda_o G_Q with G_Q = sum d: trace of the information and unseen space."""
 
     decides_by = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -78,7 +78,7 @@ class InfoTraceCov(Greedy):
 
 @POLICIES.register("popgs_min_eig")
 class MinEig(Greedy):
-    """E-optimality."""
+    """argmax min (h + d) - min h, h = H + lambda, both over the whole map: E-optimality."""
 
     decides_by = "the worst known parameter of the map"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -88,7 +88,7 @@ class MinEig(Greedy):
 
 @POLICIES.register("popgs_min_eig_cov")
 class MinEigCov(Greedy):
-    """E-optimality and unseen space."""
+    """argmax G_cov + lambda_o G_Q with G_Q = min (h + d) - min h: E-optimality and unseen space."""
 
     decides_by = "the worst known parameter of the map, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -97,7 +97,7 @@ class MinEigCov(Greedy):
 
 @POLICIES.register("popgs_logdet_block")
 class LogDetBlock(Greedy):
-    """D-optimality by blocks."""
+    """argmax sum log det(H + B) - log det H, lambda in H: D-optimality by blocks."""
 
     decides_by = "the volume of the map's uncertainty, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -107,7 +107,7 @@ class LogDetBlock(Greedy):
 
 @POLICIES.register("popgs_logdet_block_cov")
 class LogDetBlockCov(Greedy):
-    """D-optimality by blocks and unseen space."""
+    """argmax G_cov + lambda_o G_Q with G_Q = sum log det(H + B) - log det H: by blocks, and unseen space."""
 
     decides_by = "the volume of the map's uncertainty, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
@@ -116,7 +116,7 @@ class LogDetBlockCov(Greedy):
 
 @POLICIES.register("popgs_cov_trace_block")
 class CovTraceBlock(Greedy):
-    """Trace of the covariance by blocks."""
+    """argmax sum tr H^-1 - tr (H + B)^-1, lambda in H: trace of the covariance by blocks."""
 
     decides_by = "the sum of the map's variances, by blocks"
     source = "Wilson et al., POp-GS, CVPR 2025"
@@ -126,7 +126,7 @@ class CovTraceBlock(Greedy):
 
 @POLICIES.register("popgs_cov_trace_block_cov")
 class CovTraceBlockCov(Greedy):
-    """Trace of the covariance by blocks, and unseen space."""
+    """argmax G_cov + lambda_o G_Q with G_Q = sum tr H^-1 - tr (H + B)^-1: by blocks, and unseen space."""
 
     decides_by = "the sum of the map's variances, by blocks, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"

@@ -8,7 +8,7 @@ from activestructure_gym.policies.greedy import SharedGreedy
 
 @POLICIES.register("unknown_volume")
 class UnknownVolume(SharedGreedy):
-    """Unknown space opened on the way by frames paid; phase I of `activestructure` without its planes."""
+    """score = V / (1 + frames / 5), V the unknown space opened on the way: phase I of `activestructure`, no planes."""
 
     decides_by = "unknown space opened on the way"
     source = "this project, after [bircher2016] and [delmerico2018]"

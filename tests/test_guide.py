@@ -31,6 +31,13 @@ def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.Monk
     exec(compile(blocks(page)[number], f"{page}, block {number}", "exec"), module.__dict__)
 
 
+def test_no_page_shows_python_that_no_test_runs() -> None:
+    # By tests/test_docs.py and tests/examples.
+    elsewhere = {"own_policy.md", "own_feature.md", "own_scene.md", "own_source.md", "training.md"}
+    shown = {path.name for path in GUIDE.glob("*.md") if blocks(path.name)}
+    assert shown == elsewhere | set(SHOWN)
+
+
 def test_every_page_of_the_guide_stands_in_the_order_of_reading() -> None:
     listed = re.findall(r"^\| \[([\w.]+)\]", (GUIDE / "index.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert sorted(listed) == sorted(path.name for path in GUIDE.glob("*.md") if path.name != "index.md")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import os
@@ -11,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 import yaml
@@ -50,6 +52,79 @@ def test_every_policy_has_a_page_and_a_section_that_is_there(site: ModuleType) -
     assert drawn == set(told["policies"]) and len(drawn) >= 30
     places = [pages["policies/index.md"].index(f"<strong>{name}<") for name in ("hole_area", "pixel_only", "random")]
     assert places == sorted(places)  # who observed more comes first
+
+
+def test_the_gallery_says_what_a_policy_maximises(site: ModuleType) -> None:
+    pages = site.pages()
+    index = pages["policies/index.md"]
+    said = dict(re.findall(r"<strong>([\w-]+)</strong><span>[^<]*</span><code>([^<]+)</code>", index))
+    assert said["naruto"] == "g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g"
+    assert said["pixel_only"] == "score = IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0"
+    assert len(said) >= 38 and {"random", "learned"}.isdisjoint(said)  # which have none
+    # The lines in grey stand in the page once and are used by every chart.
+    drawn = index.count('class="mine"')
+    assert index.count('href="#others"') == drawn and index.count('class="other"') == drawn >= 30
+    assert "### `unknown_volume`\n\n" in pages["policies/unknown_volume.md"]  # it asks for a column of that
+
+
+@dataclasses.dataclass
+class Kettle:
+    """One."""
+
+    litres: float = 1.5  # filled
+    # Said above:
+    # twice
+    whistles: bool = True
+    parts: list[str] = dataclasses.field(default_factory=list)
+    """Said
+    below."""
+    colour: str | None = None
+
+
+def test_fields_are_told_with_the_comments_beside_them(site: ModuleType) -> None:
+    reference = importlib.import_module("_site.reference")
+    assert reference.field_words(Kettle) == [
+        ("litres", "float", "1.5", "filled"),
+        ("whistles", "bool", "True", "Said above: twice"),
+        ("parts", "list[str]", "list", "Said below."),
+        ("colour", "str | None", "None", ""),
+    ]
+    assert reference.escaped("a*b `c|d*` [n] x|y") == r"a\*b `c\|d*` \[n\] x\|y"
+
+
+def test_everything_that_may_be_imported_has_one_entry(site: ModuleType) -> None:
+    reference = importlib.import_module("_site.reference")
+    text = "\n".join(reference.pages().values())
+    made = re.findall(r"^\.\. (?:auto|py:)\w+:: ([\w.]+)", text, re.MULTILINE)
+    assert set(reference.entries().values()) <= set(made) and len(made) == len(set(made))
+    assert reference.entries()["activestructure_gym.policies.base.Policy"] == "activestructure_gym.policies.Policy"
+    assert "| `seed_spacing` | `float \\| None` | `0.045` | metres " in text
+
+
+def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
+    site: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    environments = importlib.import_module("_site.environments")
+    made: list[str] = []
+
+    def film(task: str, path: Path) -> None:
+        made.append(task)
+        path.touch()
+
+    monkeypatch.setattr(environments, "_film", film)
+    pages = environments.pages(tmp_path)
+    assert set(pages) == {"environments/index.md", *(f"environments/{task.lower()}.md" for task in environments.TASKS)}
+    for task in environments.TASKS:
+        (block,) = re.findall(r"```python\n(.*?)```", pages[f"environments/{task.lower()}.md"], re.DOTALL)
+        shown: dict[str, Any] = {}
+        exec(compile(block.replace('"..."', '"box"'), task, "exec"), shown)
+        assert shown["env"].spec.id == f"{environments.NAMESPACE}/{task}"
+        shown["env"].close()
+    assert environments.pages(tmp_path) == pages and made == list(environments.SHOWN_IN)
+    monkeypatch.setattr(environments, "_code", lambda: "other code")
+    films = {path.name for path in tmp_path.rglob("*.webp")}
+    assert environments.pages(tmp_path) != pages and made == 2 * list(environments.SHOWN_IN)
+    assert len(films) == len(made) // 2 and films.isdisjoint(path.name for path in tmp_path.rglob("*.webp"))
 
 
 def test_links_out_of_the_docs_become_names_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,11 +175,18 @@ def test_the_workflow_publishes_with_the_least_rights_and_no_secret() -> None:
         needed = job.get("needs", [])
         assert set([needed] if isinstance(needed, str) else needed) <= set(jobs), name
         for step in job["steps"]:
-            assert "run" in step or re.fullmatch(r"[\w-]+/[\w-]+@[\w./]+", step["uses"])
+            assert "run" in step or re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step["uses"])
             if step.get("uses", "").startswith("actions/checkout"):
                 assert step["with"]["persist-credentials"] is False
+            if step.get("uses", "").startswith("pypa/"):
+                assert step["with"] == {"attestations": True}  # and no password
         # Who may publish runs nothing of the repository.
         assert not job.get("permissions") or not any("run" in step for step in job["steps"])
+    # Beside each commit stands its version, one per action.
+    named = re.findall(r"uses: ([\w/-]+@\w+)  # (v\d+\.\d+\.\d+)$", text, re.MULTILINE)
+    assert len(named) == text.count("uses:") and len({action for action, _ in named}) == len(
+        {action.partition("@")[0] for action, _ in named}
+    )
     scripts = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     assert any("docs/build" in script for script in scripts) and os.access(DOCS / "build", os.X_OK)
 

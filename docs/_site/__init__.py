@@ -16,10 +16,12 @@ MADE = Path(__file__).parents[1] / "_made"
 def setup(app: Any) -> dict[str, bool]:
     """Make the pages before Sphinx looks for sources."""
     from _site.links import outside_links
+    from _site.reference import link_to_entry
 
     app.connect("config-inited", lambda app, config: make_pages())
     app.connect("source-read", outside_links)
     app.connect("autodoc-process-docstring", _bars)
+    app.connect("missing-reference", link_to_entry)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 

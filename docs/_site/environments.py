@@ -1,15 +1,16 @@
-"""A page per environment: its docstring, its signature, and a few decisions of an episode, played for the page."""
+"""A page per environment: its docstring, how it is made, and an episode played for the page."""
 
 from __future__ import annotations
 
 import hashlib
 import inspect
+from functools import cache
 from pathlib import Path
 
-from activestructure_gym._version import __version__
 from activestructure_gym.envs import tasks
 from activestructure_gym.envs.registration import NAMESPACE, TASKS
 
+ROOT = Path(__file__).parents[2]
 # The scene each is shown in; the datasets' own would have to be fetched.
 SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2"}
 POLICY, FRAMES, SEED = "activestructure", 150, 0
@@ -37,7 +38,8 @@ def _page(task: str, kind: type, made: Path) -> str:
     lines = inspect.cleandoc(kind.__doc__ or "").replace(
         "listed in `activestructure_gym.envs.observation`", "listed in [observation.md](../../guide/observation.md)"
     )
-    shown = ""
+    first = next(iter(SHOWN_IN))
+    shown = f"On scenes from files; how an episode goes is shown on the page of [{first}]({first.lower()}.md).\n\n"
     if task in SHOWN_IN:
         name = animation(task, made / "environments")
         shown = (
@@ -52,8 +54,8 @@ def _page(task: str, kind: type, made: Path) -> str:
 
 
 def animation(task: str, folder: Path) -> str:
-    """Name of a moving picture of a short episode; it is made once per version of what it shows."""
-    key = hashlib.sha256(f"{__version__} {SHOWN_IN[task]} {POLICY} {FRAMES} {SEED}".encode()).hexdigest()[:8]
+    """Name of a moving picture of a short episode; it is made again when the code has changed that makes it."""
+    key = hashlib.sha256(f"{_code()} {SHOWN_IN[task]}".encode()).hexdigest()[:8]
     path = folder / f"{task.lower()}-{key}.webp"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
@@ -61,6 +63,16 @@ def animation(task: str, folder: Path) -> str:
             old.unlink()
         _film(task, path)
     return path.name
+
+
+@cache
+def _code() -> str:
+    """A sum of this file and of the rooms that play an episode."""
+    files = [path for room in ("activestructure_gym", "envs", "policies") for path in (ROOT / room).rglob("*.py")]
+    total = hashlib.sha256()
+    for path in (*sorted(files), Path(__file__)):
+        total.update(path.read_bytes())
+    return total.hexdigest()
 
 
 def _film(task: str, path: Path) -> None:

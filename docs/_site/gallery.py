@@ -1,12 +1,15 @@
-"""The gallery of policies: what each decides by, its equation as its docstring gives it, and its curve among all."""
+"""The gallery of policies: what each decides by, its equation and its features, from docstrings, and its curve."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from _site.reference import escaped
+from activestructure_gym.features import FEATURES
 from activestructure_gym.policies import POLICIES, Policy
 
 DOCS = Path(__file__).parents[1]
@@ -31,7 +34,7 @@ def pages() -> dict[str, str]:
         "share of the observable surface that was observed, over frames; the other policies stand behind it in grey. "
         "Those at the end came after that benchmark; what their runs showed is in "
         "[the notebook](../../notebook/planners.md).\n\n"
-        f'```{{raw}} html\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
+        f'```{{raw}} html\n{_behind(told)}\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
         "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
     )
     return texts
@@ -39,9 +42,11 @@ def pages() -> dict[str, str]:
 
 def _card(name: str, told: dict) -> str:
     kind = POLICIES.get(name)
-    chart = _chart(name, told) if name in told["policies"] else '<p class="none">no run in the benchmark</p>'
+    behind = '<use href="#others"/>'
+    chart = _chart(name, told, behind) if name in told["policies"] else '<p class="none">no run in the benchmark</p>'
     decides = _plain(kind.decides_by or _first(kind))
-    return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{chart}</a>'
+    equation = f"<code>{_plain(found)}</code>" if (found := _equation(kind)) else ""
+    return f'<a class="card" href="{name}.html"><strong>{name}</strong><span>{decides}</span>{equation}{chart}</a>'
 
 
 def _page(name: str, told: dict, sections: dict[str, str]) -> str:
@@ -51,7 +56,8 @@ def _page(name: str, told: dict, sections: dict[str, str]) -> str:
         mine = told["policies"][name]
         row = " | ".join(f"{mine[key][-1]:.1f}" for key in ("observed", "completion_ratio", "psnr"))
         parts.append(
-            f"```{{raw}} html\n{_chart(name, told)}\n```\n\n"
+            f"```{{raw}} html\n{_chart(name, told, _others(told))}\n```\n\n"
+            "Observed share of the surface (%) over frames; the other policies in grey.\n\n"
             "| after 300 frames | observed (%) | C.R. of means (%) | PSNR (dB) |\n|---|---:|---:|---:|\n"
             f"| `{name}` | {row} |\n\n"
             f"Means over {told['scenes']} scenes of means over seeds, {told['runs']} runs; with intervals in "
@@ -65,12 +71,28 @@ def _page(name: str, told: dict, sections: dict[str, str]) -> str:
         f"```\n\n```bash\nasg compare --policies {name},hole_area    # against the area of holes\n"
         f"asg watch --policy {name}\n```\n"
     )
+    if kind.required_gains:
+        parts.append("## What it reads of every view\n")
+    for gain in dict.fromkeys(FEATURES.owner(asked) for asked in kind.required_gains):
+        feature = FEATURES.get(gain)
+        units = ", ".join(dict.fromkeys(feature.units))
+        columns = [f"`{column}`" for column in feature.columns if column]
+        shape = f"[K, {len(feature.columns)}]: {', '.join(columns)}" if len(feature.columns) > 1 else "[K]"
+        parts.append(f"### `{gain}`\n\n{escaped(shape)}; unit: {escaped(units)}.\n")
+        parts.append(escaped(inspect.cleandoc(feature.__doc__ or "")) + "\n")
     return "\n".join(parts)
+
+
+def _equation(kind: type[Policy]) -> str:
+    """The sentence of its docstring's first paragraph that is an equation or says what is maximised."""
+    first = " ".join(inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].split())
+    sentences = re.split(r"(?<!Eq)(?<!Sec)(?<=[\w)\]])[.;](?=\s|$)| \(\[|: inspired by|, as ActiveGS", first)
+    return next((one.strip() for one in sentences if re.search(r" = |argm(ax|in)", one)), "")
 
 
 def _sections(guide: str) -> dict[str, str]:
     """Anchors of the headings of planners.md, by the policies they name."""
-    found = {}
+    found: dict[str, str] = {}
     for heading in re.findall(r"^## (.*)$", guide, flags=re.MULTILINE):
         anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
         for name in re.findall(r"`([\w-]+)`", heading):
@@ -86,12 +108,8 @@ def _plain(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;").replace("`", "")
 
 
-def _chart(name: str, told: dict) -> str:
-    frames = told["frames"]
-    grey = "".join(
-        _line(frames, told["policies"][other][_MEASURE], "other") for other in told["policies"] if other != name
-    )
-    mine = told["policies"][name][_MEASURE]
+def _chart(name: str, told: dict, behind: str) -> str:
+    frames, mine = told["frames"], told["policies"][name][_MEASURE]
     ticks = "".join(
         f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH}" y1="{_y(value):.0f}" y2="{_y(value):.0f}"/>'
         f'<text x="{_LEFT - 4}" y="{_y(value) + 4:.0f}" text-anchor="end">{value:.0f}</text>'
@@ -102,8 +120,19 @@ def _chart(name: str, told: dict) -> str:
         for frame, place in ((0, "start"), (100, "middle"), (200, "middle"), (300, "end"))
     )
     said = f"{name}: {mine[-1]:.0f} percent of the surface observed after {frames[-1]} frames"
-    lines = f"{ticks}{below}{grey}{_line(frames, mine, 'mine')}"
+    lines = f"{ticks}{below}{behind}{_line(frames, mine, 'mine')}"
     return f'<svg class="curve" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{said}">{lines}</svg>'
+
+
+def _others(told: dict) -> str:
+    """Every policy's line, to stand behind the one that a chart is about."""
+    return "".join(_line(told["frames"], values[_MEASURE], "other") for values in told["policies"].values())
+
+
+def _behind(told: dict) -> str:
+    """Those lines once for all the charts of a page, which use them by name."""
+    lines = f'<defs><g id="others">{_others(told)}</g></defs>'
+    return f'<svg class="curve" width="0" height="0" aria-hidden="true">{lines}</svg>'
 
 
 def _line(frames: Sequence[float], values: Sequence[float], kind: str) -> str:

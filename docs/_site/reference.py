@@ -1,11 +1,17 @@
-"""The reference: a page per room with everything that may be imported from it, from the docstrings."""
+"""The reference: a page per room with everything that may be imported from it, from docstrings and comments."""
 
 from __future__ import annotations
 
+import ast
+import dataclasses
 import importlib
 import inspect
+import io
+import tokenize
+from functools import cache
+from typing import Any
 
-# Those of docs/guide/api.md, and what its sections send to.
+# Those of docs/guide/api.md, and what its sections send to. What stands in several has its entry in the last of them.
 ROOMS = {
     "activestructure_gym": "What most programs need",
     "activestructure_gym.envs": "Environments",
@@ -33,6 +39,75 @@ def pages() -> dict[str, str]:
     return texts
 
 
+@cache
+def entries() -> dict[str, str]:
+    """Under which name a function or class has its entry, by where it is written."""
+    found = {}
+    for room in ROOMS:
+        module = importlib.import_module(room)
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if inspect.isclass(thing) or inspect.isfunction(thing):
+                found[_written(thing)] = f"{room}.{name}"
+    return found
+
+
+def link_to_entry(app: Any, env: Any, node: Any, content: Any) -> Any:
+    """Where a name leads that Sphinx does not find, as signatures write it: to the entry of what it means."""
+    name = entries().get(node.get("reftarget", ""))
+    if name is None:
+        return None
+    domain = env.get_domain("py")
+    return domain.resolve_xref(env, node["refdoc"], app.builder, node["reftype"], name, node, content)
+
+
+def field_words(kind: type) -> list[tuple[str, str, str, str]]:
+    """Fields of a dataclass that it writes itself: name, type, default, and what is said beside or above each."""
+    source = inspect.cleandoc("\n" + inspect.getsource(kind))
+    said = {
+        token.start[0]: (token.string.lstrip("# "), token.line.lstrip().startswith("#"))
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    (body,) = (node.body for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
+    names, rows = {field.name for field in dataclasses.fields(kind)}, []
+    for at, node in enumerate(body):
+        if not (isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id in names):
+            continue
+        lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+        words = " ".join(said[line][0] for line in lines if line in said)
+        after = body[at + 1] if at + 1 < len(body) else None
+        if not words and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            words = " ".join(str(after.value.value).split())
+        if not words:
+            above = node.lineno - 1
+            while said.get(above, ("", False))[1]:
+                words, above = f"{said[above][0]} {words}".strip(), above - 1
+        rows.append((node.target.id, ast.unparse(node.annotation), _default(node.value), words))
+    return rows
+
+
+def escaped(text: str) -> str:
+    """A docstring or comment as Markdown in which only code is marked."""
+    parts = text.split("`")
+    parts[::2] = ["".join(f"\\{letter}" if letter in "*<>|_[]#" else letter for letter in part) for part in parts[::2]]
+    parts[1::2] = [part.replace("|", "\\|") for part in parts[1::2]]
+    return "`".join(parts)
+
+
+def _written(thing: Any) -> str:
+    return f"{thing.__module__}.{thing.__qualname__}"
+
+
+def _default(value: ast.expr | None) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, ast.Call) and ast.unparse(value.func) in ("field", "dataclasses.field"):
+        made = [word.value for word in value.keywords if word.arg in ("default", "default_factory")]
+        return ast.unparse(made[0]) if made else ""
+    return ast.unparse(value)
+
+
 def _page(room: str, title: str) -> str:
     module = importlib.import_module(room)
     lines = [
@@ -49,15 +124,43 @@ def _page(room: str, title: str) -> str:
     for name in module.__all__:
         thing = getattr(module, name)
         lines += ["```{eval-rst}", *_entry(room, name, thing), "```", ""]
+        if _has_table(thing) and _stands_in(thing, room, name):
+            lines += _fields(thing)
     return "\n".join(lines)
+
+
+def _stands_in(thing: Any, room: str, name: str) -> bool:
+    return entries()[_written(thing)] == f"{room}.{name}"
 
 
 def _entry(room: str, name: str, thing: object) -> list[str]:
     # Registered policies have pages of their own; the environment's manual is Markdown, and has one too.
     if inspect.isclass(thing):
+        if not _stands_in(thing, room, name):
+            return [f"`{name}`: :py:class:`{entries()[_written(thing)]}`"]
         if "## Description" in (thing.__doc__ or ""):
-            return [f".. py:class:: {room}.{name}", "   :no-index:", "", "   See :doc:`/_made/environments/index`."]
-        return [f".. autoclass:: {room}.{name}", "   :members:", "   :no-index:"]
+            return [f".. py:class:: {room}.{name}", "", "   See :doc:`/_made/environments/index`."]
+        if _has_table(thing):
+            return [f".. autoclass:: {room}.{name}(...)", "   :members:"]
+        return [f".. autoclass:: {room}.{name}", "   :members:"]
     if inspect.isfunction(thing):
-        return [f".. autofunction:: {room}.{name}", "   :no-index:"]
-    return [f".. py:data:: {room}.{name}", "   :no-index:", f"   :type: {type(thing).__name__}"]
+        if not _stands_in(thing, room, name):
+            return [f"`{name}`: :py:func:`{entries()[_written(thing)]}`"]
+        return [f".. autofunction:: {room}.{name}"]
+    return [f".. py:data:: {room}.{name}", f"   :type: {type(thing).__name__}"]
+
+
+def _has_table(thing: object) -> bool:
+    """Whether it is a dataclass whose fields are said beside them, and not in its docstring."""
+    if not (isinstance(thing, type) and dataclasses.is_dataclass(thing)):
+        return False
+    said = [bool(words) for *_, words in field_words(thing)]
+    return any(said) and (all(said) or "Parameters\n" not in (inspect.getdoc(thing) or ""))
+
+
+def _fields(kind: type) -> list[str]:
+    table = ["| field | type | default | meaning |", "|---|---|---|---|"]
+    for name, annotation, default, words in field_words(kind):
+        cells = (f"`{name}`", *(f"`{text}`".replace("|", "\\|") if text else "" for text in (annotation, default)))
+        table.append(f"| {' | '.join(cells)} | {escaped(words)} |")
+    return [*table, ""]

@@ -91,7 +91,7 @@ class StructurePolicy(Policy):
 
 @POLICIES.register("activestructure-a")
 class ActiveStructureA(PixelOnly):
-    """Rung A: pixels only."""
+    """argmax IG_px g: rung A, pixels only."""
 
     decides_by = "uncovered pixels"
     source = "ActiveStructure, rung A of Table 3"
@@ -100,7 +100,7 @@ class ActiveStructureA(PixelOnly):
 
 @POLICIES.register("activestructure-b")
 class ActiveStructureB(StructurePolicy):
-    """Rung B: A and the raw gain of the Plane Scene Graph, 1 - q_i of every visible plane."""
+    """argmax (IG_px + omega sum alpha_i (1 - q_i)) g: rung B, A and the raw gain of every visible plane."""
 
     decides_by = "uncovered pixels and bad planes in sight"
     source = "ActiveStructure, rung B of Table 3"
@@ -109,7 +109,7 @@ class ActiveStructureB(StructurePolicy):
 
 @POLICIES.register("activestructure-c")
 class ActiveStructureC(StructurePolicy):
-    """Rung C: B with the anomaly indicators, gamma_i instead of 1 - q_i and the discount of Eq. 12."""
+    """argmax (IG_px (1 - rho) + omega sum alpha_i gamma_i) g: rung C, B by anomalies, with the discount of Eq. 12."""
 
     decides_by = "uncovered pixels and anomalous planes in sight"
     source = "ActiveStructure, rung C of Table 3"
@@ -118,7 +118,7 @@ class ActiveStructureC(StructurePolicy):
 
 @POLICIES.register("activestructure-d")
 class ActiveStructureD(StructurePolicy):
-    """Rung D: C and the deficiency centres."""
+    """argmax (IG_px (1 - rho) + omega (sum alpha_i gamma_i + omega_d IG_def)) g: rung D, C and deficiency centres."""
 
     decides_by = "uncovered pixels, anomalous planes and their deficiency centres"
     source = "ActiveStructure, rung D of Table 3"
@@ -128,7 +128,7 @@ class ActiveStructureD(StructurePolicy):
 
 @POLICIES.register("activestructure")
 class ActiveStructure(StructurePolicy):
-    """The full model, rung E: D with three phases and the reversal of polarity between them.
+    """argmax of the gain of D in three phases, with the reversal of polarity between them: rung E, the full model.
 
     What is left to discover is counted from the state of the volume, not in uncovered pixels: a pool that is to run
     empty must not hold views through an open window.

@@ -19,24 +19,27 @@ _TRIES = 16  # places that are drawn for each row: most of them lie in walls or 
 class Lattice(Source):
     """Every free place of a lattice times Fibonacci directions, without those where a decision has ended.
 
-    ActiveGAMER's exploration has ``spacing_m=1&directions=5&heights_m=0``, its refinement
-    ``spacing_m=0.5&directions=15`` with two heights ([activegamer, code]). More than ``rows`` are drawn from as
-    from the shared pool.
+    ActiveGAMER's coarse stage has ``spacing_m=1&directions=5`` at 1.75 m above the floor, its fine one
+    ``spacing_m=0.5&directions=15`` at 1 and 2.5 m ([activegamer, code]). More than ``rows`` are drawn from as from the
+    shared pool.
     """
 
     spacing_m: float = 1.0
     directions: int = 5
     heights_m: tuple[float, ...] = (0.0,)  # above the camera at the start
+    from_floor: bool = False  # the heights are above the workspace's floor instead
     rows: int = 1024
 
     def __post_init__(self) -> None:
         check_ranges(self, {"rows": f"[1, {MOST_ROWS}]"})
-        self._layout()
+        self._layout(0.0)
 
-    def _layout(self) -> ViewConfig:
+    def _layout(
+        self, camera_m: float
+    ) -> ViewConfig:  # height of the camera at the start above where heights count from
         return ViewConfig(
             lattice_step_m=self.spacing_m,
-            heights_m=self.heights_m,
+            heights_m=tuple(height - camera_m for height in self.heights_m),
             directions=self.directions,
             max_candidates=self.rows,
             max_revisits=0,
@@ -45,7 +48,8 @@ class Lattice(Source):
     def propose(self, context: SourceContext) -> Proposals:
         """Views of the lattice that were not visited and can be reached."""
         seed = int(context.rng.integers(2**31))
-        pool = CandidatePool(context.start, context.bounds, self._layout(), seed, clearance_m=context.clearance_m)
+        layout = self._layout(float(context.start[2] - context.bounds[0, 2]) if self.from_floor else 0.0)
+        pool = CandidatePool(context.start, context.bounds, layout, seed, clearance_m=context.clearance_m)
         for stop in context.agent.stops:
             pool.mark_visited(stop)
         table = pool.offer(

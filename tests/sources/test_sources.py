@@ -82,6 +82,17 @@ def test_the_lattice_is_exact_and_leaves_out_where_it_has_been() -> None:
     assert not same.any()
 
 
+def test_heights_of_the_lattice_count_from_the_camera_or_from_the_floor() -> None:
+    for options in ("heights_m=0", "heights_m=1.3&from_floor=true"):
+        spec = f"lattice?spacing_m=0.5&directions=2&rows=60&{options}"
+        run = begin((spec, TURNS))
+        run.visit(int(rows_of(run, TURNS)[3]))
+        heights = run.candidates.world_from_camera[rows_of(run, spec), 2, 3] - run.scene.bounds[0, 2]
+        wanted = 1.3 if "floor" in options else run.trajectory[0][2, 3] - run.scene.bounds[0, 2]
+        assert len(heights) > 5 and abs(wanted - 1.3) < 0.2
+        np.testing.assert_allclose(heights, wanted, atol=1e-9)
+
+
 def test_around_stays_in_its_ball_and_turns_on_its_place() -> None:
     run = begin(("around?radius_m=0.4&rows=30", "turns?count=6"))
     offset = run.candidates.world_from_camera[:, :3, 3] - run.pose[:3, 3]

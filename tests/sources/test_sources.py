@@ -89,7 +89,7 @@ def test_heights_of_the_lattice_count_from_the_camera_or_from_the_floor() -> Non
         run.visit(int(rows_of(run, TURNS)[3]))
         heights = run.candidates.world_from_camera[rows_of(run, spec), 2, 3] - run.scene.bounds[0, 2]
         wanted = 1.3 if "floor" in options else run.trajectory[0][2, 3] - run.scene.bounds[0, 2]
-        assert len(heights) > 5 and abs(wanted - 1.3) < 0.2
+        assert len(heights) > 3 and abs(wanted - 1.3) < 0.2
         np.testing.assert_allclose(heights, wanted, atol=1e-9)
 
 

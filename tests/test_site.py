@@ -92,6 +92,29 @@ def test_fields_are_told_with_the_comments_beside_them(site: ModuleType) -> None
     assert reference.escaped("a*b `c|d*` [n] x|y") == r"a\*b `c\|d*` \[n\] x\|y"
 
 
+def pour(
+    cups: list[float],  # [n] litres
+    slowly: bool = False,
+    *,
+    sugar: int = 0,  # lumps, 0..2
+) -> list[float]:  # [n]
+    return [] if slowly else cups[sugar:]
+
+
+def stir(cups: list[float]) -> float:  # [n] -> rounds per minute
+    return sum(cups)
+
+
+def test_shapes_and_units_are_told_that_stand_in_comments(site: ModuleType) -> None:
+    module = importlib.import_module("_site.shapes")
+    assert module.shapes(pour) == [("cups", "[n] litres"), ("sugar", "lumps, 0..2"), ("", "returns [n]")]
+    assert module.shapes(stir) == [("", "[n] -> rounds per minute")] and module.shapes(Kettle) == []
+    lines = ["Pours."]
+    module.tell_shapes(None, "function", "pour", pour, None, lines)
+    module.tell_shapes(None, "class", "pour", pour, None, lines)
+    assert lines == ["Pours.", "", "Shapes and units: ``cups`` [n] litres; ``sugar`` lumps, 0..2; returns [n].", ""]
+
+
 def test_everything_that_may_be_imported_has_one_entry(site: ModuleType) -> None:
     reference = importlib.import_module("_site.reference")
     text = "\n".join(reference.pages().values())

@@ -17,10 +17,12 @@ def setup(app: Any) -> dict[str, bool]:
     """Make the pages before Sphinx looks for sources."""
     from _site.links import outside_links
     from _site.reference import link_to_entry
+    from _site.shapes import tell_shapes
 
     app.connect("config-inited", lambda app, config: make_pages())
     app.connect("source-read", outside_links)
     app.connect("autodoc-process-docstring", _bars)
+    app.connect("autodoc-process-docstring", tell_shapes)
     app.connect("missing-reference", link_to_entry)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 

@@ -6,7 +6,11 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.report import summary
-from activestructure_gym.evaluation.report.summary import PAGE, TABLES, write_report
+from activestructure_gym.evaluation.report.columns import QUALITY
+from activestructure_gym.evaluation.report.formats import to_csv
+from activestructure_gym.evaluation.report.results import Results
+from activestructure_gym.evaluation.report.summary import PAGE, TABLES, all_tables, write_report
+from activestructure_gym.evaluation.report.verdicts import improvement_table
 
 COMPARISON = {"command": "asg compare --scenes room", "workers": 2, "failed": {}}
 
@@ -123,3 +127,26 @@ def test_runs_that_kept_other_views_are_not_shown_side_by_side(make_run, tmp_pat
     with pytest.raises(InputError, match="have not kept the same held-out views of room"):
         write_report(tmp_path / "out", [one, other], COMPARISON)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_numbers_of_the_tables_are_those_that_were_always_printed(make_run):
+    """As every table was worked out alone, with draws of its own for every pair of policies."""
+    runs = [
+        make_run(scene, policy, seed, completion_ratio=80.0 + seed * (1 if policy == "a" else -2),
+                 psnr=20.0 + 3 * seed + (2 - 4 * seed * (scene == "box")) * (policy == "a"))
+        for scene in ("room", "box") for policy in "ab" for seed in range(3)
+    ]  # fmt: skip
+    results = Results(runs, [], "b")
+    found = {table.name: to_csv(table).splitlines() for table in all_tables(results)}
+    assert found["differences"][3:5] == [
+        'a,C.R. (%) ↑,"+3.0 [+1.0, +5.0]",0 excluded: better,4 / 2 / 0,"0.94 [0.83, 1.00]"',
+        'a,PSNR (dB) ↑,"0.00 [-2.00, +2.00]",0 not excluded,4 / 0 / 2,"0.47 [0.17, 0.78]"',
+    ]
+    assert found["areas"][1] == (
+        'a,"50.3 [49.9, 50.7]","50.6 [50.2, 51.0]","54.0 [53.6, 54.4]",'
+        '"12.48 [11.82, 13.15]","12.50 [11.83, 13.17]","12.67 [12.00, 13.33]"'
+    )
+    assert found["aggregates"][15] == 'PSNR (dB) ↑,IQM,"22.50 [21.25, 24.50]","23.00 [20.75, 25.25]"'
+    (psnr,) = (column for column in QUALITY if column.key == "psnr")
+    matrix = improvement_table(results, psnr)
+    assert to_csv(matrix).splitlines()[1:] == ['a,–,"0.47 [0.17, 0.78]"', 'b,"0.53 [0.22, 0.86]",–']

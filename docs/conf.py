@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+from _site.reference import ROOMS  # noqa: E402
 
 from activestructure_gym._version import __version__  # noqa: E402
 
@@ -26,6 +29,8 @@ autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_use_rtype = False
+nitpicky = True  # of names that have an entry in the reference; others of signatures are of elsewhere, or inside
+nitpick_ignore_regex = [(r"py:.*", rf"(?!(?:{'|'.join(map(re.escape, ROOMS))})\.[A-Z]\w+$).*")]
 linkcheck_timeout = 20  # seconds; of docs/build --links
 
 html_theme = "furo"

@@ -139,7 +139,7 @@ def _entry(room: str, name: str, thing: object) -> list[str]:
         if not _stands_in(thing, room, name):
             return [f"`{name}`: :py:class:`{entries()[_written(thing)]}`"]
         if "## Description" in (thing.__doc__ or ""):
-            return [f".. py:class:: {room}.{name}", "", "   See :doc:`/_made/environments/index`."]
+            return [f".. py:class:: {name}", f"   :module: {room}", "", "   See :doc:`/_made/environments/index`."]
         if _has_table(thing):
             return [f".. autoclass:: {room}.{name}(...)", "   :members:"]
         return [f".. autoclass:: {room}.{name}", "   :members:"]
@@ -147,7 +147,7 @@ def _entry(room: str, name: str, thing: object) -> list[str]:
         if not _stands_in(thing, room, name):
             return [f"`{name}`: :py:func:`{entries()[_written(thing)]}`"]
         return [f".. autofunction:: {room}.{name}"]
-    return [f".. py:data:: {room}.{name}", f"   :type: {type(thing).__name__}"]
+    return [f".. py:data:: {name}", f"   :module: {room}", f"   :type: {type(thing).__name__}"]
 
 
 def _has_table(thing: object) -> bool:

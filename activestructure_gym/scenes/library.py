@@ -14,6 +14,12 @@ from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
 from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
 from activestructure_gym.scenes.loaders.replica import is_replica, load_replica_scene
+from activestructure_gym.scenes.loaders.scannet import (
+    is_scannet,
+    is_scannetpp,
+    load_scannet_scene,
+    load_scannetpp_scene,
+)
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.specs import parse_options, typed_options
 
@@ -35,6 +41,16 @@ SCENES: Registry[Callable[..., Scene]] = Registry(
 SCENES.register("mesh")(load_mesh_scene)
 SCENES.register("replica")(load_replica_scene)
 SCENES.register("matterport3d")(load_matterport3d_scene)
+SCENES.register("scannet")(load_scannet_scene)
+SCENES.register("scannetpp")(load_scannetpp_scene)
+
+# What a bare path is: the first layout that it has.
+_LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
+    (is_replica, load_replica_scene),
+    (is_matterport3d, load_matterport3d_scene),
+    (is_scannet, load_scannet_scene),
+    (is_scannetpp, load_scannetpp_scene),
+)
 
 
 # Generated scenes take seconds to build and never change: the last two of each kind are shared by all envs of a
@@ -71,7 +87,7 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
     spec
         A `Scene` (returned as it is), a path, or a text of one of the forms ``apartment?seed=3&rooms=4`` (a registered
         name), ``my_package.scenes:make`` (a factory anywhere), ``house.glb?units=cm&up=y`` (a mesh file, or the folder
-        of a Replica or Matterport3D scene), ``replica:room_0`` (the same with the kind said).
+        of a dataset's scene), ``replica:room_0`` (the same with the kind said).
     **options
         Keyword arguments of the factory; they win over options in the text.
 
@@ -180,14 +196,13 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
     """The factory that loads a bare path, and the path."""
     check_printable(str(path))
-    if is_replica(path):
-        return load_replica_scene, str(path)
-    if is_matterport3d(path):
-        return load_matterport3d_scene, str(path)
+    for belongs, load in _LAYOUTS:
+        if belongs(path):
+            return load, str(path)
     if path.is_dir():
         meshes = sorted(file for file in path.iterdir() if file.suffix.lower() in MESH_SUFFIXES)
         if len(meshes) != 1:
-            inner = sorted(folder for folder in path.iterdir() if is_replica(folder) or is_matterport3d(folder))
+            inner = sorted(folder for folder in path.iterdir() if any(belongs(folder) for belongs, _ in _LAYOUTS))
             if inner and not meshes:
                 shown = ", ".join(str(folder) for folder in inner[:5])
                 raise InputError(f"'{path}' is a folder of scenes; give one of them: {shown}")

@@ -1,1 +1,1 @@
-"""Scenes from files: meshes, Replica, Matterport3D, posed sequences."""
+"""Scenes from files: meshes, Replica, Matterport3D, ScanNet, ScanNet++, posed sequences."""

@@ -13,6 +13,7 @@ from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
 from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
 from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
+from activestructure_gym.scenes.loaders.procthor import load_procthor_scene
 from activestructure_gym.scenes.loaders.replica import is_replica, load_replica_scene
 from activestructure_gym.scenes.loaders.scannet import (
     is_scannet,
@@ -41,6 +42,7 @@ SCENES: Registry[Callable[..., Scene]] = Registry(
 SCENES.register("mesh")(load_mesh_scene)
 SCENES.register("replica")(load_replica_scene)
 SCENES.register("matterport3d")(load_matterport3d_scene)
+SCENES.register("procthor")(load_procthor_scene)
 SCENES.register("scannet")(load_scannet_scene)
 SCENES.register("scannetpp")(load_scannetpp_scene)
 

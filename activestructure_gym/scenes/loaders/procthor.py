@@ -1,0 +1,233 @@
+"""Houses of ProcTHOR and AI2-THOR as JSON, without the assets: walls with their doorways and windows, floors, ceilings,
+and boxes for furniture.
+
+A file is one house (``house.json``) or one per line (``train.jsonl``, also gzipped). Positions are metres with y up in
+a left-handed frame; swapping y and z makes them ours. Of an object the house holds the middle of its box and how it is
+turned, not how large it is: the height follows from the middle of what stands on the floor, its sides are usual ones
+of its kind (own choice). Doors stand open where both sides are rooms, and closed where they lead outside; window panes
+and outer doors close the house. Source of the layout: [procthor].
+"""
+
+from __future__ import annotations
+
+import colorsys
+import gzip
+import io
+import json
+import os
+import re
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.scenes.loaders.budget import SceneBudget
+from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_loader import finished_scene
+from activestructure_gym.scenes.loaders.mesh_parts import MeshPart, assemble
+from activestructure_gym.scenes.loaders.polygons import triangulated
+from activestructure_gym.scenes.scene import Scene
+
+SUFFIXES = (".json", ".jsonl", ".json.gz", ".jsonl.gz")
+_MOST_OBJECTS, _MOST_WALLS = 5000, 5000
+_LARGEST_HOUSE = 64 << 20  # bytes of one house
+
+# Sides and height in metres where the house does not say: by the first word of an asset's name that is listed.
+SIZES = {
+    "bed": (1.6, 2.0, 0.6), "sofa": (2.0, 0.9, 0.8), "arm chair": (0.9, 0.9, 0.9), "chair": (0.5, 0.5, 0.9),
+    "stool": (0.4, 0.4, 0.6), "dining table": (1.6, 0.9, 0.75), "coffee table": (1.1, 0.6, 0.45),
+    "side table": (0.5, 0.5, 0.6), "table": (1.2, 0.7, 0.75), "desk": (1.3, 0.65, 0.75), "dresser": (1.2, 0.5, 0.9),
+    "shelf": (0.9, 0.35, 1.6), "shelving": (0.9, 0.4, 1.6), "fridge": (0.8, 0.75, 1.75), "counter": (1.8, 0.65, 0.9),
+    "toilet": (0.45, 0.7, 0.8), "bathtub": (1.6, 0.75, 0.6), "sink": (0.6, 0.5, 0.9), "tv stand": (1.4, 0.4, 0.5),
+    "television": (1.1, 0.15, 0.65), "washing": (0.6, 0.6, 0.85), "lamp": (0.4, 0.4, 1.5), "plant": (0.5, 0.5, 1.0),
+    "garbage": (0.35, 0.35, 0.5), "bin": (0.35, 0.35, 0.5), "painting": (0.7, 0.05, 0.5), "box": (0.4, 0.3, 0.3),
+}  # fmt: skip
+_USUAL = (0.4, 0.4, 0.4)
+_SMALL = (0.15, 0.15, 0.15)  # what stands on something else
+
+
+def load_procthor_scene(path: str | os.PathLike[str], *, house: int = 0, objects: bool = True) -> Scene:
+    """A house of ProcTHOR.
+
+    Args:
+        path: a house as JSON, or a file with one per line, ``.jsonl`` or ``.jsonl.gz``.
+        house: which of them, from 0 on.
+        objects: whether boxes stand for the furniture.
+
+    Raises:
+        InputError: the file, or that house in it, is not there or no house.
+    """
+    path = Path(os.path.expanduser(path))
+    if not path.is_file():
+        raise InputError(f"there is no ProcTHOR file '{path}'")
+    if not path.name.lower().endswith(SUFFIXES):
+        raise InputError(f"a ProcTHOR house is a file {', '.join(SUFFIXES)}, got '{path.name}'")
+    try:
+        parts = _parts(json.loads(_text(path, house)), objects=objects)
+    except KeyError as error:
+        raise InputError(f"'{path}' is no ProcTHOR house: {error} is missing") from None
+    except (TypeError, AttributeError, IndexError):
+        raise InputError(f"'{path}' is no ProcTHOR house: a part of it is of another kind") from None
+    except RecursionError:
+        raise InputError(f"'{path}' is no ProcTHOR house: it is nested too deeply") from None
+    except (UnreadableMesh, ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
+        raise InputError(f"'{path}' is no ProcTHOR house: {' '.join(str(error).split())[:200]}") from None
+    stem = path.name.partition(".")[0]
+    name = f"{stem}-{house}" if ".jsonl" in path.name.lower() else stem
+    return finished_scene(assemble(parts, ()), path, name=name)
+
+
+def _text(path: Path, house: int) -> bytes:
+    """The bytes of one house."""
+    if house < 0:
+        raise UnreadableMesh(f"houses are counted from 0 on, got {house}")
+    data = SceneBudget().read(path)
+    file: io.BufferedIOBase = gzip.GzipFile(fileobj=io.BytesIO(data)) if path.name.endswith(".gz") else io.BytesIO(data)
+    if ".jsonl" not in path.name.lower():
+        if house:
+            raise UnreadableMesh(f"it holds one house, and number {house} was asked for")
+        return _limited(file.read(_LARGEST_HOUSE + 1))
+    for number in range(house + 1):
+        line = file.readline(_LARGEST_HOUSE + 1)
+        if not line:
+            raise UnreadableMesh(f"it holds {number} houses, and number {house} was asked for")
+        _limited(line)
+    return line
+
+
+def _limited(data: bytes) -> bytes:
+    if len(data) > _LARGEST_HOUSE:
+        raise UnreadableMesh(f"a house has more than {_LARGEST_HOUSE:,} bytes")
+    return data
+
+
+def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
+    walls = {str(wall["id"]): _Wall(wall) for wall in _list(house["walls"], "walls", _MOST_WALLS)}
+    rooms = {str(room["id"]) for room in house["rooms"]}
+    panes: list[MeshPart] = []
+    for kind in ("doors", "windows"):
+        for hole in _list(house.get(kind, []), kind, _MOST_WALLS):
+            panes += _cut(hole, walls, rooms, door=kind == "doors")
+    parts = [wall.part() for wall in walls.values()]
+    top = max((wall.top for wall in walls.values()), default=2.5)
+    for room in house["rooms"]:
+        floor = _points(room["floorPolygon"])
+        tint = _tint(str(room.get("floorMaterial", "")), str(room["id"]))
+        parts += [_polygon(floor, tint), _polygon(floor + [0.0, 0.0, top - floor[:, 2].min()], (0.93, 0.93, 0.91))]
+    parts += panes
+    if objects:
+        for thing in _list(house.get("objects", []), "objects", _MOST_OBJECTS):
+            parts += _boxes(thing, on_floor=True)
+    return parts
+
+
+class _Wall:
+    """An upright rectangle with rectangular holes."""
+
+    def __init__(self, wall: dict[str, Any]) -> None:
+        corners = _points(wall["polygon"])
+        lowest = corners[np.argsort(corners[:, 2], kind="stable")[:2]]
+        self.start, self.top = lowest[0], float(corners[:, 2].max())
+        along = lowest[1] - lowest[0]
+        self.width, self.height = float(np.linalg.norm(along[:2])), self.top - float(self.start[2])
+        if self.width < 1e-6 or self.height < 1e-6:
+            raise UnreadableMesh(f"the wall {shown(wall['id'])} has no width or no height")
+        self.along = np.array([along[0], along[1], 0.0]) / self.width
+        self.tint = _tint(_material(wall.get("material")), "wall")
+        self.holes: list[tuple[float, float, float, float]] = []  # left, right, bottom, top in metres
+
+    def at(self, x: float, y: float) -> np.ndarray:  # metres along and up -> [3]
+        place: np.ndarray = self.start + x * self.along + [0.0, 0.0, y]
+        return place
+
+    def part(self) -> MeshPart:
+        """The rectangle without its holes."""
+        xs = sorted({0.0, self.width, *(x for hole in self.holes for x in hole[:2])})
+        ys = sorted({0.0, self.height, *(y for hole in self.holes for y in hole[2:])})
+        quads = [
+            [self.at(a, low), self.at(b, low), self.at(b, high), self.at(a, high)]
+            for a, b in zip(xs, xs[1:])
+            for low, high in zip(ys, ys[1:])
+            if not any(
+                left <= 0.5 * (a + b) <= right and bottom <= 0.5 * (low + high) <= top
+                for left, right, bottom, top in self.holes
+            )
+        ]
+        return _quads(np.array(quads).reshape(-1, 4, 3), self.tint)
+
+
+def _cut(hole: dict[str, Any], walls: dict[str, _Wall], rooms: set[str], *, door: bool) -> list[MeshPart]:
+    """Cut a doorway or a window out of both walls it is in; what closes it, if something does."""
+    first = walls[str(hole["wall0"])]
+    corners = _points(hole["holePolygon"])  # of the first wall: along it, up it
+    (left, bottom), (right, top) = corners[:, [0, 2]].min(axis=0), corners[:, [0, 2]].max(axis=0)
+    ends = [first.at(x, 0.0) for x in (left, right)]
+    for wall in dict.fromkeys((first, walls.get(str(hole.get("wall1")), first))):
+        places = sorted(float((end - wall.start) @ wall.along) for end in ends)
+        a, b = max(places[0], 0.0), min(places[1], wall.width)
+        if b > a:
+            wall.holes.append((a, b, max(float(bottom), 0.0), min(float(top), wall.height)))
+    sides = {str(hole.get("room0")), str(hole.get("room1"))} & rooms
+    if door and len(sides) > 1:
+        return []
+    quad = np.array([[first.at(left, bottom), first.at(right, bottom), first.at(right, top), first.at(left, top)]])
+    return [_quads(quad, (0.55, 0.38, 0.24) if door else (0.62, 0.78, 0.92))]
+
+
+def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
+    """A box for an object, and for what stands on it."""
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])|[_|]", " ", str(thing.get("assetId") or thing.get("id", ""))).lower()
+    middle = _points([thing["position"]])[0]
+    usual = next((size for kind, size in SIZES.items() if kind in name), _USUAL) if on_floor else _SMALL
+    # The middle of what stands on the floor is half as high as it is; of what hangs it says nothing.
+    height = 2.0 * float(middle[2]) if on_floor and 0.1 < 2.0 * middle[2] <= 1.6 * usual[2] else usual[2]
+    rotation = thing.get("rotation") or {}
+    turn = np.radians(-float(rotation.get("y", 0.0)))  # clockwise from above in their frame
+    corners = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
+    corners *= 0.5 * np.array([usual[0], usual[1], height])
+    spin = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    placed = corners @ spin.T + middle
+    sides = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    parts = [_quads(placed[np.array(sides)], _tint(name, "object"))]
+    for child in _list(thing.get("children", []), "children", _MOST_OBJECTS):
+        parts += _boxes(child, on_floor=False)
+    return parts
+
+
+def _points(corners: Sequence[dict[str, Any]]) -> np.ndarray:  # [N, 3] metres, z up
+    points = np.array([[float(p["x"]), float(p["z"]), float(p["y"])] for p in corners]).reshape(-1, 3)
+    if not len(points) or not np.isfinite(points).all() or np.abs(points).max() > 1e4:
+        raise UnreadableMesh("a position is no finite number of metres")
+    return points
+
+
+def _polygon(corners: np.ndarray, tint: tuple[float, float, float]) -> MeshPart:
+    triangles, _ = triangulated(corners, np.array([len(corners)]))
+    return MeshPart(corners, triangles, np.tile(tint, (len(corners), 1)))
+
+
+def _quads(quads: np.ndarray, tint: tuple[float, float, float]) -> MeshPart:  # [Q, 4, 3]
+    first = 4 * np.arange(len(quads))[:, None]
+    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]]).astype(np.int64)
+    return MeshPart(quads.reshape(-1, 3), faces, np.tile(tint, (4 * len(quads), 1)))
+
+
+def _tint(*words: str) -> tuple[float, float, float]:
+    """A quiet colour that is always the same for the same words."""
+    number = zlib.crc32(" ".join(words).encode())
+    return colorsys.hls_to_rgb(number % 360 / 360, 0.45 + (number >> 9) % 30 / 100, 0.2 + (number >> 17) % 30 / 100)
+
+
+def _material(material: Any) -> str:
+    return str(material.get("name", "")) if isinstance(material, dict) else str(material or "")
+
+
+def _list(found: Any, what: str, most: int) -> list[Any]:
+    if not isinstance(found, list):
+        raise UnreadableMesh(f"its {what} are no list")
+    if len(found) > most:
+        raise UnreadableMesh(f"it has {len(found)} {what}, more than {most}")
+    return found

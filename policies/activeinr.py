@@ -10,6 +10,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.policies.anm_s import Uncertainty
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new
 from activestructure_gym.policies.greedy import Planner, Travel
+from activestructure_gym.policies.schedule import Schedule
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
 PATIENCE = 0.1  # of the frame budget: 100 of 1000 frames after which the next one is chosen anyway
@@ -30,6 +31,11 @@ class ActiveINR(Planner):
 
     decides_by = "the largest piece of uncertain surface"
     source = "Yan et al., Active Neural Mapping, ICCV 2023"
+    brings = Schedule(
+        stages=(("floor?yaws=8&rows=504", "turns?count=8"),),
+        candidates=512,
+        budget="1000 steps (2000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees",
+    )
 
     def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
         if uncertainty not in get_args(Uncertainty):

@@ -8,6 +8,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, best_valid,
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.hgs_planner import shortest_tour
+from activestructure_gym.policies.schedule import Schedule
 
 MANY_NEAR, SHARE_NEAR = 3, 0.2  # more frontiers near, and a larger share of all: exploration alone
 RECONSTRUCTIONS = 3  # tasks of unsure surface beside the frontiers (own choice) ...
@@ -28,6 +29,11 @@ class Aiisrfe(Planner):
     decides_by = "frontiers, and by turns with them surface of unsure colour"
     source = "by a digest of Zeng et al., ICRA 2024"
     required_gains = ("aiisrfe",)
+    # Views are drawn for tasks there, too; how many, and how far apart, are own choices.
+    brings = Schedule(
+        stages=(("frontier_facing?per_region=3&apart_m=1&rows=144", "unsure_facing?apart_m=1&rows=64"),),
+        candidates=208,
+    )
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)

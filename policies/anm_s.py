@@ -10,6 +10,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
+from activestructure_gym.policies.schedule import Schedule
 
 UNARRIVED, IN_HORIZON, CLUSTER, FAILED = 3.0, 2.0, 1.0, -6.0  # weights of the score
 ARRIVED_M = 15 * 0.065  # metres from the way: 15 steps of 6.5 cm
@@ -38,6 +39,12 @@ class AnmS(Planner):
 
     decides_by = "integer score of Voronoi nodes: new, in horizon, with uncertain surface"
     source = "Kuang et al., ANM-S, IROS 2024"
+    brings = Schedule(
+        stages=(("nodes?rows=504", "turns?count=8"),),
+        candidates=512,
+        iterations=10,
+        budget="1000 steps (2000, 10000 in large scenes) of 6.5 cm, 256 x 256 at 90 degrees, 10 iterations",
+    )
 
     def __init__(self, travel: Travel = "native", uncertainty: Uncertainty = "perturbation") -> None:
         if uncertainty not in get_args(Uncertainty):

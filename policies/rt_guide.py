@@ -6,6 +6,7 @@ import numpy as np
 
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.schedule import Schedule
 
 _NOTHING = -1e6  # below the logarithm of anything above 0, with any way
 
@@ -21,6 +22,8 @@ class RTGuide(Planner):
     decides_by = "Gaussians that still move, against those that do not"
     source = "Tao et al., RT-GuIDE, RA-L 2025"
     required_gains = ("rt_guide",)
+    # Goals and views of a robot that drives; the lattice stands for its motion primitives (own choice).
+    brings = Schedule(stages=(("floor?spacing_m=0.5&yaws=8&rows=512",),), candidates=512)
 
     def act(self, observation: Observation) -> int:
         """The best view of the best region; the nearest region where no Gaussian has moved."""

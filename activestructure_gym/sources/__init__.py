@@ -23,19 +23,22 @@ from activestructure_gym.sources.base import (
     make_source,
     sources_in,
 )
-from activestructure_gym.sources.facing import FrontierFacing, RegionsOfInterest
+from activestructure_gym.sources.facing import FrontierFacing, RegionsOfInterest, UnsureFacing
 from activestructure_gym.sources.offering import make_stages, offer, random_of
 from activestructure_gym.sources.places import Around, Lattice, Turns
 from activestructure_gym.sources.shared_pool import Pool
 from activestructure_gym.sources.standing import Finish, Stay
 from activestructure_gym.sources.targets import TargetFacing
+from activestructure_gym.sources.wheels import Floor, Nodes
 
 __all__ = [
     "SOURCES",
     "Around",
     "Finish",
+    "Floor",
     "FrontierFacing",
     "Lattice",
+    "Nodes",
     "Pool",
     "Proposals",
     "RegionsOfInterest",
@@ -44,6 +47,7 @@ __all__ = [
     "Stay",
     "TargetFacing",
     "Turns",
+    "UnsureFacing",
     "make_source",
     "make_stages",
     "offer",

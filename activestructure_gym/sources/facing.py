@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from activestructure_gym.features.aiisrfe import voxel_colour_errors
 from activestructure_gym.features.confidence import gaussian_confidence
+from activestructure_gym.features.uncertain_surface import free_side
 from activestructure_gym.mapping.sightings import sightings
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
@@ -16,39 +18,57 @@ from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.integration import FREE
 
 _SIDE = 2  # voxels per side of a region: 0.2 m at the default size, ActiveGS's voxels
-_MOST_REGIONS = 1000  # the nearest ones, of which views are sought
+_MOST_REGIONS = 1000  # the foremost ones, of which views are sought
+_TRIES = 8  # regions of a cube of side `apart_m` of which views are sought, until one has some
 
 
 @dataclass(frozen=True)
 class _Facing(Source):
-    """Views of regions, the nearest first: from free places 0.3 to 2 m away, within 60 degrees of their normal."""
+    """Views of regions, the nearest first: from free places 0.3 to 2 m away, within 60 degrees of their normal.
+
+    With ``apart_m`` one region of every cube of that side has views, so that they spread as far as anything is known.
+    """
 
     nearest_m: float = 0.3
     farthest_m: float = 2.0
     per_region: int = 5
+    apart_m: float = 0.0
     rows: int = 30
 
     def __post_init__(self) -> None:
-        ranges = {"nearest_m": "[0, 100]", "farthest_m": "(0, 100]", "per_region": "[1, 1000]"}
+        ranges = {"nearest_m": "[0, 100]", "farthest_m": "(0, 100]", "per_region": "[1, 1000]", "apart_m": "[0, 100]"}
         check_ranges(self, {**ranges, "rows": f"[1, {MOST_ROWS}]"})
 
     def regions(self, context: SourceContext) -> np.ndarray:  # [X, Y, Z] bool, cells of `_SIDE` voxels
         """Which cells are to be looked at."""
         raise NotImplementedError
 
+    def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:  # [M, 3] metres, [M, 3] unit
+        """Centres of the regions and where the free space is from there, in the order in which they are faced."""
+        volume = context.volume
+        free = np.asarray(_coarse(volume.state == FREE).all(axis=-1))
+        centres, normals = _facing_free(self.regions(context), free, volume)
+        order = np.argsort(np.linalg.norm(centres - context.agent.pose[:3, 3], axis=1), kind="stable")
+        return centres[order], normals[order]
+
     def propose(self, context: SourceContext) -> Proposals:
         """Up to ``per_region`` random places of every region."""
         volume, rng = context.volume, context.rng
-        centres, normals = _facing_free(
-            self.regions(context), np.asarray(_coarse(volume.state == FREE).all(axis=-1)), volume
-        )
-        here = context.agent.pose[:3, 3]
-        order = np.argsort(np.linalg.norm(centres - here, axis=1), kind="stable")[:_MOST_REGIONS]
+        centres, normals = self.foremost(context)
+        order = np.arange(len(centres))
+        cube = np.zeros(len(centres), dtype=np.int64)
+        if self.apart_m:
+            corners = np.floor((centres - volume.origin) / self.apart_m)
+            cube = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
+            order = order[_rank_within(cube[order]) < _TRIES]
+        done: set[int] = set()
         places = standing_places(context)
         found: list[np.ndarray] = []
         if len(places):
             tree = cKDTree(places)
-            for region in order:
+            for region in order[:_MOST_REGIONS]:
+                if cube[region] in done:
+                    continue
                 near = np.sort(np.array(tree.query_ball_point(centres[region], self.farthest_m), dtype=int))
                 away = places[near] - centres[region]
                 far = np.linalg.norm(away, axis=1)
@@ -59,6 +79,8 @@ class _Facing(Source):
                 chosen = chosen[volume.sight_free(chosen, centres[region])] if len(chosen) else chosen
                 if len(chosen):
                     found.append(looking(chosen, centres[region] - chosen))
+                    if self.apart_m:
+                        done.add(int(cube[region]))
                 if sum(map(len, found)) >= self.rows:
                     break
         return Proposals(np.concatenate(found) if found else np.zeros((0, 4, 4)))
@@ -93,6 +115,31 @@ class RegionsOfInterest(_Facing):
         count = np.zeros(cells.shape, dtype=np.int64)
         np.add.at(count, tuple(inside.T), 1)
         return cells | (count > 5)
+
+
+@SOURCES.register("unsure_facing")
+@dataclass(frozen=True)
+class UnsureFacing(_Facing):
+    """Views that face surface whose colour is rendered worse than the mean, the worst first.
+
+    By the mean squared colour error of keyframes in every voxel, as the feature `aiisrfe`.
+    """
+
+    def foremost(self, context: SourceContext) -> tuple[np.ndarray, np.ndarray]:
+        """The voxels with an error above the mean of those that have one, the largest first."""
+        volume, errors = context.volume, voxel_colour_errors(context.mapper, context.volume)
+        voxels = np.argwhere(errors > errors[errors > 0].mean() if errors.any() else errors > 0)
+        voxels = voxels[np.argsort(-errors[tuple(voxels.T)], kind="stable")]
+        normals = free_side(volume, voxels)
+        known = normals.any(axis=1)
+        return volume.center_of(voxels[known]), normals[known]
+
+
+def _rank_within(group: np.ndarray) -> np.ndarray:  # [n] -> [n] how many of the same group stand before each
+    order = np.argsort(group, kind="stable")
+    rank = np.empty(len(group), dtype=np.int64)
+    rank[order] = np.arange(len(group)) - np.searchsorted(group[order], group[order])
+    return rank
 
 
 def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `_SIDE` voxels

@@ -12,6 +12,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.episode import build
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.motion import planar_graph
 from activestructure_gym.policies import POLICIES, Policy, Schedule, make_env_and_policy
 from activestructure_gym.policies.schedule import schedule_of
 from activestructure_gym.scenes import load_scene
@@ -74,6 +75,38 @@ def test_r3_recon_is_offered_views_of_the_frontier_and_around_the_agent() -> Non
     assert 0 < facing.sum() <= 30 and 0 < around.sum() <= 70 and len(candidates) == 100
     np.testing.assert_array_equal(facing | around, candidates.valid)
     assert np.linalg.norm(candidates.xyz[around] - observation["pose"][:3], axis=1).max() <= 0.5 + 1e-5
+
+
+@pytest.mark.parametrize("name", ["activeinr", "anm_s", "rt_guide"])
+def test_planners_of_driving_robots_are_offered_level_views_at_one_height(name: str) -> None:
+    env, policy, observation = begin(name)
+    height = observation["pose"][2]
+    for _ in range(3):
+        candidates = policy.candidates(observation)
+        assert np.abs(candidates.look[candidates.valid, 2]).max() < 1e-6
+        np.testing.assert_allclose(candidates.xyz[candidates.valid, 2], height, atol=1e-6)
+        observation, *_ = env.step(policy.act(observation))
+
+
+def test_anm_s_goes_to_the_nodes_themselves() -> None:
+    env, policy, observation = begin("anm_s", frame_budget=200)
+    stages = []
+    for _ in range(8):
+        candidates, row = policy.candidates(observation), policy.act(observation)
+        if policy.trace()["node"] >= 0 and candidates.source("nodes?rows=504")[row]:
+            nodes = planar_graph(env.reconstruction.volume, env.reconstruction.trajectory[0][:3, 3]).nodes
+            stages.append(float(np.linalg.norm(nodes - candidates.xyz[row, :2], axis=1).min()))
+        observation, *_ = env.step(row)
+    assert len(stages) > 1 and max(stages) < 1e-5
+
+
+def test_aiisrfe_is_offered_views_for_its_tasks_alone() -> None:
+    env, policy, observation = begin("aiisrfe")
+    observation, *_ = env.step(policy.act(observation))
+    frontiers, unsure = (s for s in type(policy).brings.stages[0])
+    candidates = policy.candidates(observation)
+    np.testing.assert_array_equal(candidates.source(frontiers) | candidates.source(unsure), candidates.valid)
+    assert candidates.source(frontiers).any()
 
 
 def test_a_schedule_says_what_it_changes_and_nothing_else() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,19 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
+from activestructure_gym.features.aiisrfe import voxel_colour_errors
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.motion import planar_graph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, make_source
-from activestructure_gym.sources.facing import frontier_cells, standing_places
+from activestructure_gym.sources.facing import (
+    UnsureFacing,
+    _rank_within,
+    frontier_cells,
+    standing_places,
+)
 from activestructure_gym.volume import FREE
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 60}
@@ -194,3 +201,94 @@ class Wrong(Source):
 def test_what_a_source_may_not_propose_is_said_with_its_name(kind: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         begin((f"tests.sources.test_sources:Wrong?kind={kind}",))
+
+
+def test_rank_within_counts_equals_before_each() -> None:
+    np.testing.assert_array_equal(_rank_within(np.array([4, 1, 4, 4, 1, 0])), [0, 0, 1, 2, 1, 0])
+
+
+def look_round(*stages: tuple[str, ...]) -> Reconstruction:
+    """A run that has turned all around on its place, by the source `TURNS` of the first stage."""
+    run = begin(*stages, scene="room", frame_budget=200)
+    for _ in range(7):
+        run.visit(int(rows_of(run, TURNS)[1]))
+    return run
+
+
+def test_views_that_keep_apart_reach_farther() -> None:
+    near, apart = "frontier_facing?rows=30", "frontier_facing?rows=30&apart_m=1"
+    run = look_round((TURNS, near, apart))
+
+    def reach(name: str) -> float:
+        places = run.candidates.world_from_camera[rows_of(run, name), :3, 3]
+        return float(np.median(np.linalg.norm(places - run.pose[:3, 3], axis=1)))
+
+    assert len(rows_of(run, near)) > 5 and reach(apart) > reach(near)
+
+
+def test_the_worst_rendered_surface_is_faced_first() -> None:
+    spec = "unsure_facing?rows=10"
+    run = look_round((TURNS, spec))
+    errors = voxel_colour_errors(run.mapper, run.volume)
+    seen: dict[str, np.ndarray] = {}
+
+    @dataclass(frozen=True)
+    class Look(UnsureFacing):
+        def foremost(self, context):
+            seen["centres"], seen["normals"] = super().foremost(context)
+            return seen["centres"], seen["normals"]
+
+    run._sources = {TURNS: make_source(TURNS), spec: Look(rows=10)}
+    run._offer()
+    faced = errors[tuple(run.volume.voxel_of(seen["centres"]).T)]
+    assert len(faced) > 10 and (np.diff(faced) <= 0).all() and faced.min() > errors[errors > 0].mean()
+    poses = run.candidates.world_from_camera[rows_of(run, spec)]
+    ways = seen["centres"] - poses[0, :3, 3]
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    target = int((ways @ poses[0, :3, 2]).argmax())
+    assert ways[target] @ poses[0, :3, 2] > 1.0 - 1e-9 and ways[target] @ seen["normals"][target] <= -0.5 + 1e-9
+
+
+def test_a_robot_on_wheels_stays_at_its_height_and_looks_all_around() -> None:
+    spec = "floor?yaws=4&spacing_m=0.5&rows=80"
+    run = begin((spec, TURNS), scene="room")
+    start = run.trajectory[0][:3, 3]
+
+    def views() -> np.ndarray:
+        return run.candidates.world_from_camera[rows_of(run, spec)]
+
+    steps = (views()[:, :2, 3] - start[:2]) / 0.5
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    np.testing.assert_allclose(views()[:, 2, 3], start[2])
+    np.testing.assert_allclose(np.abs(views()[:, :2, 2]).max(axis=1), 1.0)  # along x or y, and level
+    chosen = views()[-1]
+    run.visit(int(rows_of(run, spec)[-1]))
+    np.testing.assert_allclose(run.pose, chosen, atol=1e-6)
+    near = np.linalg.norm(views()[:, :3, 3] - chosen[:3, 3], axis=1) < 1e-6
+    assert near.sum() == 3  # without the view where it has been
+
+
+def test_nodes_are_those_of_the_floor_plan_and_are_come_back_to() -> None:
+    spec = "nodes?yaws=6&rows=60"
+    run = look_round((TURNS, spec))
+    nodes = planar_graph(run.volume, run.trajectory[0][:3, 3]).nodes
+    poses = run.candidates.world_from_camera[rows_of(run, spec)]
+    assert len(poses) and len(poses) % 6 == 0
+    assert np.linalg.norm(poses[:, None, :2, 3] - nodes, axis=2).min(axis=1).max() < 1e-9
+    seen: dict[str, SourceContext] = {}
+
+    @dataclass(frozen=True)
+    class Look(Source):
+        rows: int = 60
+
+        def propose(self, context):
+            seen["context"] = context
+            return Proposals(poses)
+
+    run._sources = {TURNS: make_source(TURNS), spec: Look()}
+    run._offer()
+    context, nodes_source = seen["context"], make_source(spec)
+    been = replace(context, agent=replace(context.agent, stops=poses[:1]))
+    np.testing.assert_allclose(nodes_source.propose(been).world_from_camera, poses, atol=1e-9)
+    there = replace(context, agent=replace(context.agent, pose=poses[0]))
+    np.testing.assert_allclose(nodes_source.propose(there).world_from_camera, poses[1:], atol=1e-9)

@@ -1,0 +1,86 @@
+"""Sources of views for a robot on wheels: one height, that of the start, and yaws all around."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.geometry import rotation_angle
+from activestructure_gym.motion import planar_graph
+from activestructure_gym.ranges import check_ranges
+from activestructure_gym.sources.base import MOST_ROWS, SOURCES, Proposals, Source, SourceContext
+from activestructure_gym.sources.places import directions, looking
+
+
+@dataclass(frozen=True)
+class _OnWheels(Source):
+    """Places at the height of the start, the same yaws at each; an even choice of places where all do not fit.
+
+    A view that was had is left out until there is no other.
+    """
+
+    yaws: int = 12
+    rows: int = 512
+
+    def __post_init__(self) -> None:
+        check_ranges(self, {"yaws": "[1, 360]", "rows": f"[1, {MOST_ROWS}]"})
+
+    def places(self, context: SourceContext) -> np.ndarray:  # [P, 2] metres
+        """Where the robot may stand, as seen from above."""
+        raise NotImplementedError
+
+    def spent(self, context: SourceContext) -> np.ndarray:  # [S, 4, 4]
+        """Views that are left out, by the distance and the angle of the shared pool: where every decision has ended."""
+        return context.agent.stops
+
+    def propose(self, context: SourceContext) -> Proposals:
+        """The views of the reachable places, the nearest place first."""
+        flat = self.places(context)
+        places = np.column_stack([flat, np.full(len(flat), context.start[2])])
+        far = context.agent.distances.at(places) if len(places) else np.zeros(0)
+        here = np.linalg.norm(places - context.agent.pose[:3, 3], axis=1) < 1e-6
+        open_ = np.isfinite(far) & (here | (context.volume.clearance_at(places) >= context.clearance_m))
+        places = places[open_][np.argsort(far[open_], kind="stable")]
+        most = max(1, min(context.room, self.rows) // self.yaws)
+        places = places[:: -(-len(places) // most)] if len(places) > most else places
+        yaw = np.tile(2 * np.pi * np.arange(self.yaws) / self.yaws, len(places))
+        poses = looking(np.repeat(places, self.yaws, axis=0), directions(yaw, np.zeros(len(yaw))))
+        config = context.pool.config
+        left = np.ones(len(poses), dtype=bool)
+        for gone in self.spent(context):
+            turned = rotation_angle(poses, gone) <= np.radians(config.visited_angle_deg)
+            left &= ~turned | (np.linalg.norm(poses[:, :3, 3] - gone[:3, 3], axis=1) > config.visited_distance_m)
+        return Proposals(poses[left] if left.any() else poses)
+
+
+@SOURCES.register("floor")
+@dataclass(frozen=True)
+class Floor(_OnWheels):
+    """A square lattice of places around the start."""
+
+    spacing_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, {"spacing_m": "[0.05, 100]"})
+
+    def places(self, context: SourceContext) -> np.ndarray:
+        """The lattice within the workspace."""
+        low, high = (np.trunc((end - context.start)[:2] / self.spacing_m) for end in context.bounds)
+        steps = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij"), axis=-1)
+        return np.asarray(context.start[:2] + self.spacing_m * steps.reshape(-1, 2))
+
+
+@SOURCES.register("nodes")
+@dataclass(frozen=True)
+class Nodes(_OnWheels):
+    """The nodes of the floor plan's Voronoi graph, where ANM-S goes and comes back to ([anm_s, code])."""
+
+    def places(self, context: SourceContext) -> np.ndarray:
+        """As far from all walls as can be."""
+        return planar_graph(context.volume, context.start).nodes
+
+    def spent(self, context: SourceContext) -> np.ndarray:
+        """The view it has now, alone."""
+        return context.agent.pose[None]

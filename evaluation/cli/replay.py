@@ -93,7 +93,9 @@ def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: boo
     with writing(out):
         size = write_replay(recordings, out)
     seconds = time.monotonic() - began
-    console.print(f"Open [bold]{escape(str(out))}[/] in a browser: {size / 1e6:.1f} MB, {seconds:.0f} s")
+    console.print(
+        f"Open [bold]{escape(str(out))}[/] in a browser: {size / 1e6:.1f} MB, {seconds:.0f} s", soft_wrap=True
+    )
 
 
 def _video(console: Console, directory: Path, out: Path) -> int:
@@ -106,7 +108,9 @@ def _video(console: Console, directory: Path, out: Path) -> int:
     with _progress(console, run) as tell, writing(out):
         length = write_video(run, out, tell)
     size, seconds = out.stat().st_size / 1e6, time.monotonic() - began
-    console.print(f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s")
+    console.print(
+        f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s", soft_wrap=True
+    )
     return 0
 
 

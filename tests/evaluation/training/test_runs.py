@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import types
 import xml.etree.ElementTree
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
@@ -52,8 +54,10 @@ def test_the_picture_grows_with_the_log(tmp_path: Path) -> None:
         finish(run, loss)
         picture = (tmp_path / "curve.svg").read_text()
         drawn = curves(picture)
-        assert len(drawn) == 2 and all(path.count("L") == number - 1 for path in drawn)
-    heights = [[float(point.split()[1]) for point in path[1:].split("L")] for path in drawn]
+        # A move to the first point, then steps from point to point.
+        steps = [np.array(re.findall(r"-?\d*\.?\d+", path), float).reshape(-1, 2) for path in drawn]
+        assert [len(line) for line in steps] == [number, number]
+    heights = [line[:, 1].cumsum().tolist() for line in steps]
     assert heights[0] == sorted(heights[0]) and heights[1] == sorted(heights[1], reverse=True)  # down is larger
     assert "asg train bc" in picture and "loss" in picture and "validation" in picture
 

@@ -130,6 +130,17 @@ class GaussianMap:
             self.count = kept
         return removed
 
+    def reorder(self, order: np.ndarray) -> None:
+        """Put the Gaussians into another order ([count] indices, each once), with their moments and ids."""
+        order = np.asarray(order)
+        if order.shape != (self.count,) or not np.array_equal(np.sort(order), np.arange(self.count)):
+            raise ValueError(f"order must hold each of 0..{self.count - 1} once, got {order.dtype} of {order.shape}")
+        for array in (self.parameters, self.first_moment, self.second_moment):
+            for row in array:
+                row[: self.count] = row[order]
+        self.ids[: self.count] = self.ids[order]
+        self.touched()
+
     def touched(self, chunks: np.ndarray | None = None) -> None:
         """Means or scales of these chunks of 1024 Gaussians ([chunks] bool; None: all) were written to."""
         if chunks is None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry.curve import curve_order
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.density import (
@@ -43,6 +44,12 @@ _NOTHING = np.empty((0, 0))
 # Keyframes that a decision renders to know how well they are mapped: a quarter of what scoring 256 candidates at half
 # the size draws in pixels (own choice).
 PSNR_RENDERS = 16
+
+# Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
+# keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured: docs/
+# notebook/map.md, "Large maps").
+_ORDERED_ABOVE = 200_000
+_ORDERED_AGAIN = 1.5
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,7 @@ class Mapper:
         self._informed: dict[tuple[PinholeCamera, bool], tuple[int, np.ndarray]] = {}  # event, what was found then
         self._reliability: DirectionalReliability | None = None
         self._surface_looks: SurfaceLooks | None = None
+        self._ordered_above = _ORDERED_ABOVE  # Gaussians
         self._largest_seed = 0.0  # metres, sigma
         self._largest_depth = 0.0  # metres
         self._movement: Movement | None = None
@@ -253,6 +261,9 @@ class Mapper:
         if len(sigma):
             self._largest_seed = max(self._largest_seed, float(sigma.max()))
             self.map.append(self._new_gaussians(frame, seeds, sigma))
+        if self.map.count > self._ordered_above:
+            self.map.reorder(curve_order(np.nan_to_num(self.map.means, posinf=0.0, neginf=0.0)))
+            self._ordered_above = int(_ORDERED_AGAIN * self.map.count)
         return replaced, len(sigma), count - len(sigma), new_share
 
     def _hiding(self, frame: Frame) -> np.ndarray | None:  # [H, W] metres

@@ -5,6 +5,8 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.mapping.boxes import block_boxes
+from activestructure_gym.mapping.gaussian_map import ROWS
 
 
 def _filled(count, seed=0):
@@ -177,3 +179,26 @@ def test_reset_moments_forgets_the_moments_and_nothing_else():
     held.reset_moments()
     assert not held.first_moment[:, :5].any() and not held.second_moment[:, :5].any()
     assert (held.parameters[:, :5] == 2.0).all()
+
+
+def test_reordering_moves_whole_gaussians_with_moments_ids_and_boxes():
+    rng = np.random.default_rng(0)
+    gaussians = GaussianMap()
+    gaussians.append(rng.standard_normal((ROWS, 3000)).astype(np.float32))
+    gaussians.first_moment[:, :3000] = rng.standard_normal((ROWS, 3000))
+    gaussians.boxes()
+    before = gaussians.parameters[:, :3000].copy(), gaussians.first_moment[:, :3000].copy()
+    order = rng.permutation(3000)
+    gaussians.reorder(order)
+    np.testing.assert_array_equal(gaussians.ids[:3000], order)  # they were numbered by their place
+    np.testing.assert_array_equal(gaussians.parameters[:, :3000], before[0][:, order])
+    np.testing.assert_array_equal(gaussians.first_moment[:, :3000], before[1][:, order])
+    np.testing.assert_array_equal(gaussians.boxes(), block_boxes(gaussians.parameters, 3000))
+
+
+@pytest.mark.parametrize("order", [np.arange(4), np.array([0, 0, 2]), np.array([0.0, 1.5, 2.0])])
+def test_orders_that_lose_gaussians_are_refused(order):
+    gaussians = GaussianMap()
+    gaussians.append(np.zeros((ROWS, 3), np.float32))
+    with pytest.raises(ValueError, match="each of 0..2 once"):
+        gaussians.reorder(order)

@@ -236,3 +236,18 @@ def test_frames_whose_arrays_do_not_fit_their_camera_are_refused(room_frames):
     wrong = Frame(room_frames[0].rgb, np.ones((40, 80), np.float32), np.eye(4), room_frames[0].camera)
     with pytest.raises(ValueError, match="camera has"):
         _mapper().observe(wrong)
+
+
+def test_a_large_map_is_put_into_spatial_order_and_stays_the_same_map(room_frames):
+    in_order, as_seeded = (Mapper(MapperConfig(), np.random.default_rng(0)) for _ in range(2))
+    in_order._ordered_above = 3000  # small enough for these frames
+    for frame in room_frames[:6]:
+        in_order.observe(frame)
+        as_seeded.observe(frame)
+    assert in_order._ordered_above > 3000  # it was done
+    a, b = in_order.map, as_seeded.map
+    assert (np.diff(a.ids[: a.count]) < 0).mean() > 0.2 > (np.diff(b.ids[: b.count]) < 0).mean()
+    assert abs(a.count - b.count) <= 0.01 * b.count
+    apart = cKDTree(b.means).query(a.means)[0]
+    assert np.quantile(apart, 0.95) < 1e-3  # metres: the steps add the same numbers in another order
+    np.testing.assert_allclose(in_order.keyframe_psnr(), as_seeded.keyframe_psnr(), atol=0.1)

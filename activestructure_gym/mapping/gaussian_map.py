@@ -109,19 +109,26 @@ class GaussianMap:
         self.count = stop
 
     def keep(self, mask: np.ndarray) -> int:
-        """Remove the Gaussians whose entry in ``mask`` ([count] bool) is False; returns how many went.
+        """Remove the Gaussians whose entry in ``mask`` ([count] bool) is False, as `remove`; returns how many went."""
+        mask = np.asarray(mask)
+        if mask.dtype != bool or mask.shape != (self.count,):
+            raise ValueError(f"mask must be bool of shape ({self.count},), got {mask.dtype} of shape {mask.shape}")
+        return self.remove(np.flatnonzero(~mask))
+
+    def remove(self, columns: np.ndarray) -> int:
+        """Remove the Gaussians in these columns ([n] int, rising); returns how many went.
 
         The last survivors move into the gaps, with their moments; all others stay where they are. So the cost is that
         of what goes and not of the map, and the newest Gaussians take the places of others that mostly lay near them.
         """
-        mask = np.asarray(mask)
-        if mask.dtype != bool or mask.shape != (self.count,):
-            raise ValueError(f"mask must be bool of shape ({self.count},), got {mask.dtype} of shape {mask.shape}")
-        kept = int(np.count_nonzero(mask))
-        removed = self.count - kept
+        columns = np.asarray(columns)
+        if len(columns) and not (columns[0] >= 0 and columns[-1] < self.count and (np.diff(columns) > 0).all()):
+            raise ValueError(f"columns must rise within 0..{self.count - 1}, got {columns}")
+        removed = len(columns)
+        kept = self.count - removed
         if removed:
-            gaps = np.flatnonzero(~mask[:kept])
-            movers = np.flatnonzero(mask[kept:]) + kept
+            gaps = columns[columns < kept]
+            movers = np.setdiff1d(np.arange(kept, self.count), columns, assume_unique=True)
             for array in (self.parameters, self.first_moment, self.second_moment):
                 array[:, gaps] = array[:, movers]
             self.ids[gaps] = self.ids[movers]

@@ -24,22 +24,20 @@ class MeasuredDepth(NamedTuple):
 
 
 @kernel
-def fit_to_stay(
+def unfit(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,
     least_logit: float,
     most_log_scale: float,
     changed: np.ndarray,  # [chunks] bool
-) -> np.ndarray:  # [count] bool
-    """Which Gaussians are opaque enough, small enough along every axis and finite; those not ``changed`` pass."""
-    keep = np.empty(count, np.bool_)
+) -> np.ndarray:  # [n] int64, rising
+    """Which Gaussians are too transparent, too large along some axis or not finite; those not ``changed`` are not."""
+    found, at = np.empty(min(count, CHUNK * changed.sum()), np.int64), 0
     total = np.empty(CHUNK, np.float32)
     for first in range(0, count, CHUNK):
-        length = min(CHUNK, count - first)
         if not changed[first // CHUNK]:
-            for i in range(length):
-                keep[first + i] = True
             continue
+        length = min(CHUNK, count - first)
         for i in range(length):
             total[i] = np.float32(0.0)
         for row in range(ROWS):
@@ -47,15 +45,18 @@ def fit_to_stay(
             for i in range(length):
                 total[i] += values[i]  # whatever is not finite stays so
         for i in range(length):
-            at = first + i
-            keep[at] = (
+            column = first + i
+            fits = (
                 np.isfinite(total[i])
-                & (parameters[10, at] >= least_logit)
-                & (parameters[7, at] <= most_log_scale)
-                & (parameters[8, at] <= most_log_scale)
-                & (parameters[9, at] <= most_log_scale)
+                & (parameters[10, column] >= least_logit)
+                & (parameters[7, column] <= most_log_scale)
+                & (parameters[8, column] <= most_log_scale)
+                & (parameters[9, column] <= most_log_scale)
             )
-    return keep
+            if not fits:
+                found[at] = column
+                at += 1
+    return found[:at].copy()
 
 
 @kernel

@@ -29,7 +29,7 @@ from activestructure_gym.mapping.density import (
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, GaussianMap
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
-from activestructure_gym.mapping.map_passes import CHUNK, fit_to_stay, too_wide
+from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
 from activestructure_gym.mapping.reduced import reduced
@@ -249,10 +249,11 @@ class Mapper:
             )
             coarse = self._coarse(frame, spacing, unseen)
             seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
-            if coarse.any() and not self._room_for(len(sigma) - int(coarse.sum())):
-                coarse[:] = False  # the finer ones would not close the gap that these leave
+            leaving = np.flatnonzero(coarse)
+            if len(leaving) and not self._room_for(len(sigma) - len(leaving)):
+                coarse[:], leaving = False, leaving[:0]  # the finer ones would not close the gap that these leave
                 seeds, sigma, new_share = self._seeds_by_spacing(frame, spacing, unseen, coarse)
-            replaced = self.map.keep(~coarse)
+            replaced = self.map.remove(leaving)
         count = len(sigma)
         room = count if config.max_gaussians is None else max(0, config.max_gaussians - self.map.count)
         if room < count:
@@ -421,8 +422,7 @@ class Mapper:
         limit = max(self.config.prune_scale * self.scene_radius, 2.0 * self._largest_seed)
         with np.errstate(divide="ignore"):  # thresholds of 0 and 1
             least_logit = float(np.log(threshold) - np.log1p(-threshold))
-        keep = fit_to_stay(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed)
-        return self.map.keep(keep)
+        return self.map.remove(unfit(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed))
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
         parts = MapParts(self.map, kept=True) if len(indices) else None

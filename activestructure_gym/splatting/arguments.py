@@ -13,7 +13,8 @@ class Lists(NamedTuple):
     camera: np.ndarray  # [VIEW_SIZE] float32: `layout.POSE ...` (numba takes an attribute ``view`` for a cast)
     grid: np.ndarray  # [GRID_SIZE] int64, sizes: `layout.COUNT ...`
     records: np.ndarray  # [chunks * CHUNK * RECORD] float32: `layout.U ...`
-    visible: np.ndarray  # [chunks * CHUNK / 16] int32, a bit per Gaussian
+    taken: np.ndarray  # [n] int64, the chunks that may be in view, rising; the others are never looked at
+    visible: np.ndarray  # [chunks * CHUNK / 16] int32, a bit per Gaussian; only of the chunks taken
     tile_start: np.ndarray  # [tiles + 1] int64, first entry of each tile
     tile_order: np.ndarray  # [tiles + PLACES] int64, the tiles as they are taken, and room for ordering them
     entries: np.ndarray  # [ENTRY_ROWS, room] uint64: `layout.KEY ...`
@@ -52,5 +53,5 @@ class Step(NamedTuple):
     rates: np.ndarray  # [RATES] float32: 14 learning rates, then `layout.BETA1 ...`
     slots: np.ndarray  # [entries * 16] float32, the sums of every entry: `layout.V_ ...`
     gradient: np.ndarray  # [14, capacity] float32
-    pose_parts: np.ndarray  # [chunks * 16] float32
+    pose_parts: np.ndarray  # [n * 16] float32, of the chunks taken
     results: np.ndarray  # [RESULTS] float64 out: `stepping.OF_POSE`

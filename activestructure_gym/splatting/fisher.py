@@ -160,8 +160,12 @@ def _run(
         f.inform, workspace.parameters, workspace.lists, workspace._scratch, asked,
         Pictures(workspace.color, workspace.depth, workspace.alpha), f.Told(pictures.reshape(-1), slots, result),
     )  # fmt: skip
-    bits = workspace.visible[: -(-count // LANES)].astype("<u2").view(np.uint8)
-    indices = np.flatnonzero(np.unpackbits(bits, bitorder="little")[:count])
+    taken = workspace.lists.taken
+    words = workspace.visible[: (taken[-1] + 1) * (layout.CHUNK // LANES)].reshape(-1, layout.CHUNK // LANES)
+    bits = np.unpackbits(words[taken].astype("<u2").view(np.uint8), axis=1, bitorder="little")
+    chunk, place = np.nonzero(bits)
+    indices = taken[chunk] * layout.CHUNK + place
+    indices = indices[indices < count]  # what stands behind them is of an earlier picture
     rows = result[: capacity * f.RESULT_FLOATS].reshape(capacity, f.RESULT_FLOATS)
     # Whole rows: copying 26 numbers of 32 takes longer.
     return indices, np.take(rows, indices, axis=0, mode="clip")[:, : f.COLUMNS]

@@ -365,10 +365,13 @@ def _chain_block(parameters, i, view, grid, records, sums_of, result):
 
 
 @_inner
-def _chain_chunk(chunk, parameters, lists, slots, sums_of, result):
-    """Gather the slots of 1024 Gaussians and chain them; ``visible`` then tells which have a row in ``result``."""
+def _chain_chunk(number, parameters, lists, slots, sums_of, result):
+    """Gather the slots of the 1024 Gaussians of ``lists.taken[number]`` and chain them.
+
+    ``visible`` then tells which have a row in ``result``.
+    """
     view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
-    zero = spread(F(0.0))
+    zero, chunk = spread(F(0.0)), lists.taken[number]
     for i in range(chunk * layout.CHUNK, min((chunk + 1) * layout.CHUNK, grid[layout.COUNT]), LANES):
         seen = np.int64(peek(visible, i // LANES))
         if seen == 0:
@@ -419,8 +422,8 @@ def inform(tickets, parameters, lists, scratch, asked, pictures, told):
         return
     sums_of = scratch[own : own + layout.SCRATCH]
     while True:
-        chunk = take_ticket(tickets, 6)
-        if chunk >= grid[layout.CHUNKS]:
+        number = take_ticket(tickets, 6)
+        if number >= len(lists.taken):
             return
-        _chain_chunk(chunk, parameters, lists, slots, sums_of, told.numbers)
+        _chain_chunk(number, parameters, lists, slots, sums_of, told.numbers)
         take_ticket(tickets, STEPPED)

@@ -87,11 +87,11 @@ from activestructure_gym.splatting.tile_losses import compare_tile
 @kernel
 def prepare(tickets, parameters, lists, histogram, chunk_entries):
     """Project, count and list. Without room for the entries it ends before listing and goes on when called again with
-    more; FILLED counts up to the number of chunks.
+    more; FILLED counts up to the number of chunks taken.
 
-    ``histogram [chunks * tiles]`` and ``chunk_entries [chunks]`` are room for the counts.
+    ``histogram [n * tiles]`` and ``chunk_entries [n]`` are room for the counts of the n chunks taken.
     """
-    chunks = lists.grid[CHUNKS]
+    chunks = len(lists.taken)
     while True:
         chunk = take_ticket(tickets, 0)
         if chunk >= chunks:
@@ -232,9 +232,7 @@ def score(tickets, parameters, views, grid, depth, alpha):
     """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
     chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]
     records = scratch_of(max(grid[COUNT] + LANES, 1) * RECORD)
-    visible = np.empty(chunks * (CHUNK // LANES), np.int32)
-    for block in range(len(visible)):
-        visible[block] = 0
+    taken, visible = np.arange(chunks), np.empty(chunks * (CHUNK // LANES), np.int32)
     histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
     tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
     digits = np.empty(DIGITS, np.int64)
@@ -245,13 +243,13 @@ def score(tickets, parameters, views, grid, depth, alpha):
         camera = take_ticket(tickets, 0)
         if camera >= views.shape[0]:
             return
-        lists = Lists(views[camera], grid, records, visible, tile_start, tile_order, entries)
+        lists = Lists(views[camera], grid, records, taken, visible, tile_start, tile_order, entries)
         for chunk in range(chunks):
             project_chunk(chunk, parameters, lists, histogram, chunk_entries)
         total = plan_entries(lists, histogram, chunk_entries)
         if total > entries.shape[1]:
             entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
-            lists = Lists(views[camera], grid, records, visible, tile_start, tile_order, entries)
+            lists = Lists(views[camera], grid, records, taken, visible, tile_start, tile_order, entries)
         for chunk in range(chunks):
             fill_chunk(chunk, lists, histogram, chunk_entries)
         first, end = camera * pixels, (camera + 1) * pixels

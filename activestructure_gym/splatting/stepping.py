@@ -16,7 +16,6 @@ from activestructure_gym.splatting.layout import (
     BETA2,
     CAPACITY,
     CHUNK,
-    CHUNKS,
     COUNT,
     EPSILON,
     FX,
@@ -183,8 +182,9 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
 
 
 @inner
-def _step_chunk(chunk, lists, step, scratch):
-    """Gather the slots of 1024 Gaussians and step them (Adam), write their dense gradient, or only the pose's.
+def _step_chunk(number, lists, step, scratch):
+    """Gather the slots of the 1024 Gaussians of chunk ``lists.taken[number]`` and step them (Adam), write their dense
+    gradient, or only the pose's.
 
     ``scratch [42 * 16]``: gathered sums, gradient, pose.
     """
@@ -196,6 +196,7 @@ def _step_chunk(chunk, lists, step, scratch):
     for k in range(12):
         store(pose, LANES * k, zero)
     beta1, beta2, epsilon, stepping = rates[BETA1], rates[BETA2], rates[EPSILON], rates[MODE] > F(0.0)
+    chunk = lists.taken[number]
     end = min((chunk + 1) * CHUNK, grid[COUNT])
     for i in range(chunk * CHUNK, end, LANES):
         seen = np.int64(peek(visible, i // LANES))
@@ -240,7 +241,7 @@ def _step_chunk(chunk, lists, step, scratch):
             move = m / (sqrt(s) + epsilon) * rates[row]
             store(parameters, at, load(parameters, at) - sel(mask, move, F(0.0)))
     store(
-        pose_parts, LANES * chunk,
+        pose_parts, LANES * number,
         sums((
             load(pose, 0), load(pose, 16), load(pose, 32), load(pose, 48), load(pose, 64), load(pose, 80),
             load(pose, 96), load(pose, 112), load(pose, 128), load(pose, 144), load(pose, 160), load(pose, 176),
@@ -254,11 +255,11 @@ _POSE_LANES = np.array([[SUM_LANES.index(x) for x in (3 * j, 3 * j + 1, 3 * j + 
 
 
 @inner
-def _sum_up(grid, pose_parts, terms, results):
+def _sum_up(chunks, grid, pose_parts, terms, results):
     """From the parts of every chunk and tile to ``results [15]``, in float64 and always in the same order."""
     for number in range(OF_POSE):
         total = 0.0
-        for chunk in range(grid[CHUNKS]):
+        for chunk in range(chunks):
             total += peek(pose_parts, LANES * chunk + peek(_POSE_LANES, number))
         poke(results, number, total)
     if len(terms) == 0:
@@ -273,14 +274,14 @@ def _sum_up(grid, pose_parts, terms, results):
 
 @inner
 def step_parameters(tickets, lists, step, terms, scratch):
-    """When the slots of all tiles are there: `_step_chunk` for every chunk. The last to finish sums up the parts."""
-    grid = lists.grid
+    """When the slots of all tiles are there: `_step_chunk` for every chunk taken. The last one sums up the parts."""
+    grid, chunks = lists.grid, len(lists.taken)
     if not all_done(tickets, TILES_DONE, grid[TILES_X] * grid[TILES_Y]):
         return
     while True:
-        chunk = take_ticket(tickets, 6)
-        if chunk >= grid[CHUNKS]:
+        number = take_ticket(tickets, 6)
+        if number >= chunks:
             return
-        _step_chunk(chunk, lists, step, scratch)
-        if take_ticket(tickets, STEPPED) == grid[CHUNKS] - 1:
-            _sum_up(grid, step.pose_parts, terms, step.results)
+        _step_chunk(number, lists, step, scratch)
+        if take_ticket(tickets, STEPPED) == chunks - 1:
+            _sum_up(chunks, grid, step.pose_parts, terms, step.results)

@@ -12,7 +12,6 @@ from activestructure_gym.splatting.layout import (
     BOX_X,
     BOX_Y,
     CHUNK,
-    CHUNKS,
     COUNT,
     DEPTH,
     KEY,
@@ -101,23 +100,15 @@ def _one_tile(x0, y0, x1, y1):
 
 
 @inner
-def project_chunk(chunk, parameters, lists, histogram, chunk_entries):
-    """Project 1024 Gaussians and count their entries per tile.
-
-    A chunk whose first entry of ``visible`` is negative is known to be out of view and is not looked at.
-    """
+def project_chunk(number, parameters, lists, histogram, chunk_entries):
+    """Project 1024 Gaussians, those of ``lists.taken[number]``, and count their entries per tile."""
     view, grid, records, visible = lists.camera, lists.grid, lists.records, lists.visible
     tiles_x = grid[TILES_X]
     tiles = tiles_x * grid[TILES_Y]
     for tile in range(tiles):
-        poke(histogram, chunk * tiles + tile, np.int32(0))
-    entries = 0
-    first = chunk * CHUNK
-    if peek(visible, first // LANES) < 0:
-        for block in range(CHUNK // LANES):
-            poke(visible, first // LANES + block, np.int32(0))
-        first = grid[COUNT]
-    for i in range(first, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+        poke(histogram, number * tiles + tile, np.int32(0))
+    entries, chunk = 0, lists.taken[number]
+    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
         seen = project_block(parameters, i, view, grid, records)
         poke(visible, i // LANES, np.int32(seen))
         while seen != 0:
@@ -128,10 +119,10 @@ def project_chunk(chunk, parameters, lists, histogram, chunk_entries):
             for tile_y in range(y0 >> 3, (y1 >> 3) + 1):
                 for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
                     if alone or _reach(records, base, x0, y0, x1, y1, tile_x, tile_y) != U64(0):
-                        at = chunk * tiles + tile_y * tiles_x + tile_x
+                        at = number * tiles + tile_y * tiles_x + tile_x
                         poke(histogram, at, peek(histogram, at) + np.int32(1))
                         entries += 1
-    chunk_entries[chunk] = entries
+    chunk_entries[number] = entries
 
 
 @inner
@@ -159,11 +150,11 @@ def plan_entries(lists, histogram, chunk_entries):
     ``tile_order`` lists the tiles with most entries first: handed out so, all threads finish at nearly the same time.
     """
     grid, tile_start = lists.grid, lists.tile_start
-    tiles, chunks = grid[TILES_X] * grid[TILES_Y], grid[CHUNKS]
+    tiles, chunks = grid[TILES_X] * grid[TILES_Y], len(lists.taken)
     for tile in range(tiles + 1):
         tile_start[tile] = 0
     for chunk in range(chunks):
-        if chunk_entries[chunk] == 0:  # out of view, as most of a large map
+        if chunk_entries[chunk] == 0:  # out of view
             continue
         for tile in range(tiles):
             poke_add(tile_start, tile, np.int64(peek(histogram, chunk * tiles + tile)))
@@ -192,12 +183,12 @@ def plan_entries(lists, histogram, chunk_entries):
 
 
 @inner
-def fill_chunk(chunk, lists, histogram, chunk_entries):
-    """Write the entries of a chunk; the slots of one Gaussian lie side by side."""
+def fill_chunk(number, lists, histogram, chunk_entries):
+    """Write the entries of chunk ``lists.taken[number]``; the slots of one Gaussian lie side by side."""
     grid, records, visible, entries = lists.grid, lists.records, lists.visible, lists.entries
     tiles_x = grid[TILES_X]
     tiles, room = tiles_x * grid[TILES_Y], entries.shape[1]
-    slot = chunk_entries[chunk]
+    slot, chunk = chunk_entries[number], lists.taken[number]
     for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
         seen = np.int64(peek(visible, i // LANES))
         while seen != 0:
@@ -212,7 +203,7 @@ def fill_chunk(chunk, lists, histogram, chunk_entries):
                 for tile_x in range(x0 >> 3, (x1 >> 3) + 1):
                     reach = _reach(records, base, x0, y0, x1, y1, tile_x, tile_y)
                     if alone or reach != U64(0):  # the same rule as when counting
-                        counter = chunk * tiles + tile_y * tiles_x + tile_x
+                        counter = number * tiles + tile_y * tiles_x + tile_x
                         at = np.int64(peek(histogram, counter))
                         poke(histogram, counter, np.int32(at + 1))
                         poke(entries, KEY * room + at, depth | U64(at))

@@ -127,22 +127,23 @@ class Workspace:
         self.parameters, self.camera = parameters, camera
         self.view = make_view(camera, camera_from_world, max_alpha)
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
-        chunks, tiles = int(grid[layout.CHUNKS]), int(grid[layout.TILES_X] * grid[layout.TILES_Y])
+        tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
+        taken = np.arange(grid[layout.CHUNKS]) if unseen is None else np.flatnonzero(~unseen)
+        taken = taken if len(taken) else np.zeros(1, np.int64)  # somebody has to say that there is nothing
+        chunks = int(taken[-1]) + 1
         self.records = self._buffer("records", chunks * layout.CHUNK * layout.RECORD)
         self.visible = self._buffer("visible", chunks * layout.CHUNK // LANES, np.int32)
-        histogram = self._buffer("histogram", chunks * tiles, np.int32)
-        chunk_entries = self._buffer("chunk entries", chunks, np.int64)
+        histogram = self._buffer("histogram", len(taken) * tiles, np.int32)
+        chunk_entries = self._buffer("chunk entries", len(taken), np.int64)
         self.tile_start = self._buffer("tile start", tiles + 1, np.int64)
         self.tile_order = self._buffer("tile order", tiles + layout.PLACES, np.int64)
-        if unseen is not None:
-            self.visible[np.flatnonzero(unseen) * (layout.CHUNK // LANES)] = -1
         self.tickets[:] = 0
-        while self.tickets[counters.FILLED] < chunks:
+        while self.tickets[counters.FILLED] < len(taken):
             self.total = int(self.tickets[counters.ENTRIES])
             if self.total > self.entries.shape[1]:
                 self.entries = np.empty((layout.ENTRY_ROWS, self.total + self.total // 4), np.uint64)
             self.lists = Lists(
-                self.view, grid, self.records, self.visible, self.tile_start, self.tile_order, self.entries
+                self.view, grid, self.records, taken, self.visible, self.tile_start, self.tile_order, self.entries
             )
             self._run(kernels.prepare, parameters, self.lists, histogram, chunk_entries)
         self.total = int(self.tickets[counters.ENTRIES])
@@ -350,7 +351,7 @@ class Workspace:
         if len(rates) < layout.RATES:  # what is left out is 0
             rates = np.concatenate([rates, np.zeros(layout.RATES - len(rates), np.float32)])
         slots = self._buffer("slots", self.total * LANES)
-        pose_parts = self._buffer("pose parts", int(self.grid[layout.CHUNKS]) * LANES)
+        pose_parts = self._buffer("pose parts", len(self.lists.taken) * LANES)
         return Step(self.parameters, first_moment, second_moment, rates, slots, gradient, pose_parts, self._results)
 
     def _by_pose(self) -> np.ndarray:  # [3, 4]
@@ -359,7 +360,7 @@ class Workspace:
 
     def _run_through(self, kernel, *arguments) -> None:
         """Run a kernel that steps the map, again as long as a thread has left it early."""
-        while self.tickets[counters.STEPPED] < self.grid[layout.CHUNKS]:
+        while self.tickets[counters.STEPPED] < len(self.lists.taken):
             self._run(kernel, *arguments)
 
     def _run(self, kernel, *arguments) -> None:

@@ -202,3 +202,11 @@ def test_orders_that_lose_gaussians_are_refused(order):
     gaussians.append(np.zeros((ROWS, 3), np.float32))
     with pytest.raises(ValueError, match="each of 0..2 once"):
         gaussians.reorder(order)
+
+
+@pytest.mark.parametrize("columns", [[-1], [3], [1, 1], [2, 0]])
+def test_columns_that_are_not_there_or_do_not_rise_are_refused(columns):
+    gaussians = GaussianMap()
+    gaussians.append(np.zeros((ROWS, 3), np.float32))
+    with pytest.raises(ValueError, match="rise within 0..2"):
+        gaussians.remove(np.array(columns))

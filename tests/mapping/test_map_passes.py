@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along
-from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, fit_to_stay, too_wide
+from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, too_wide, unfit
 
 CAPACITY, COUNT = 3072, 2500  # more than one block, and not a whole number of them
 
@@ -22,22 +22,22 @@ def _everywhere(count):
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
-def test_fit_to_stay_is_three_conditions(poison):
+def test_unfit_breaks_one_of_three_conditions(poison):
     rng = np.random.default_rng(0)
     parameters = _parameters(rng)
     rows, columns = rng.integers(14, size=60), rng.choice(COUNT, 60, replace=False)
     parameters[rows, columns] = poison
     live = parameters[:, :COUNT]
     expected = (live[10] >= -0.5) & (live[7:10] <= -1.5).all(axis=0) & np.isfinite(live).all(axis=0)
-    assert np.array_equal(fit_to_stay(parameters, COUNT, -0.5, -1.5, _everywhere(COUNT)), expected)
+    np.testing.assert_array_equal(unfit(parameters, COUNT, -0.5, -1.5, _everywhere(COUNT)), np.flatnonzero(~expected))
     assert 100 < expected.sum() < COUNT - 100
 
 
 def test_the_limits_themselves_may_stay():
     parameters = np.zeros((14, 16), np.float32)
-    assert fit_to_stay(parameters, 3, 0.0, 0.0, _everywhere(3)).tolist() == [True] * 3
-    assert not fit_to_stay(parameters, 3, np.nextafter(0.0, 1.0), 0.0, _everywhere(3)).any()
-    assert not fit_to_stay(parameters, 3, 0.0, np.nextafter(0.0, -1.0), _everywhere(3)).any()
+    assert unfit(parameters, 3, 0.0, 0.0, _everywhere(3)).tolist() == []
+    assert unfit(parameters, 3, np.nextafter(0.0, 1.0), 0.0, _everywhere(3)).tolist() == [0, 1, 2]
+    assert unfit(parameters, 3, 0.0, np.nextafter(0.0, -1.0), _everywhere(3)).tolist() == [0, 1, 2]
 
 
 def test_too_wide_is_what_projecting_says():
@@ -122,5 +122,6 @@ def test_what_shows_its_back_is_another_surface():
 def test_only_chunks_that_changed_are_looked_at():
     parameters = np.zeros((14, 3 * CHUNK), np.float32)
     parameters[10] = -9.0  # nobody is opaque enough
-    keep = fit_to_stay(parameters, 3 * CHUNK - 5, 0.0, 1.0, np.array([False, True, False]))
-    assert keep[:CHUNK].all() and not keep[CHUNK : 2 * CHUNK].any() and keep[2 * CHUNK :].all()
+    found = unfit(parameters, 3 * CHUNK - 5, 0.0, 1.0, np.array([False, True, False]))
+    np.testing.assert_array_equal(found, np.arange(CHUNK, 2 * CHUNK))
+    assert len(unfit(parameters, 3 * CHUNK - 5, 0.0, 1.0, np.ones(3, bool))) == 3 * CHUNK - 5

@@ -46,15 +46,17 @@ def name(path: Path) -> str:
 
 @cache
 def words(path: Path) -> str:
-    """What people read in a file: a page without its code, a module's docstrings and comments."""
+    """What people read in a file: a page without its code, a module's docstrings and the comments that may cite."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".md":
         return re.sub(r"`[^`\n]*`", "", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
     read = [ast.get_docstring(node) or "" for node in ast.walk(ast.parse(text)) if isinstance(
         node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
     )]  # fmt: skip
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return "\n".join([*read, *(token.string for token in tokens if token.type == tokenize.COMMENT)])
+    if any("#" in line and any(sought.search(line) for sought in (KEY, PAGE, ELSEWHERE)) for line in text.splitlines()):
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        read += [token.string for token in tokens if token.type == tokenize.COMMENT]
+    return "\n".join(read)
 
 
 def keys() -> list[str]:

@@ -46,8 +46,8 @@ _NOTHING = np.empty((0, 0))
 PSNR_RENDERS = 16
 
 # Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
-# keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured: docs/
-# notebook/map.md, "Large maps").
+# keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured in
+# docs/notebook/map.md, "Large maps").
 _ORDERED_ABOVE = 200_000
 _ORDERED_AGAIN = 1.5
 

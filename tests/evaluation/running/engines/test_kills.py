@@ -61,6 +61,7 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
     say(f"undisturbed: {len(expected)} jobs in {length:.1f} s; then {KILLS} kills, random seed {SEED}")
 
     kills, grid, victims, orphans = 0, 0, {"supervisor": 0, "worker": 0}, set[int]()
+    met = set[int]()  # workers that were there to be killed
     while True:
         grid += 1
         out, stamps, sittings, code = tmp_path / f"grid{grid}", dict[str, int](), 0, None
@@ -80,6 +81,7 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
                 except subprocess.TimeoutExpired:
                     assert kills < KILLS, "a run that nobody disturbs does not end"
                 workers = workers_of(supervisor)
+                met.update(workers)
                 victim = chance.choice(("supervisor", "worker")) if workers else "supervisor"
                 try:
                     os.kill(supervisor.pid if victim == "supervisor" else chance.choice(workers), signal.SIGKILL)
@@ -105,10 +107,11 @@ def test_after_random_kills_every_job_is_there_once_with_the_numbers_of_an_undis
         say(f"grid {grid}: complete after {sittings} sittings, all {len(expected)} jobs once, all numbers the same")
         if kills >= KILLS:
             break
+    assert met, "no worker was ever found: what are they called now?"
     deadline = time.monotonic() + 15
     while any(words_of(orphan) for orphan in orphans) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert not [orphan for orphan in orphans if "evaluation.worker" in words_of(orphan)]
+    assert not [orphan for orphan in orphans if "evaluation.running.worker" in words_of(orphan)]
     say(f"killed in {grid} grids: {victims['supervisor']} supervisors, {victims['worker']} workers; no process is left")
 
 
@@ -130,7 +133,7 @@ def workers_of(supervisor: subprocess.Popen) -> list[int]:
                 found.append(int(stat.parent.name))
         except OSError:
             continue
-    return [process for process in found if "evaluation.worker" in words_of(process)]
+    return [process for process in found if "evaluation.running.worker" in words_of(process)]
 
 
 def words_of(process: int) -> str:

@@ -1,0 +1,15 @@
+"""What tests of the evaluation have in common."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from activestructure_gym.evaluation.running import episode
+
+
+@pytest.fixture(scope="package", autouse=True)
+def undrawn() -> Iterator[None]:
+    """Jobs in this process draw no pictures, which is four fifths of a small job; tests of pictures draw their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(episode, "_draw_pictures", lambda part: None)
+        yield

@@ -18,12 +18,12 @@ EXECUTED_M = 5.0  # metres of the tour that are gone before it is planned anew (
 
 @POLICIES.register("aiisrfe")
 class Aiisrfe(Planner):
-    """Tasks on the shortest tour: one view for each frontier, and the views of the most unsure surface.
+    """tour* = argmin length over the tasks: a view per frontier, and argmax U over views of surface, U its uncertainty.
 
-    While more than 3 frontiers are near, and these are more than 20 % of all, only frontiers are tasks; without any
-    frontier only surface is. The tasks of the tour within 5 m of way are gone to, then everything is planned anew. With
-    ``travel=shared`` there is no tour: 1 for a frontier's view, the share of the largest uncertainty for others, times
-    the factor.
+    By abstract and digest of [aiisrfe], without equation numbers. While more than 3 frontiers are near, and these are
+    more than 20 % of all, only frontiers are tasks; without any frontier only surface is. The tasks of the tour within
+    5 m of way are gone to, then everything is planned anew. With ``travel=shared`` there is no tour: 1 for a frontier's
+    view, the share of the largest uncertainty for others, times the factor.
     """
 
     decides_by = "frontiers, and by turns with them surface of unsure colour"

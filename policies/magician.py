@@ -13,7 +13,10 @@ Search = Literal["beam", "greedy"]
 
 @POLICIES.register("magician")
 class Magician(Planner):
-    """The first view of the plan that would see most imagined surface; after it everything is planned anew.
+    """plan* = argmax sum of G over its views, G the imagined surface that no earlier one of the plan has seen.
+
+    Its first view is taken, then everything is planned anew. By abstract and digest of [magician], without
+    equation numbers.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy
 
 @POLICIES.register("random")
 class Random(Policy):
-    """Uniform over the valid candidates."""
+    """P(row) = 1 / n for each of the n valid candidates."""
 
     decides_by = "chance"
     source = "this project"

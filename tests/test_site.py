@@ -14,12 +14,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command
 from activestructure_gym.evaluation.cli.parsing import parse
 from activestructure_gym.policies import POLICIES
+from activestructure_gym.scenes import SceneMesh, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -60,7 +62,7 @@ def test_the_gallery_says_what_a_policy_maximises(site: ModuleType) -> None:
     said = dict(re.findall(r"<strong>([\w-]+)</strong><span>[^<]*</span><code>([^<]+)</code>", index))
     assert said["naruto"] == "g* = argmax S(g), S(g) = sum of sigma(t) over the targets t seen from g"
     assert said["pixel_only"] == "score = IG_px / (1 + frames / 5): Eq. 15 with omega = 0 and rho = 0"
-    assert len(said) >= 38 and {"random", "learned"}.isdisjoint(said)  # which have none
+    assert set(said) == set(POLICIES)
     # The lines in grey stand in the page once and are used by every chart.
     drawn = index.count('class="mine"')
     assert index.count('href="#others"') == drawn and index.count('class="other"') == drawn >= 30
@@ -145,11 +147,38 @@ def test_every_environment_has_a_page_that_makes_it_and_a_film_made_once(
         exec(compile(block.replace('"..."', '"box"'), task, "exec"), shown)
         assert shown["env"].spec.id == f"{environments.NAMESPACE}/{task}"
         shown["env"].close()
+    # A dataset's page has the film of a mesh from a file, and says so.
+    for task, others in (("Replica-v0", "No scene of Replica"), ("Matterport3D-v0", "No building of Matterport3D")):
+        assert (
+            "{figure} mesh-v0-" in pages[f"environments/{task.lower()}.md"]
+            and others in pages[f"environments/{task.lower()}.md"]
+        )
     assert environments.pages(tmp_path) == pages and made == list(environments.SHOWN_IN)
     monkeypatch.setattr(environments, "_code", lambda: "other code")
     films = {path.name for path in tmp_path.rglob("*.webp")}
     assert environments.pages(tmp_path) != pages and made == 2 * list(environments.SHOWN_IN)
     assert len(films) == len(made) // 2 and films.isdisjoint(path.name for path in tmp_path.rglob("*.webp"))
+
+
+def test_a_scene_goes_through_a_gltf_file(site: ModuleType, tmp_path: Path) -> None:
+    """Read again it has the same triangles, textures and, to half a step of 255, colours."""
+    mesh_file = importlib.import_module("_site.mesh_file")
+    mesh = load_scene("box").mesh
+    mesh_file.write_glb(mesh, tmp_path / "box.glb")
+    again = load_scene(f"mesh:{tmp_path / 'box.glb'}?up=y").mesh
+    np.testing.assert_allclose(centres(again)[0], centres(mesh)[0], atol=1e-5)
+    np.testing.assert_allclose(centres(again)[1], np.clip(centres(mesh)[1], 0, 1), atol=0.002)
+    assert len(again.textures) == len(mesh.textures) > 0
+
+
+def centres(mesh: SceneMesh) -> tuple[np.ndarray, np.ndarray]:  # [F, 3] metres, [F, 3] sRGB
+    """Middles of the triangles in the order of their places, and the colours of the vertices there."""
+    places = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
+    colors = mesh.colors[mesh.faces].mean(axis=1).astype(np.float64)
+    if mesh.linear_colors:
+        colors = np.where(colors <= 0.0031308, colors * 12.92, 1.055 * colors ** (1 / 2.4) - 0.055)
+    order = np.lexsort(np.round(places, 4).T)
+    return places[order], colors[order]
 
 
 def test_links_out_of_the_docs_become_names_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:

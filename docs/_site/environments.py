@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -11,8 +12,9 @@ from activestructure_gym.envs import tasks
 from activestructure_gym.envs.registration import NAMESPACE, TASKS
 
 ROOT = Path(__file__).parents[2]
-# The scene each is shown in; the datasets' own would have to be fetched.
-SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2"}
+# The scene each is shown in. The datasets are not ours to show: their pages have the film of a mesh from a file.
+SHOWN_IN = {"Room-v0": "room", "Apartment-v0": "apartment?rooms=2", "Mesh-v0": "flat.glb?up=y"}
+FLAT = "apartment?rooms=1&seed=5"  # what is in that file
 POLICY, FRAMES, SEED = "activestructure", 150, 0
 _WIDTH = 720  # pixels
 _MILLISECONDS = 700  # per decision
@@ -38,17 +40,20 @@ def _page(task: str, kind: type, made: Path) -> str:
     lines = inspect.cleandoc(kind.__doc__ or "").replace(
         "listed in `activestructure_gym.envs.observation`", "listed in [observation.md](../../guide/observation.md)"
     )
-    first = next(iter(SHOWN_IN))
-    shown = f"On scenes from files; how an episode goes is shown on the page of [{first}]({first.lower()}.md).\n\n"
-    if task in SHOWN_IN:
-        name = animation(task, made / "environments")
-        shown = (
-            f"```{{figure}} {name}\n:alt: {POLICY} in {SHOWN_IN[task]}: camera, map and plan, decision by decision\n\n"
-            f"`{POLICY}` in `{SHOWN_IN[task]}`, {FRAMES} frames, preset `fast`: what the camera sees, the map from the "
-            'same pose, and the plan with the path, as `render_mode="rgb_array"` shows them.\n```\n\n'
-        )
+    film = task if task in SHOWN_IN else "Mesh-v0"
+    told = {
+        "Mesh-v0": f" `flat.glb` is `{FLAT}`, written to a glTF file and read from there.",
+        "Replica-v0": " No scene of Replica, which is not ours to show: this is the film of Mesh-v0.",
+        "Matterport3D-v0": " No building of Matterport3D, which is not ours to show: this is the film of Mesh-v0.",
+    }
+    shown = (
+        f"```{{figure}} {animation(film, made / 'environments')}\n"
+        f":alt: {POLICY} in {SHOWN_IN[film]}: camera, map and plan, decision by decision\n\n"
+        f"`{POLICY}` in `{SHOWN_IN[film]}`, {FRAMES} frames, preset `fast`: what the camera sees, the map from the "
+        f'same pose, and the plan with the path, as `render_mode="rgb_array"` shows them.{told.get(task, "")}\n```\n\n'
+    )
     make = f'import gymnasium as gym\n\nenv = gym.make("activestructure_gym:{NAMESPACE}/{task}"'
-    make += ', scene="...")' if task not in SHOWN_IN else ")"
+    make += ', scene="...")' if inspect.signature(kind).parameters["scene"].default is None else ")"
     # The manual's headings are of the second level already.
     return f"# {task}\n\n{shown}```python\n{make}\n```\n\n{lines}\n"
 
@@ -78,10 +83,23 @@ def _code() -> str:
 def _film(task: str, path: Path) -> None:
     from PIL import Image
 
+    from _site.mesh_file import write_glb
     from activestructure_gym.policies import make_env_and_policy
+    from activestructure_gym.scenes import Scene, load_scene
 
+    scene: str | Scene = SHOWN_IN[task]
+    if task == "Mesh-v0":
+        with tempfile.TemporaryDirectory() as folder:
+            name, _, options = SHOWN_IN[task].partition("?")
+            write_glb(load_scene(FLAT).mesh, Path(folder) / name)
+            scene = load_scene(f"mesh:{folder}/{name}?{options}")
     env, policy = make_env_and_policy(
-        POLICY, SHOWN_IN[task], preset="fast", frame_budget=FRAMES, render_mode="rgb_array"
+        POLICY,
+        scene,
+        env_id=f"activestructure_gym:{NAMESPACE}/{task}",
+        preset="fast",
+        frame_budget=FRAMES,
+        render_mode="rgb_array",
     )
     policy.reset(SEED)
     observation, _ = env.reset(seed=SEED)

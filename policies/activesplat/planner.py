@@ -29,9 +29,11 @@ LATE_AFTER = 3  # node decisions without a node that is neither arrived at nor f
 
 @POLICIES.register("activesplat")
 class ActiveSplat(Planner):
-    """The node with the highest `node_scores`, the view there that shows most gaps, then up to LOCAL_VIEWS around it.
+    """node* = argmax 20 unarrived + 10 in_horizon + 2 ceil(10 I / I_max) + ceil(10 V / V_max) - 60 failed.
 
-    I and V come from panoramas of the map at the node (feature `activesplat`). Source: [activesplat, code].
+    Then the view there that shows most gaps, and up to LOCAL_VIEWS around it. I and V come from panoramas of the map at
+    the node (feature `activesplat`); the score, its late weights and the order of subregions are those of
+    [activesplat, code], `planner_node.py`.
     """
 
     decides_by = "integer score of Voronoi nodes by what panoramas of the map lack"

@@ -20,7 +20,7 @@ SHIPPED = Path(__file__).resolve().parent / "checkpoints" / "learned.safetensors
 
 
 class Learned(Policy):
-    """The valid candidate with the highest score of the network; no random choice, no state between steps.
+    """row* = argmax f(row, all rows, planes), f the score of the network; no random choice, no state between steps.
 
     A class for each checkpoint, made by `learned_from`, since an env is told by the class which gains to evaluate.
     """
@@ -96,6 +96,7 @@ def learned_from(place: str) -> type[Learned]:
 def _policy_of(weights: Path, spec: str) -> type[Learned]:
     gains = read_network_config(weights).gains
     about = {"checkpoint": weights, "spec": spec, "required_gains": gains, "__module__": __name__}  # else it is "abc"
+    about["__doc__"] = Learned.__doc__
     return type("Learned", (Learned,), about)
 
 

@@ -257,6 +257,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         """Let go of the sensor and of the page; calling it twice does no harm."""
         if self._view is not None:
             self._view.close()
+            self._view = None
         if self._frame is not None:
             self.reconstruction.sensor.close()
 

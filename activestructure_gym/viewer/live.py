@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import secrets
 import socket
 import sys
@@ -78,6 +80,7 @@ class LiveView:
         self._paused, self._ended, self._closed = paused, False, False
         self._steps = 0  # decisions that may be made although it is paused
         self._pace = 0.0  # seconds between decisions
+        self._open = False  # whether the last decision can still be made by a click
         self._row: int | None = None  # that was clicked
         try:
             ip_address(address)
@@ -97,7 +100,8 @@ class LiveView:
         """An episode has begun; ``worth`` is the name of the feature that candidates are coloured by."""
         recorder = Recorder(episode)
         with self._news:
-            self._recorder, self._episode, self._ended, self._row = recorder, self._episode + 1, False, None
+            self._recorder, self._episode, self._ended = recorder, self._episode + 1, False
+            self._open, self._row = False, None
             self._told = {"worth": worth, "budget": episode.frame_budget, "curve": [], "steps": []}
         self._reconstruction = episode
 
@@ -108,6 +112,7 @@ class LiveView:
         point = {"frames": episode.frames, "known": known_share(episode), "fidelity": fidelity(episode)}
         with self._news:
             self._recorder.note()
+            self._open, self._row = True, None
             self._told["curve"].append(point)
             self._told["steps"].append({"phase": phase, "metres": round(episode.metres, 2)})
             self._changed("exploring")
@@ -120,28 +125,39 @@ class LiveView:
                 self._changed("walking" if self.asks else "exploring")
 
     def wait(self) -> int | None:
-        """Until the episode may go on; the row that was clicked, or None."""
+        """Until the episode may go on; the row that was clicked, or None.
+
+        From then on until the next `show` nothing can be clicked: rows are of one decision.
+        """
         with self._news:
-            due = time.monotonic() + self._pace
-            while not self._closed:
-                if self._row is not None:
-                    row, self._row = self._row, None
-                    return row
-                if self.asks:
-                    self._set("your turn: click a candidate")
-                elif self._paused and not self._steps:
-                    self._set("paused")
-                elif time.monotonic() >= due:
-                    break
-                # A bounded wait, so that Ctrl+C is heard.
-                self._news.wait(0.5 if self._paused or self.asks else max(due - time.monotonic(), 0.001))
-            self._steps = max(self._steps - 1, 0)
-            return None
+            self._open = not self._ended
+            try:
+                return self._waited()
+            finally:
+                self._open = False
+
+    def _waited(self) -> int | None:
+        """See `wait`; with the condition held."""
+        due = time.monotonic() + self._pace
+        while not self._closed:
+            if self._row is not None:
+                row, self._row = self._row, None
+                return row
+            if self.asks:
+                self._set("your turn: click a candidate")
+            elif self._paused and not self._steps:
+                self._set("paused")
+            elif time.monotonic() >= due:
+                break
+            # A bounded wait, so that Ctrl+C is heard.
+            self._news.wait(0.5 if self._paused or self.asks else max(due - time.monotonic(), 0.001))
+        self._steps = max(self._steps - 1, 0)
+        return None
 
     def end(self, state: str = "ended") -> None:
         """The episode is over; the page stays as it is."""
         with self._news:
-            self._ended = True
+            self._ended, self._open = True, False
             self._changed(state)
 
     def close(self) -> None:
@@ -168,6 +184,11 @@ class LiveView:
     def page(self) -> str:
         """The page itself."""
         return viewer_page(self.title, live=True)
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing is served any more."""
+        return self._closed
 
     def knows(self, key: str) -> bool:
         """Whether this is the key."""
@@ -215,7 +236,7 @@ class LiveView:
                 self._pace = float(command["seconds"])
             elif kind == "visit" and self.chooses and recorder is not None and recorder.moments:
                 row, moment = command.get("row"), len(recorder.moments) - 1
-                if command.get("episode") != self._episode or command.get("moment") != moment or self._ended:
+                if command.get("episode") != self._episode or command.get("moment") != moment or not self._open:
                     return "this decision has been made"
                 if not isinstance(row, int) or not 0 <= row < len(recorder.moments[moment].candidates):
                     return "there is no such candidate"
@@ -240,6 +261,7 @@ class _Server(ThreadingHTTPServer):
     """Many pages may ask at once, and none of them keeps the program alive."""
 
     daemon_threads = True
+    allow_reuse_address = os.name != "nt"  # Windows would let a second program serve at a port that is taken
 
     def __init__(self, place: tuple[str, int], view: LiveView) -> None:
         self.address_family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
@@ -259,13 +281,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """The page, and what is new."""
-        place = urlsplit(self.path)
-        asked = {name: values[-1] for name, values in parse_qs(place.query).items()}
+        path, asked = self._asked()
         if not self._admitted(asked):
             return
-        if place.path == "/":
+        if path == "/":
             self._answer(HTTPStatus.OK, self.server.view.page().encode(), "text/html; charset=utf-8")
-        elif place.path == "/news":
+        elif path == "/news":
             try:
                 numbers = [int(asked.get(name, -1)) for name in ("episode", "moments", "version")]
             except ValueError:
@@ -278,22 +299,30 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """A command."""
-        place = urlsplit(self.path)
+        path, asked = self._asked()
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > _LONGEST:
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _LONGEST:
             self.close_connection = True
             return self._answer(HTTPStatus.BAD_REQUEST, b"a command is short")
         body = self.rfile.read(int(length))
-        if not self._admitted({name: values[-1] for name, values in parse_qs(place.query).items()}):
+        if not self._admitted(asked):
             return
         try:
             command = json.loads(body)
         except (RecursionError, ValueError):
             command = None
-        if place.path != "/do" or not isinstance(command, dict):
+        if path != "/do" or not isinstance(command, dict):
             return self._answer(HTTPStatus.BAD_REQUEST, b"there is no such command")
         wrong = self.server.view.obey(command)
         self._answer(HTTPStatus.CONFLICT if wrong else HTTPStatus.OK, wrong.encode())
+
+    def _asked(self) -> tuple[str, dict[str, str]]:
+        """The path and what stands behind the question mark; nothing of an address that is none."""
+        try:
+            place = urlsplit(self.path)
+        except ValueError:
+            return "", {}
+        return place.path, {name: values[-1] for name, values in parse_qs(place.query).items()}
 
     def _admitted(self, asked: dict[str, str]) -> bool:
         """Whether who asks knows the key and asks for this server by its own name.
@@ -314,6 +343,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("Referrer-Policy", "no-referrer")  # the address holds the key
         self.send_header("X-Content-Type-Options", "nosniff")
+        if self.server.view.closed:  # or a page would go on asking, at once, for as long as the program lives
+            self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
 

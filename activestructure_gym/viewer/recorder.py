@@ -94,6 +94,7 @@ class Recorder:
             raise InputError("the map of this mapper is not made of Gaussians: there is nothing to watch it grow by")
         self.moments: list[Moment] = []
         self._episode, self._lives = episode, _Lives()
+        self._poses = episode.trajectory  # of this episode, whatever begins after it
         self._lock = threading.Lock()  # films are asked for while the episode is played
         self._lives.note(episode.mapper.map, episode.frames)
         after_keyframes(episode, self._keep)
@@ -123,7 +124,7 @@ class Recorder:
         begun, end = (self.moments[n].poses if n >= 0 else 0 for n in (first - 1, len(self.moments) - 1))
         return Film(
             moments=self.moments[first:],
-            poses=np.array(episode.trajectory[begun:end]).reshape(-1, 4, 4),
+            poses=np.array(self._poses[begun:end]).reshape(-1, 4, 4),
             gaussians=gaussians,
             born=born,
             died=died,

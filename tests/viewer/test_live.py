@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import html
+import http.client
 import json
+import socket
 import threading
 import time
 import urllib.error
@@ -160,6 +162,52 @@ def test_paused_it_goes_on_by_steps_and_where_it_is_sent(view: LiveView, episode
 
 
 @pytest.mark.parametrize("view", [{"asks": True}], indirect=True)
+def test_a_click_while_the_agent_walks_is_not_of_the_next_decision(view: LiveView, episode: Reconstruction) -> None:
+    view.begin(episode)
+    view.show()
+    visit = {"do": "visit", "row": 1, "episode": 1, "moment": 0}
+    assert ask(view, "/do", body=visit)[0] == 200  # between the picture and the question
+    assert view.wait() == 1
+    view.chosen(1)
+    assert ask(view, "/do", body=visit | {"row": 2}) == (409, b"this decision has been made")
+    episode.visit(1)
+    view.show()
+    thread, rows = waiting(view)
+    thread.join(0.2)
+    assert thread.is_alive()
+    assert ask(view, "/do", body=visit | {"row": 0, "moment": 1})[0] == 200
+    thread.join(5)
+    assert rows == [0]
+
+
+def test_a_page_that_stays_open_is_let_go_when_the_view_is_closed(view: LiveView) -> None:
+    place = urlsplit(view.url)
+    page = http.client.HTTPConnection(place.netloc, timeout=10)
+    page.request("GET", f"/?{place.query}")
+    assert page.getresponse().read() and page.sock is not None
+    view.close()
+    page.request("GET", f"/news?{place.query}&version={view._version}")
+    answer = page.getresponse()
+    assert (answer.status, answer.getheader("Connection")) == (204, "close")
+
+
+@pytest.mark.parametrize(
+    ("request_", "status"),
+    [(b"GET http://[ HTTP/1.1\r\n\r\n", 403), (b"POST /do HTTP/1.1\r\nContent-Length: \xb2\r\n\r\n", 400),
+     (b"POST /do HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", 400),
+     (b"GET /%00/../etc/passwd HTTP/1.1\r\n\r\n", 403)],
+)  # fmt: skip
+def test_what_is_no_request_is_refused_without_a_traceback(
+    view: LiveView, request_: bytes, status: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_connection(view._server.server_address[:2], timeout=10) as line:  # type: ignore[arg-type]
+        line.sendall(request_)
+        line.shutdown(socket.SHUT_WR)
+        assert line.makefile("rb").readline().split()[1] == str(status).encode()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("view", [{"asks": True}], indirect=True)
 def test_who_is_asked_is_waited_for_until_the_view_is_closed(view: LiveView, episode: Reconstruction) -> None:
     view.begin(episode)
     view.show()
@@ -172,9 +220,12 @@ def test_who_is_asked_is_waited_for_until_the_view_is_closed(view: LiveView, epi
 
 
 def test_what_cannot_be_served_is_said() -> None:
-    for given in ({"address": "nowhere"}, {"port": 70000}, {"address": "203.0.113.7"}):
+    taken = LiveView("a test")
+    port = urlsplit(taken.url).port
+    for given in ({"address": "nowhere"}, {"port": 70000}, {"port": port}, {"address": "203.0.113.7"}):
         with pytest.raises(InputError, match=r"nothing can be served at .*127\.0\.0\.1 and port 0"):
             LiveView("a test", **given)
+    taken.close()
 
 
 @pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")

@@ -12,12 +12,14 @@ import glob
 import json
 import math
 import os
+import secrets
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import machine_mark
 
@@ -34,8 +36,10 @@ class Claims:
     def __init__(self, directory: Path) -> None:
         self.lost_after = _lost_after()
         self._place = directory / CLAIMS
-        self._place.mkdir(parents=True, exist_ok=True)
-        self._who = f"{machine_mark()}-{os.getpid()}"
+        with store.writing(self._place):
+            self._place.mkdir(parents=True, exist_ok=True)
+        # Containers may share their name and the numbers of their processes.
+        self._who = f"{machine_mark()}-{os.getpid()}-{secrets.token_hex(4)}"
         self._held: dict[str, Path] = {}  # by the job's name
         self._guard = threading.Lock()
 

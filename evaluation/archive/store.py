@@ -179,6 +179,11 @@ def read_all(run: Run) -> None:
     _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
 
 
+def unsummed(run: Run) -> list[str]:
+    """Files of a run that are read again and that `DONE` has no sum of: they could change and nobody would know."""
+    return [name for name in _READ_AGAIN if name not in run.sums and (run.directory / name).is_file()]
+
+
 def set_aside(directory: Path) -> None:
     """Make a damaged run one that is not finished; its files stay until another one takes their place."""
     (directory / DONE).unlink(missing_ok=True)

@@ -51,8 +51,13 @@ def keep(run: Path, found: Verification) -> None:
 
 
 def known(run: Path) -> Verification | None:
-    """What is known of a run as it lies there; None if it was never played again here, or has changed since."""
+    """What is known of a run as it lies there; None if it was never played again here, or has changed since.
+
+    A run of which a file has no sum could change unseen, and nothing is known of it.
+    """
     try:
+        if store.unsummed(store.open_run(run)):
+            return None
         content: dict[str, Any] = store.read_json(_place(run), _MARK)
     except InputError:
         return None

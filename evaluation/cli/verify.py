@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,14 +61,19 @@ class Verify:
                     bar.update(task, completed=progress.frames)
 
                 try:
-                    found = verify(run, tell)
-                    keep(run.directory, found)
-                except InputError as error:  # of one run: the others are played
-                    found = Verification("differs", (f"cannot be played here: {error}",))
+                    found, kept = verify(run, tell), True
+                except Exception as error:  # of one run, whose policy may raise anything: the others are played
+                    said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+                    found, kept = Verification("differs", (f"cannot be played here: {said}",)), False
             failed += found.verdict not in GOOD
             mark = _MARKS.get(found.verdict, "[red]✗[/]")
             said = f"{mark} {escape(run.job.title)}: {found.verdict}"
             console.print("; ".join((said, *map(escape, found.why))), soft_wrap=True)
+            if kept:
+                try:
+                    keep(run.directory, found)
+                except InputError as error:
+                    print(f"asg: note: this is not remembered: {error}", file=sys.stderr)
         if failed:
             console.print(f"[red]✗[/] {failed} of {len(runs) + len(refused)} did not come out as stored")
         return 1 if failed else 0

@@ -22,7 +22,7 @@ from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, n
 from activestructure_gym.evaluation.report.page import CONTENT_POLICY, page_asset
 from activestructure_gym.evaluation.report.places import without_places
 
-_COLUMNS = (
+COLUMNS = (
     *RATIOS,
     Column("observed_area", "observed, area", "%", 1, "highest"),
     Column("psnr", "PSNR", "dB", 2, "highest"),
@@ -79,8 +79,10 @@ class Row:
         if job.start_pose is not None:
             words.append("--start=" + ",".join(f"{value:g}" for value in job.start_pose))
         words += ["--protocols", "standard", *job.also] if job.also else []
-        if (asked := job.protocol.parameters().get("views")) != 64:
-            words += ["--views", str(asked)]
+        usual = type(job.protocol)()
+        for name, option in (("views", "--views"), ("surface_samples", "--samples"), ("view_source", "--view-source")):
+            if (asked := getattr(job.protocol, name)) != getattr(usual, name):
+                words += [option, str(asked)]
         return without_places(shlex.join(words))
 
 
@@ -95,7 +97,7 @@ def task_of(job: Job) -> str:
 def rows_of(runs: Sequence[Run], known: Known) -> list[tuple[list[Row], int]]:
     """The tasks, each with its rows, those that ranked by C.R. of the surface first, and its number of runs."""
     tasks: dict[str, list[Run]] = {}
-    for run in {run.key: run for run in runs}.values():
+    for run in _each_once(runs, known):
         tasks.setdefault(task_of(run.job), []).append(run)
     found = []
     for mine in tasks.values():
@@ -106,6 +108,18 @@ def rows_of(runs: Sequence[Run], known: Known) -> list[tuple[list[Row], int]]:
         whole.sort(key=lambda row: -(_mean(row, _SORTED_BY) or 0.0))
         found.append((whole + [row for row in rows if len(row.runs) < wanted], wanted))
     return found
+
+
+def _each_once(runs: Sequence[Run], known: Known) -> list[Run]:
+    """The runs, of those of the same job one that came out again, else one that did not, else the first."""
+    found: dict[str, list[Run]] = {}
+    for run in runs:
+        found.setdefault(run.key, []).append(run)
+    return [max(same, key=lambda run: _weight(known(run))) if len(same) > 1 else same[0] for same in found.values()]
+
+
+def _weight(found: Verification | None) -> int:
+    return 0 if found is None else 2 if found.verdict in GOOD else 1
 
 
 def leaderboard_page(runs: Sequence[Run], known: Known, refused: Mapping[str, str]) -> str:
@@ -136,11 +150,11 @@ def leaderboard_page(runs: Sequence[Run], known: Known, refused: Mapping[str, st
 def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
     job, run = rows[0].runs[0].job, rows[0].runs[0]
     ranks = [len(row.runs) == wanted for row in rows]
-    columns = [_column(rows, column, ranks) for column in _COLUMNS]
+    columns = [_column(rows, column, ranks) for column in COLUMNS]
     table = Table(
         f"task-{place}",
         f"Task {place}",
-        [Heading("policy", numeric=False), *(Heading.of(column) for column in _COLUMNS), Heading("runs"),
+        [Heading("policy", numeric=False), *(Heading.of(column) for column in COLUMNS), Heading("runs"),
          Heading("status", numeric=False), Heading("made on", numeric=False), Heading("code", numeric=False)],
         [
             [Cell(row.policy), *(column[index] for column in columns), number(len(row.runs), 0), _status(row),

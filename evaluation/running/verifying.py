@@ -22,8 +22,8 @@ from activestructure_gym.evaluation.running.episode import Progress, run_job
 # By how much a number of the same job may be another one on another processor: own choice, a third to a half of what
 # two seeds differ by in docs/notebook/benchmark.md.
 TOLERANCES = {
-    "completion_ratio": 1.0, "tsdf_completion_ratio": 1.0, "observed": 1.0, "precision": 1.0, "psnr": 0.5, "ssim": 0.02,
-    "accuracy_cm": 0.2, "completion_cm": 0.5, "depth_l1_cm": 1.0,
+    "completion_ratio": 1.0, "tsdf_completion_ratio": 1.0, "observed": 1.0, "observed_area": 1.0, "precision": 1.0,
+    "psnr": 0.5, "ssim": 0.02, "accuracy_cm": 0.2, "completion_cm": 0.5, "depth_l1_cm": 1.0,
 }  # fmt: skip
 # What a run stores and is decided by its job alone; the clock is not.
 COMPARED = ("config.json", "metrics.json", store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP)
@@ -37,7 +37,10 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     """
     here = {"processor": str(hardware()["processor"]), "code": code_sum()}
     try:
-        store.read_all(store.open_run(run.directory))
+        whole = store.open_run(run.directory)
+        store.read_all(whole)
+        if loose := store.unsummed(whole):
+            raise InputError(f"{store.DONE} has no sum of {', '.join(loose)}, which could be changed unseen")
     except InputError as error:
         return Verification("damaged", (str(error),), **here)
     if run.policy != policy_label(run.job.policy):
@@ -51,6 +54,9 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         if not differing:
             return Verification("identical", (), **here)
         wrong = out_of_tolerance(run.metrics["metrics"], again.metrics["metrics"])
+        codes = [one.config["versions"].get("code") for one in (run, again)]
+        if store.CONFIG in differing and codes[0] == codes[1]:  # which rounds nothing
+            wrong.append(f"another {store.CONFIG} of the same code")
     elsewhere = elsewhere_in(run, again)
     if not elsewhere:
         return Verification("differs", (f"other bytes in {', '.join(differing)}", *wrong), **here)

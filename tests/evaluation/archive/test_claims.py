@@ -92,3 +92,9 @@ def test_what_is_no_time_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv(LOST_AFTER, given)
     with pytest.raises(InputError, match=f"ASG_LOST_AFTER is a number of seconds above 0, got '{given}'"):
         Claims(tmp_path)
+
+
+def test_a_place_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+    (tmp_path / CLAIMS).touch()
+    with pytest.raises(InputError, match="cannot be written"):
+        Claims(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -80,6 +81,11 @@ def test_two_shards_play_every_job_once_and_one_reports(tmp_path: Path, counted:
     assert sum(counted.values()) == 5
     run_shard(jobs(5), tmp_path, Silence(), Shard(1, 1), engine="counted", again=True)
     assert sum(counted.values()) == 6
+    # Nothing is new, and the report is there; once it is mended, somebody reports again.
+    assert not run_shard(jobs(5), tmp_path, Silence(), Shard(2, 2), engine="counted")[1]
+    run_job(jobs(5)[3], tmp_path / "jobs" / jobs(5)[3].name)
+    assert run_shard(jobs(5), tmp_path, Silence(), Shard(2, 2), engine="counted")[1]
+    shutil.rmtree(tmp_path / "jobs" / jobs(5)[3].name)
     # It is a comparison like any other.
     result = run_comparison(jobs(6), tmp_path, Silence(), engine="counted", resume=True)
     assert len(result.runs) == 5 and len(open_comparison(tmp_path)) == 5

@@ -17,7 +17,7 @@ from activestructure_gym.evaluation.archive import verified
 from activestructure_gym.evaluation.archive.store import DONE, Run
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.machine.hardware import code_sum
-from activestructure_gym.evaluation.report.leaderboard import leaderboard_page, rows_of
+from activestructure_gym.evaluation.report.leaderboard import COLUMNS, leaderboard_page, rows_of
 from activestructure_gym.evaluation.running.verifying import TOLERANCES, out_of_tolerance, verify
 
 
@@ -114,6 +114,65 @@ def test_elsewhere_numbers_count_within_tolerances(run: Run) -> None:
     assert found.verdict == "differs" and len(found.why) == 2
 
 
+def test_what_no_processor_rounds_must_come_out_elsewhere_too(run: Run) -> None:
+    def of_another_machine(data: bytes) -> bytes:
+        content = json.loads(data)
+        content["hardware"]["processor"] = "another one"
+        return json.dumps(content).encode()
+
+    def longer(data: bytes) -> bytes:
+        content = json.loads(data)
+        content["configuration"]["frame_budget"] = 2000
+        return json.dumps(content).encode()
+
+    change(run, "timing.json", of_another_machine, forge=True)
+    found = verify(change(run, "config.json", longer, forge=True))
+    assert found.verdict == "differs" and "config.json" in found.why[-1]
+
+
+def test_every_number_of_the_leaderboard_has_a_tolerance() -> None:
+    assert {column.key for column in COLUMNS} <= TOLERANCES.keys()
+
+
+def test_a_file_without_a_sum_is_no_verified_one(run: Run) -> None:
+    done = run.directory / DONE
+    done.write_text("".join(line for line in done.read_text().splitlines(True) if "metrics.json" not in line))
+    found = verify(read_run(run.directory))
+    assert found.verdict == "damaged" and "no sum of metrics.json" in found.why[0]
+    verified.keep(run.directory, verified.Verification("identical"))
+    assert verified.known(run.directory) is None
+
+
+def test_of_runs_of_one_job_the_one_that_came_out_stands_on_the_leaderboard(run: Run) -> None:
+    forged = replace(run, metrics={**run.metrics, "metrics": {**run.metrics["metrics"], "psnr": 99.0}})
+    verdicts: dict[int, verified.Verification] = {id(run): verified.Verification("identical")}
+    for runs in ([run, forged], [forged, run]):
+        (((row,), _),) = rows_of(runs, lambda one: verdicts.get(id(one)))
+        assert row.runs == (run,) and row.status == "verified"
+    verdicts = {id(forged): verified.Verification("differs")}
+    (((row,), _),) = rows_of([run, forged], lambda one: verdicts.get(id(one)))
+    assert row.runs == (forged,) and row.refuted
+
+
+def test_what_is_not_remembered_or_raises_says_so(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(verified.VARIABLE, str(tmp_path / "file" / "marks"))
+    playing = "activestructure_gym.evaluation.running.verifying.verify"
+    monkeypatch.setattr(playing, lambda run, tell: verified.Verification("identical"))
+    assert main(["verify", str(run.directory)]) == 0
+    told = capsys.readouterr()
+    assert "identical" in told.out and "not remembered" in told.err and "cannot be played" not in told.out
+
+    def raising(run: Run, tell: Any) -> None:
+        raise RuntimeError("a policy's own")
+
+    monkeypatch.setattr(playing, raising)
+    assert main(["verify", str(run.directory)]) == 1
+    assert "cannot be played here: RuntimeError: a policy's own" in capsys.readouterr().out
+
+
 def test_tolerances_are_of_both_sides_and_of_numbers_that_both_have() -> None:
     assert out_of_tolerance({"psnr": 20.0, "ssim": None}, {"psnr": 20.5, "ssim": None}) == []
     assert len(out_of_tolerance({"psnr": 20.0}, {"psnr": 19.4})) == 1
@@ -144,6 +203,7 @@ def test_a_row_is_self_reported_until_it_was_verified_here(
     for text in (run.sums["map.npz"], run.sums["metrics.json"], run.config["scene"]["content_hash"], ">verified<"):
         assert text in page
     assert "asg compare --scenes box --policies random --seeds 0 --preset fast --frames 12 --set" in page
+    assert "--views 1 --samples 2000" in page and "--view-source" not in page
     change(run, "metrics.json", better)
     assert main(["verify", directory]) == 1 and "metrics.json" in capsys.readouterr().out
     assert main(["leaderboard", directory]) == 2 and "metrics.json" in capsys.readouterr().err

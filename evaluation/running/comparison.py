@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
-from activestructure_gym.evaluation.running.following import Given
+from activestructure_gym.evaluation.running.following import PASSIVE, Given
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.schedule import Terms, schedule_of
@@ -163,7 +163,13 @@ class Comparison:
         if self.start_pose is not None:
             check_start_pose(known.free_space, scene.bounds, as_pose(self.start_pose), config.motion.body_radius)
         for policy in filter(is_trajectory, policies):
-            Given.of(policy).course(known, config.keyframe_every)
+            given = Given.of(policy)
+            given.course(known, config.keyframe_every)
+            if given.place == PASSIVE and self.protocol.view_source == "recorded":
+                raise InputError(
+                    f"'{policy}' would be measured by the views that it maps, those recorded with '{spec}': leave "
+                    "--view-source at free_space"
+                )
         self.protocol.truth(known)
         for name in self.also_protocols:
             get_protocol(name).truth(known)

@@ -149,6 +149,11 @@ def _tum(rows: np.ndarray, path: Path) -> np.ndarray:
     if wrong.any():
         at = int(np.argmax(wrong))
         raise InputError(f"pose {at + 1} of '{path}' has a quaternion of length {lengths[at]:.3g}, and not of 1")
+    if (unsorted := ~(np.diff(rows[:, 0]) >= 0)).any():
+        raise InputError(
+            f"pose {int(np.argmax(unsorted)) + 2} of '{path}' has an earlier time stamp than the one before, or none: "
+            "sort the lines"
+        )
     return _of_quaternions(rows[:, 1:4], rows[:, 4:])
 
 
@@ -181,7 +186,12 @@ def _of_quaternions(positions: np.ndarray, xyzw: np.ndarray) -> np.ndarray:
 
 def _rigid(poses: np.ndarray, path: Path) -> np.ndarray:
     finite = np.isfinite(poses).all(axis=(1, 2))
-    kept = np.where(finite[:, None, None] & (np.abs(poses) < _FARTHEST), poses, 0.0)
+    kept = np.where(finite[:, None, None], poses, 0.0)
+    far = np.abs(kept[:, :3, 3]).max(axis=1)
+    if (far > _FARTHEST).any():
+        at = int(np.argmax(far > _FARTHEST))
+        raise InputError(f"pose {at + 1} of '{path}' stands {far[at]:g} m away: metres are expected")
+    kept = np.clip(kept, -_FARTHEST, _FARTHEST)
     rotations = kept[:, :3, :3]
     straight = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _RIGID
     straight &= np.abs(kept[:, 3] - [0, 0, 0, 1]).max(axis=1) <= _RIGID

@@ -138,3 +138,15 @@ def test_the_sequence_that_was_recorded_with_a_scene_is_the_passive_one(shared: 
     recorded = read_poses(fixture / "seq" / "room_fix", "nice_slam")
     assert run.trajectory["world_from_camera"].tobytes() == recorded.tobytes()
     assert run.metrics["metrics"]["frames"] == 12 and run.metrics["metrics"]["steps_too_long"] > 0
+    known = replace(PROTOCOL, view_source="recorded")
+    with pytest.raises(InputError, match="would be measured by the views that it maps"):
+        Comparison([scene], ["trajectory:passive"], preset="fast", protocol=known).prepare()
+    Comparison([scene], ["trajectory:sweep"], preset="fast", protocol=known).prepare()
+
+
+def test_a_single_pose_is_a_whole_trajectory(played: Run, tmp_path: Path) -> None:
+    file = write(tmp_path / "poses.txt", flown(played.trajectory["world_from_camera"][0])[:1])
+    (run,) = compare(["box"], [f"trajectory:{file}"], tmp_path / "runs", config=CONFIG, **USUAL).runs
+    numbers = run.metrics["metrics"]
+    assert (numbers["frames"], numbers["keyframes"], numbers["metres"]) == (1, 1, 0.0)
+    assert (numbers["largest_step_m"], numbers["steps_too_long"]) == (0.0, 0)

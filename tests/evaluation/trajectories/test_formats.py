@@ -62,6 +62,10 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("nice_slam", "1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1\n", "pose 1 .* mirrors: its axes are left-handed"),
         ("nice_slam", "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1\n", "pose 1 .* is no rigid motion"),
         ("nice_slam", "nan 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "pose 1 .* is no rigid motion"),
+        ("nice_slam", "1 0 0 2e6 0 1 0 0 0 0 1 0 0 0 0 1\n", r"pose 1 .* stands 2e\+06 m away"),
+        ("kitti", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 -1e300 0 0 1 0\n", "pose 2 .* stands 1e"),
+        ("tum", "2 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "pose 2 .* has an earlier time stamp"),
+        ("tum", "0 0 0 0 0 0 0 1\nnan 1 0 0 0 0 0 1\n", "pose 2 .* has an earlier time stamp"),
         ("tum", "# nothing\n", "holds no pose"),
         ("habitat", '[{"position": [0, 0]}]', "no trajectory of Habitat"),
         ("habitat", '[{"position": [0, 0, 0], "rotation": [0, 0, 0, 0.5]}]', "no unit quaternion"),
@@ -72,6 +76,11 @@ def test_what_is_wrong_is_said_in_a_sentence(kind: str, text: str, said: str, tm
     path = write(tmp_path, kind, text or "0")
     with pytest.raises(InputError, match=said):
         read_poses(path, kind)
+
+
+def test_poses_of_one_time_stamp_are_read_as_they_stand(tmp_path: Path) -> None:
+    path = write(tmp_path, "tum", "0 0 0 0 0 0 0 1\n0 1 0 0 0 0 0 1\n")
+    assert read_poses(path)[:, 0, 3].tolist() == [0.0, 1.0]
 
 
 def test_a_file_that_is_not_there_or_not_an_npz_is_refused(tmp_path: Path) -> None:

@@ -19,10 +19,10 @@ from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, NoN
 from activestructure_gym.evaluation.cli.options import (
     parse_overrides,
     parse_seeds,
-    parse_start,
     split_list,
     split_policies,
     split_scenes,
+    start_of,
     use_lpips_weights,
     use_trust,
 )
@@ -95,7 +95,8 @@ class Compare:
     retries: int = 1
     """How often a run is tried again that was killed or ran out of time."""
     start: Annotated[str | None, option("X,Y,Z,YAW", "")] = None
-    """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90)."""
+    """Where every episode starts: x,y,z,yaw in metres and degrees (write --start=-1,2,1.4,90), or `published`: where
+    papers start in that scene of Replica or Matterport3D."""
     set: Changes = ()
     """Changes of the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
     views: Annotated[int | None, option("N", "(default: 64)")] = None
@@ -242,7 +243,7 @@ def comparison_of(options: Compare) -> Comparison:
         terms=options.terms,
         frame_budget=options.frames,
         overrides=parse_overrides(options.set),
-        start_pose=parse_start(options.start),
+        start_pose=start_of(options.start, split_scenes(options.scenes)),
         protocol=protocol,
         also_protocols=[name for name in split_list(options.protocols) if name != protocol.name],
     )

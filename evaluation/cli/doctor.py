@@ -3,42 +3,93 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 from rich.markup import escape
 
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.fields import option
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what works here, what does not, and which package is missing."""
+    """Say what works here, what does not, and which package is missing; or what a dataset's folder holds."""
+
+    dataset: Annotated[tuple[str, ...], option("replica|matterport3d PATH", "")] = ()
+    """Say instead which scenes of a dataset that papers report on lie in a folder, and what is missing or damaged."""
 
     def run(self) -> int:
-        """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
-        from activestructure_gym.evaluation.machine import hardware as machine
+        """Print what works, and return 0 if the main job can run; of a dataset, 0 if every scene is usable. Else 1."""
+        if self.dataset:
+            return _print_dataset(*self.dataset)
+        return _print_machine()
 
-        console = make_console()
-        hardware = machine.hardware()
-        console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
-        with console.status("trying every backend"):
-            needed, rows = _states()
-        table = plain_table("What works here", "part", "backend", "state")
-        for part, backend, state in rows:
-            good = state.startswith("works")
-            table.add_row(part, escape(backend), f"{'[green]✓[/]' if good else '[yellow]–[/]'} {escape(state)}")
-        print_whole(console, table)
-        versions = plain_table("Versions", "package", "version")
-        for package, version in machine.versions().items():
-            versions.add_row(package, version if version != "missing" else "[red]missing[/]")
-        print_whole(console, versions)
-        broken = [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
-        if broken:
-            console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
-            return 1
-        console.print("[green]✓[/] `asg compare` can run")
-        console.print("Help: asg COMMAND --help; of the package: python -m pydoc activestructure_gym")
-        return 0
+
+def _print_machine() -> int:
+    """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
+    from activestructure_gym.evaluation.machine import hardware as machine
+
+    console = make_console()
+    hardware = machine.hardware()
+    console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
+    with console.status("trying every backend"):
+        needed, rows = _states()
+    table = plain_table("What works here", "part", "backend", "state")
+    for part, backend, state in rows:
+        good = state.startswith("works")
+        table.add_row(part, escape(backend), f"{'[green]✓[/]' if good else '[yellow]–[/]'} {escape(state)}")
+    print_whole(console, table)
+    versions = plain_table("Versions", "package", "version")
+    for package, version in machine.versions().items():
+        versions.add_row(package, version if version != "missing" else "[red]missing[/]")
+    print_whole(console, versions)
+    broken = [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
+    if broken:
+        console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
+        return 1
+    console.print("[green]✓[/] `asg compare` can run")
+    console.print("Help: asg COMMAND --help; of the package: python -m pydoc activestructure_gym")
+    return 0
+
+
+def _print_dataset(*asked: str) -> int:
+    """Print which scenes a folder holds and what their files lack; 0 if all are usable, else 1."""
+    from activestructure_gym.scenes.dataset_check import check_dataset
+    from activestructure_gym.scenes.datasets import DATASETS
+
+    if len(asked) != 2 or asked[0] not in DATASETS:
+        raise InputError(f"--dataset takes {' or '.join(DATASETS)}, and a folder; got '{' '.join(asked)}'")
+    dataset, root = DATASETS[asked[0]], Path(os.path.expanduser(asked[1]))
+    scenes = check_dataset(dataset, root)
+    console = make_console()
+    table = plain_table(f"{dataset.title} in {escape(str(root))}", "scene", "folder", "file", "state")
+    signs = {"there": "[green]✓[/]", "missing": "[yellow]–[/]", "damaged": "[red]✗[/]"}
+    for scene in scenes:
+        name = f"{'[green]✓[/]' if scene.usable else '[red]✗[/]'} {scene.title}"
+        if scene.place is None:
+            table.add_row(name, scene.folder, "", "not in this folder", end_section=True)
+        for number, file in enumerate(scene.files):
+            needed = " (needed)" if file.needed and file.state != "there" else ""
+            state = f"{signs[file.state]} {file.state}{needed}{f': {escape(file.why)}' if file.why else ''}"
+            first, last = number == 0, number == len(scene.files) - 1
+            place = escape(str(scene.place)) if first else ""
+            table.add_row(name if first else "", place, escape(file.name), state, end_section=last)
+    print_whole(console, table)
+    usable = sum(scene.usable for scene in scenes)
+    console.print(
+        f"{usable} of {len(scenes)} scenes can be used"
+        + (f"; get the dataset from {dataset.source}" if usable < len(scenes) else "")
+    )
+    if usable:
+        one = next(scene for scene in scenes if scene.usable)
+        console.print(
+            f"With {dataset.variable}={escape(str(root))} they have names: --scenes {dataset.kind}:{one.folder}"
+        )
+    return 0 if usable == len(scenes) else 1
 
 
 def _states() -> tuple[set[str], list[tuple[str, str, str]]]:

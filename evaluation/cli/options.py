@@ -84,6 +84,21 @@ def parse_start(text: str | None) -> tuple[float, float, float, float] | None:
     return x, y, z, yaw
 
 
+def start_of(text: str | None, scenes: Sequence[str]) -> tuple[float, float, float, float] | None:
+    """Where every episode starts: `parse_start`, or ``published``: where papers start in the one scene."""
+    if text != "published":
+        return parse_start(text)
+    if len(scenes) != 1:
+        raise InputError(
+            f"--start published takes one scene, got {len(scenes)}; compare on one after the other, and give "
+            "all their directories to `asg report`"
+        )
+    from activestructure_gym.scenes.datasets import published_start
+    from activestructure_gym.scenes.library import load_scene
+
+    return published_start(load_scene(scenes[0]))
+
+
 def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
     """``key=value`` pairs; a value is read as JSON where it is JSON, else as text."""
     overrides = {}

@@ -11,7 +11,7 @@ import tyro
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import PathName, Text, option
+from activestructure_gym.evaluation.cli.fields import PathName, Switch, Text, option
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
 
 
@@ -29,6 +29,9 @@ class Report:
         "random that took part."
     )
 
+    paper_tables: Switch = False
+    """Also Tables 1 and 2 of the paper: its published values with these runs beside them, printed and in the report."""
+
     def run(self) -> int:
         """Write the report, print the overview; 0 if every run asked for is in it, 1 if some are missing."""
         from activestructure_gym.evaluation.archive.store import COMPARISON
@@ -43,13 +46,19 @@ class Report:
 
         from activestructure_gym.evaluation.report.results import gather
         from activestructure_gym.evaluation.report.summary import write_results
-        from activestructure_gym.evaluation.report.tables import rich_table, table_rows
+        from activestructure_gym.evaluation.report.tables import in_terminal, rich_table, table_rows
 
         console = make_console()
         results = gather(directories, self.baseline)
         with console.status("drawing"):
-            files = write_results(out, results)
+            files = write_results(out, results, published=self.paper_tables)
         print_whole(console, rich_table(table_rows(results.runs), title=f"{len(results.runs)} runs"))
+        if self.paper_tables:
+            from activestructure_gym.evaluation.report.published import published_tables
+
+            for table in published_tables(results)[::2]:  # averages; by scene they stand in the report
+                print_whole(console, in_terminal(table))
+                console.print(f"{escape(table.caption)}.\n")
         for name, why in results.missing.items():
             console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")
         page = escape(str(files[-1]))

@@ -11,19 +11,28 @@ from activestructure_gym.evaluation.report.curve_section import convergence_sect
 from activestructure_gym.evaluation.report.first_sight import first_sight
 from activestructure_gym.evaluation.report.glance_section import glance_section
 from activestructure_gym.evaluation.report.html import counted, render
+from activestructure_gym.evaluation.report.layout import Table
 from activestructure_gym.evaluation.report.method_section import method_section
 from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.report.scene_section import scene_section
 from activestructure_gym.evaluation.report.style import COLOURS, COLOURS_BY_NIGHT
-from activestructure_gym.evaluation.report.table_sections import costs_section, differences_section, quality_section
+from activestructure_gym.evaluation.report.table_sections import (
+    costs_section,
+    differences_section,
+    published_section,
+    quality_section,
+)
 
 _ASSETS = Path(__file__).with_name("assets")
 # Whatever a scene's or a policy's name may hold, the page loads nothing and sends nothing.
 CONTENT_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
-def html_page(results: Results, directory: Path | None = None) -> str:
-    """The whole page; with the ``directory`` it will lie in also links to the files of runs that lie beside it."""
+def html_page(results: Results, directory: Path | None = None, published: Sequence[Table] = ()) -> str:
+    """The whole page; with the ``directory`` it will lie in also links to the files of runs that lie beside it.
+
+    ``published`` are tables of published values, if any are to stand in it.
+    """
     anchors = [f"scene-{number}" for number in range(1, len(results.scenes) + 1)]
     everyone = _listed(results.policies) if len(results.policies) <= 6 else f"{len(results.policies)} policies"
     title = f"{everyone} on {counted(len(results.scenes), 'scene')}"
@@ -34,11 +43,17 @@ def html_page(results: Results, directory: Path | None = None) -> str:
         differences_section(results),
         convergence_section(results),
         costs_section(results),
+        published_section(published),
         *(scene_section(results, scene, anchor, directory) for scene, anchor in zip(results.scenes, anchors)),
         method_section(results),
     ]
     named = {"glance": "At a glance", "quality": "Quality", "against": "Differences", "convergence": "Convergence"}
-    named |= {"costs": "Costs", **dict(zip(anchors, results.scenes)), "how": "How measured"}
+    named |= {
+        "costs": "Costs",
+        "published": "Published values",
+        **dict(zip(anchors, results.scenes)),
+        "how": "How measured",
+    }
     body = Markup().join(section for section in sections if section is not None)
     return render(
         "page.html.j2",

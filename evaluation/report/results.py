@@ -198,7 +198,8 @@ def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
     found: dict[str, dict[str, None]] = {}
     for run in runs:
         job = run.job.as_dict()
-        flat = {name: job[name] for name in ("preset", "frame_budget", "start_pose")}
+        flat = {name: job[name] for name in ("preset", "frame_budget")}
+        flat[f"start_pose in {run.scene}"] = job["start_pose"]
         flat["terms"] = run.job.terms
         flat |= {f"set {name}": value for name, value in job["overrides"].items()}
         flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}

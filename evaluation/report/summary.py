@@ -30,6 +30,7 @@ from activestructure_gym.evaluation.report.paper_tables import ablation_table, t
 from activestructure_gym.evaluation.report.pictures import compare_plans, compare_strip, compare_views
 from activestructure_gym.evaluation.report.places import without_places
 from activestructure_gym.evaluation.report.planning_table import planning_table
+from activestructure_gym.evaluation.report.published import published_tables
 from activestructure_gym.evaluation.report.results import Results, opened, source_of
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 
@@ -48,23 +49,25 @@ def write_report(
     return write_results(directory, Results(runs, [source_of(directory, comparison, runs)], baseline))
 
 
-def write_results(directory: Path, results: Results) -> list[Path]:
+def write_results(directory: Path, results: Results, *, published: bool = False) -> list[Path]:
     """Write the report, all of it or nothing; returns the files, ``summary.md`` and ``report.html`` last.
+
+    With ``published`` the paper's Tables 1 and 2 stand in it, too, with these runs beside their values.
 
     Only finished runs are given, and only they are counted; everything is rebuilt from their directories. Raises
     `InputError` where those are damaged, or where ``directory`` cannot be written.
     """
     with store.whole_files(directory) as part:
-        written = _write_into(part, results, directory)
+        written = _write_into(part, results, directory, published_tables(results) if published else [])
     return [directory / file.relative_to(part) for file in written]
 
 
-def _write_into(part: Path, results: Results, directory: Path) -> list[Path]:
+def _write_into(part: Path, results: Results, directory: Path, published: Sequence[Table]) -> list[Path]:
     """Write all files into ``part``; links between them and the runs are those from ``directory``."""
     tables = part / TABLES
     tables.mkdir()
     written = [_written(part / "results.csv", runs_csv(results.runs))]
-    for name, text in documents(all_tables(results)).items():
+    for name, text in documents([*all_tables(results), *published]).items():
         written.append(_written(tables / name, text))
     sections = []
     for scene, ending in zip(results.scenes, _endings(results.scenes)):
@@ -81,7 +84,7 @@ def _write_into(part: Path, results: Results, directory: Path) -> list[Path]:
         shown = "\n\n".join(f"![{path.stem}](./{path.name})" for path in overall)
         sections.insert(0, f"## All scenes\n\n{shown}\n")
     written.append(_written(part / "summary.md", _summary(results, sections)))
-    written.append(_written(part / PAGE, html_page(results, directory)))
+    written.append(_written(part / PAGE, html_page(results, directory, published)))
     return written
 
 

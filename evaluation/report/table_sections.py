@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from markupsafe import Markup
 
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import Bar, interval_chart
 from activestructure_gym.evaluation.report.columns import MAIN, Column, aspects, measured
 from activestructure_gym.evaluation.report.html import html_table, render
+from activestructure_gym.evaluation.report.layout import Table
 from activestructure_gym.evaluation.report.paper_tables import quality_table
 from activestructure_gym.evaluation.report.results import Results
 
@@ -68,3 +71,10 @@ def _intervals(results: Results, column: Column) -> tuple[str, Markup] | None:
 def costs_section(results: Results) -> Markup:
     """Path, decisions and seconds."""
     return render("costs.html.j2", table=html_table(verdicts.cost_table(results), colours=results.palette))
+
+
+def published_section(tables: Sequence[Table]) -> Markup | None:
+    """Tables of published values with the runs beside them; nothing without any."""
+    if not tables:
+        return None
+    return render("published.html.j2", tables=[(table.title, html_table(table)) for table in tables])

@@ -111,6 +111,19 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
     return table
 
 
+def in_terminal(table: Table) -> RichTable:
+    """A table of the report for a terminal."""
+    from rich.markup import escape
+
+    shown = empty_rich_table(table.title)
+    for heading in table.headings:
+        shown.add_column(escape(heading.text), justify="right" if heading.numeric else "left", no_wrap=True)
+    for index, row in enumerate(table.rows):
+        cells = [styled(escape(table.shown(index, k)), cell.rank == 1) for k, cell in enumerate(row)]
+        shown.add_row(*cells, end_section=index + 1 in table.blocks)
+    return shown
+
+
 def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[Column] = COLUMNS) -> Table:
     """The table for documents: the first three of every block marked; a single scene is not named."""
     blocks = [i for i, row in enumerate(rows) if i and rows[i - 1].scene != row.scene]

@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.scenes.datasets import MATTERPORT3D, find_scene
 from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 from activestructure_gym.scenes.scene import Scene
 
@@ -18,11 +19,11 @@ _OWN_FILES = (".house", "_semantic.ply")
 
 
 def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> Scene:
-    """A Matterport3D scene from its folder ``mp3d/<id>`` or its mesh ``<id>.glb``.
+    """A Matterport3D scene from its folder ``mp3d/<id>`` or its mesh ``<id>.glb``; one of the papers' also by its name.
 
     Raises `InputError` where the mesh is missing or cannot be read.
     """
-    path = Path(os.path.expanduser(path))
+    path = find_scene(MATTERPORT3D, path)
     if path.is_dir():
         mesh_file = path / f"{path.name}.glb"
         if not mesh_file.is_file():

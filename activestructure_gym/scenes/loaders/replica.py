@@ -27,6 +27,7 @@ from activestructure_gym.ply_header import (
     PlyProperty,
     read_header,
 )
+from activestructure_gym.scenes.datasets import REPLICA, find_scene
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh, in_words
 from activestructure_gym.scenes.loaders.json_files import read_json
@@ -43,14 +44,16 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
     """A Replica scene.
 
     Args:
-        path: the scene's folder, its ``habitat`` folder, ``mesh.ply``, ``mesh_semantic.ply`` or the stage config
-            json; also a NICE-SLAM sequence folder that has ``<folder>_mesh.ply`` or ``<folder>.ply`` beside it.
+        path: the scene's folder, or its name (``office_0``) with the dataset's folder in ``ASG_REPLICA`` (see
+            `activestructure_gym.scenes.datasets`), its ``habitat`` folder, ``mesh.ply``, ``mesh_semantic.ply`` or the
+            stage config json; also a NICE-SLAM sequence folder that has ``<folder>_mesh.ply`` or ``<folder>.ply``
+            beside it.
         sequence: folder of a posed RGB-D sequence of the scene (NICE-SLAM layout), kept as its evaluation views.
 
     Raises:
         InputError: nothing of the kind is there, or a file is broken.
     """
-    path = Path(os.path.expanduser(path))
+    path = find_scene(REPLICA, path)
     if path.name in ("", ".."):  # "." has a name too
         path = Path(os.path.abspath(path))
     mesh_file, root = _mesh_file(path)

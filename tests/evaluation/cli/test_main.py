@@ -197,6 +197,15 @@ def test_doctor_fails_where_the_main_job_cannot_run(monkeypatch, capsys):
     assert "sensor raycast does not work" in capsys.readouterr().out
 
 
+def test_doctor_says_what_a_datasets_folder_holds(tmp_path, capsys):
+    (tmp_path / "room_1").mkdir()
+    assert main(["doctor", "--dataset", "replica", str(tmp_path)]) == 1
+    told = capsys.readouterr().out
+    assert "mesh.ply" in told and "missing (needed)" in told and "0 of 8 scenes can be used" in told
+    assert main(["doctor", "--dataset", "kitchen", str(tmp_path)]) == 2
+    assert "--dataset takes replica or matterport3d, and a folder" in capsys.readouterr().err
+
+
 def test_doctor_counts_damaged_kernels(monkeypatch, capsys, tmp_path):
     from activestructure_gym.compiling import files
     from activestructure_gym.evaluation.running import warmup

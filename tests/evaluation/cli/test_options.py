@@ -8,6 +8,7 @@ from activestructure_gym.evaluation.cli.options import (
     split_list,
     split_policies,
     split_scenes,
+    start_of,
 )
 from activestructure_gym.policies import LADDER, POLICIES
 
@@ -78,3 +79,13 @@ def test_groups_of_policies() -> None:
     with pytest.raises(InputError, match="'reference:oracle' is no policy: ask for it by --references oracle"):
         split_policies(["random,reference:oracle"])
     assert LADDER[0] == "activestructure-a" and LADDER[-1] == "activestructure" and len(LADDER) == 5
+
+
+def test_a_published_start_is_that_of_one_scene(monkeypatch):
+    from activestructure_gym.scenes import datasets
+
+    monkeypatch.setattr(datasets, "published_start", lambda scene: (1.0, 2.0, 1.5, 90.0))
+    assert start_of("published", ["box"]) == (1.0, 2.0, 1.5, 90.0)
+    assert start_of("1,2,3,4", ["a", "b"]) == (1.0, 2.0, 3.0, 4.0) and start_of(None, ["a", "b"]) is None
+    with pytest.raises(InputError, match="takes one scene, got 2"):
+        start_of("published", ["a", "b"])

@@ -19,7 +19,8 @@ def asked(monkeypatch, tmp_path):
         calls.append((directories, baseline))
         return Nothing()
 
-    def write(out, results):
+    def write(out, results, published):
+        assert not published
         calls.append(out)
         return [out / "report.html"]
 

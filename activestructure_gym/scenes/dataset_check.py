@@ -1,0 +1,131 @@
+"""Which scenes of a published dataset a folder holds, and what is missing or damaged. Meshes are not read whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.ply_header import NUMPY_TYPES, read_header
+from activestructure_gym.scenes.datasets import Dataset
+
+State = Literal["there", "missing", "damaged"]
+
+
+@dataclass(frozen=True)
+class FileState:
+    """One file of a scene."""
+
+    name: str  # from the scene's folder
+    state: State
+    needed: bool  # the scene cannot be used without it
+    why: str = ""  # what is wrong with it, or what goes without it
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """One scene of the dataset."""
+
+    title: str  # in the papers' tables
+    folder: str
+    place: Path | None  # None: nowhere in the folder
+    files: tuple[FileState, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether the scene can be loaded, as far as its files tell from outside."""
+        return self.place is not None and all(file.state == "there" for file in self.files if file.needed)
+
+
+def check_dataset(dataset: Dataset, root: Path) -> list[SceneState]:
+    """The state of every scene that the papers' tables name. Raises `InputError` where ``root`` is no folder."""
+    if not root.is_dir():
+        raise InputError(f"there is no folder '{root}'; give the one that holds the scenes of {dataset.title}")
+    look = {"replica": _replica, "matterport3d": _matterport3d}[dataset.kind]
+    found = []
+    for title, folder in dataset.scenes.items():
+        places = dataset.places(root, folder)
+        place = next((p for p in places if p.is_dir() or _beside(p).is_file()), None)
+        found.append(SceneState(title, folder, place, () if place is None else tuple(look(place))))
+    return found
+
+
+def _beside(place: Path) -> Path:
+    """The mesh that NICE-SLAM's download has beside a sequence's folder."""
+    return place.with_name(f"{place.name}_mesh.ply")
+
+
+def _replica(place: Path) -> Iterator[FileState]:
+    meshes = [place / "mesh.ply", place / "habitat" / "mesh_semantic.ply", _beside(place)]
+    there = [mesh for mesh in meshes if mesh.is_file()]
+    if there:
+        for mesh in there:
+            why = _wrong_with_ply(mesh)
+            name = mesh.relative_to(place.parent if mesh == _beside(place) else place)
+            yield FileState(str(name), "damaged" if why else "there", mesh == there[0], why)
+    else:
+        yield FileState("mesh.ply", "missing", True, "nor habitat/mesh_semantic.ply: the surface itself")
+    labels = place / "habitat" / "info_semantic.json"
+    semantic = place / "habitat" / "mesh_semantic.ply"
+    if labels.is_file() and semantic.is_file():
+        why = _wrong_with_json(labels)
+        yield FileState("habitat/info_semantic.json", "damaged" if why else "there", False, why)
+    else:
+        yield FileState("habitat/info_semantic.json", "missing", False, "without it and its mesh objects have no names")
+    if not (place / "traj.txt").is_file():
+        yield FileState("traj.txt", "missing", False, "without a NICE-SLAM sequence there are no recorded views")
+
+
+def _matterport3d(place: Path) -> Iterator[FileState]:
+    mesh = place / f"{place.name}.glb"
+    if not mesh.is_file():
+        yield FileState(mesh.name, "missing", True, "the surface itself; it comes with the download for Habitat")
+        return
+    why = _wrong_with_glb(mesh)
+    yield FileState(mesh.name, "damaged" if why else "there", True, why)
+
+
+def _wrong_with_ply(path: Path) -> str:
+    """What is wrong with a PLY by its header and length; empty if nothing is."""
+    try:
+        with open(path, "rb") as file:
+            header = read_header(file)
+            least = file.tell()
+    except OSError as error:
+        return str(error)
+    if header is None or not header.complete:
+        return "it does not begin as a .ply file does" if header is None else "its header does not end"
+    for element in header.elements:
+        # A list has its length and, as a face has, at least three entries.
+        sizes = [_size(p.count_kind) + 3 * _size(p.kind) if p.count_kind else _size(p.kind) for p in element.properties]
+        least += element.count * sum(sizes)
+    size = path.stat().st_size
+    if header.format == "ascii" or size >= least:
+        return ""
+    return f"it has {size:,} bytes, its header speaks of at least {least:,}: cut off?"
+
+
+def _size(kind: str) -> int:
+    return int(NUMPY_TYPES.get(kind, "u1")[-1])
+
+
+def _wrong_with_glb(path: Path) -> str:
+    """What is wrong with a binary glTF by its header and length; empty if nothing is."""
+    with open(path, "rb") as file:
+        head = file.read(12)
+    if len(head) < 12 or head[:4] != b"glTF":
+        return "it does not begin as a .glb file does"
+    told, size = int.from_bytes(head[8:12], "little"), path.stat().st_size
+    return "" if told == size else f"it has {size:,} bytes and says {told:,}: cut off?"
+
+
+def _wrong_with_json(path: Path) -> str:
+    """Why a file is no JSON; empty if it is."""
+    try:
+        json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        return f"it is no JSON: {error}".splitlines()[0]
+    return ""

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.mapping.gaussian_map import MEAN
 from activestructure_gym.planes.record import GraphArrays, graph_arrays, seen_cells
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 _JPEG_QUALITY = 82
 _FIELDS = 14  # rows of the map's parameters
+_CELL = 0.05  # metres: where a map that is made anew has been so near before, nothing is new
 
 
 @dataclass(frozen=True)
@@ -59,15 +61,30 @@ class _Lives:
     gone: list[tuple[np.ndarray, np.ndarray, int]] = field(default_factory=list)  # parameters, ids, frame
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     parameters: np.ndarray = field(default_factory=lambda: np.zeros((_FIELDS, 0), np.float32))
+    # Of a map that is made anew as a whole, in which nobody lives on: its cells, and when there was something first.
+    cells: np.ndarray | None = None  # [M] int64
+    cell_frames: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # [M]
 
     def note(self, gaussians: GaussianMap, frame: int) -> None:
         """Remember the map as it is; called after every keyframe."""
         ids = gaussians.ids[: gaussians.count].copy()
         left = ~np.isin(self.ids, ids)
-        if left.any():
+        if len(ids) and len(left) and left.all() and self.cells is None:
+            self.cells = np.zeros(0, np.int64)
+            self._note_cells(self.frame_of[-1][1])
+        if left.any() and self.cells is None:
             self.gone.append((self.parameters[:, left], self.ids[left], frame))
         self.ids, self.parameters = ids, gaussians.parameters[:, : gaussians.count].copy()
         self.frame_of.append((gaussians.next_id, frame))
+        if self.cells is not None:
+            self._note_cells(frame)
+
+    def _note_cells(self, frame: int) -> None:
+        found = np.unique(_cells_of(self.parameters))
+        assert self.cells is not None
+        new = found[~np.isin(found, self.cells)]
+        self.cells = np.concatenate([self.cells, new])
+        self.cell_frames = np.concatenate([self.cell_frames, np.full(len(new), frame)])
 
     def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] born, [N] died
         """Everybody, those who came first in front."""
@@ -79,8 +96,18 @@ class _Lives:
         )
         below, frames = np.array(self.frame_of).reshape(-1, 2).T
         born = frames[np.searchsorted(below, ids, side="right")]
+        if self.cells is not None:
+            order = np.argsort(self.cells)
+            now = np.searchsorted(self.cells[order], _cells_of(self.parameters))
+            born[: len(self.ids)] = self.cell_frames[order][now]
         order = np.argsort(born, kind="stable")
         return parameters[:, order], born[order].astype(np.int32), died[order].astype(np.int32)
+
+
+def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
+    """One number for each cell of `_CELL` that a Gaussian's mean may stand in."""
+    x, y, z = np.floor(parameters[MEAN].astype(np.float64) / _CELL).astype(np.int64) + (1 << 20)
+    return (x << 42) + (y << 21) + z
 
 
 class Recorder:

@@ -267,5 +267,15 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         page.until(f"player.clock === {episode.frames} && player.dirty === false")
         view.end()
         page.until("document.getElementById('state').textContent === 'ended'")
+        images = page.value(
+            "window.revoked = 0, URL.revokeObjectURL = () => { revoked++; }, player.runs[0].images.size"
+        )
+        episode.start(ground_truth_of(load_scene("box")), 1)
+        view.begin(episode)
+        view.show()
+        page.until("player.runs[0].told.episode === 2 && player.dirty === false")
+        page.until("document.getElementById('state').textContent === 'exploring'")
+        assert page.value("document.querySelectorAll('.stage').length") == 1
+        assert page.value("revoked") == images > 0
         assert page.errors == []
     assert view._recorder is not None

@@ -42,3 +42,17 @@ def test_who_is_removed_is_kept_as_it_was_last() -> None:
     (gone,) = np.nonzero(died == 11)[0]
     np.testing.assert_array_equal(parameters[1:, gone], block[1:, 1])
     assert parameters[0, gone] == block[0, 1] + 100.0
+
+
+def test_a_map_that_is_made_anew_as_a_whole_is_kept_once_and_grows_by_place() -> None:
+    gaussians, lives = GaussianMap(), _Lives()
+    for frame in range(1, 60):
+        gaussians.keep(np.zeros(gaussians.count, bool))
+        block = np.ones((14, frame), np.float32)
+        block[:3] = [np.arange(frame), np.full(frame, 0.01), np.full(frame, -2.0)]
+        gaussians.append(block)
+        lives.note(gaussians, frame)
+    parameters, born, died = lives.all()
+    assert parameters.shape == (14, 59) and not lives.gone
+    assert born.tolist() == list(range(1, 60)) and (died > 59).all()
+    np.testing.assert_array_equal(parameters[0], np.arange(59))

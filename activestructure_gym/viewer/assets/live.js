@@ -27,8 +27,10 @@ class LivePlayer extends Player {
   }
 
   open(runs) {
+    const state = find("state"); // which stands in the run that goes
+    for (const run of this.runs || []) run.close();
     super.open(runs);
-    runs[0].element.querySelector(".stage").append(find("state"));
+    runs[0].element.querySelector(".stage").append(state);
   }
 
   listen(run) {

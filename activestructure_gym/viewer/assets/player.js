@@ -42,6 +42,11 @@ class Run {
   }
 
   start() { this.scene = new SceneView(this.canvas, this.told); }
+  close() { // give back what a browser keeps for as long as the page is open
+    for (const link of this.images.values()) URL.revokeObjectURL(link);
+    const lose = this.scene.gl.getExtension("WEBGL_lose_context");
+    if (lose) lose.loseContext();
+  }
 
   measure() {
     this.last = this.arrays.poses.length / 9 - 1;

@@ -80,14 +80,16 @@ def follow(run: Run, env: ReconstructionEnv, before: Callable[[int], object], te
     episode, differs = env.reconstruction, ""
     for step in run.steps:
         before(int(step["action"]))
-        *_, info = env.step(int(step["action"]))
+        _, _, terminated, truncated, info = env.step(int(step["action"]))
         if not differs and (info["frames"] != step["frames"] or info["gaussians"] != step["gaussians"]):
             differs = (
                 f"from decision {step['decision']} on this machine plays another episode: {info['frames']} frames and "
                 f"{info['gaussians']} Gaussians, and in the run {step['frames']} and {step['gaussians']}"
             )
         tell(info["frames"], episode.frame_budget)
-        if info["frames"] >= episode.frame_budget or episode.finished:
+        if terminated or truncated:
+            if not differs and step is not run.steps[-1]:
+                differs = f"after decision {step['decision']} the episode ends on this machine, and goes on in the run"
             break
     return differs
 

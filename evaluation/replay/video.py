@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay.recording import follow, playing
 from activestructure_gym.viewer.recorder import after_keyframes
@@ -29,6 +30,8 @@ def write_video(
     run: Run, path: Path, tell: Callable[[int, int], None] = lambda frames, budget: None, *, trusted: bool = False
 ) -> float:
     """Play ``run`` again into a video at ``path``, ten keyframes a second, whole or not at all; returns its seconds.
+
+    Warns where this code plays another episode than the stored one.
 
     Raises `InputError` for another ending, where the run cannot be played again, and where OpenCV cannot write it.
     """
@@ -54,7 +57,8 @@ def write_video(
         try:
             add()
             after_keyframes(episode, add)
-            follow(run, env, lambda row: None, tell)
+            if differs := follow(run, env, lambda row: None, tell):
+                warnings.warn(f"the video of {run.job.title}: {differs}", InputWarning, stacklevel=2)
             add(_LAST)
             writer.release()
             part.replace(path)

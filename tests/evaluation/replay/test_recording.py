@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.replay import Recording, play_again
+from activestructure_gym.evaluation.replay import Recording, play_again, write_video
 from activestructure_gym.evaluation.running.episode import run_job
 from activestructure_gym.evaluation.running.following import named_trajectory
 
@@ -68,6 +68,10 @@ def test_another_episode_than_the_stored_one_is_told(finished: list[Run], tmp_pa
     changed.__dict__["steps"] = [{**step, "gaussians": step["gaussians"] + (n > 0)} for n, step in enumerate(run.steps)]
     told = play_again(changed).differs
     assert told.startswith("from decision 1 on this machine plays another episode")
+    with pytest.warns(InputWarning, match="the video of .* from decision 1 on this machine plays another episode"):
+        write_video(changed, tmp_path / "run.mp4")
+    changed.__dict__["steps"] = [*run.steps, {**run.steps[-1], "decision": len(run.steps)}]
+    assert play_again(changed).differs.endswith("the episode ends on this machine, and goes on in the run")
 
 
 def test_files_that_name_code_are_not_played_unless_trusted(finished: list[Run]) -> None:

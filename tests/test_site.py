@@ -195,6 +195,33 @@ def test_links_out_of_the_docs_become_names_and_others_stay(monkeypatch: pytest.
     )
 
 
+def test_papers_and_programs_of_the_bibliography_are_links_whose_check_says_what_answered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(DOCS))
+    links = importlib.import_module("_site.links")
+    text = ["A. *B.* arXiv\n  2312.02126. Code: `a-b/C`, in it `src/d.py`."]
+    links.named_links(None, "guide/index", text)
+    assert "](" not in text[0]
+    links.named_links(None, "references", text)
+    assert text[0] == (
+        "A. *B.* [arXiv 2312.02126](https://arxiv.org/abs/2312.02126). "
+        "Code: [`a-b/C`](https://github.com/a-b/C), in it `src/d.py`."
+    )
+
+    def asked(uri: str, status: str) -> str:
+        return json.dumps({"uri": uri, "status": status, "info": "gone"})
+
+    lines = [asked("https://a", "working"), asked("https://a", "working"), asked("#b", "unchecked")]
+    assert links.told(lines) == ("1 links to elsewhere: 1 answered, 0 did not", True)
+    lines += [asked("https://c", "broken"), asked("https://d", "redirected"), asked("https://e", "ignored")]
+    assert links.told(lines) == (
+        "4 links to elsewhere: 2 answered, 1 did not, 1 were not asked\nhttps://c: gone",
+        False,
+    )
+    assert not links.told([])[1]  # who asks nobody has checked nothing
+
+
 def commands(page: Path) -> list[str]:
     found = []
     for block in re.findall(r"```bash\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL):

@@ -15,12 +15,13 @@ MADE = Path(__file__).parents[1] / "_made"
 
 def setup(app: Any) -> dict[str, bool]:
     """Make the pages before Sphinx looks for sources."""
-    from _site.links import outside_links
+    from _site.links import named_links, outside_links
     from _site.reference import link_to_entry
     from _site.shapes import tell_shapes
 
     app.connect("config-inited", lambda app, config: make_pages())
     app.connect("source-read", outside_links)
+    app.connect("source-read", named_links)
     app.connect("autodoc-process-docstring", _bars)
     app.connect("autodoc-process-docstring", tell_shapes)
     app.connect("missing-reference", link_to_entry)

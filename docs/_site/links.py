@@ -1,12 +1,20 @@
-"""Links out of the folder of the docs, as to an example, which the site cannot follow, as the names of files."""
+"""Links as the site can follow them: files beside the docs become names, papers and programs of others become links.
+
+python -m _site.links ../build/links/output.json    # what docs/build --links asked, and what answered
+"""
 
 from __future__ import annotations
 
+import json
 import re
+import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
+_PAPER = re.compile(r"arXiv\s+(\d{4}\.\d{5})")
+_PROGRAM = re.compile(r"(Code:\s+)`([\w.-]+/[\w.-]+)`")
 _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -25,3 +33,30 @@ def outside_links(app: Any, name: str, source: list[str]) -> None:
         return text if outside else found[0]
 
     source[0] = _LINK.sub(replaced, source[0])
+
+
+def named_links(app: Any, name: str, source: list[str]) -> None:
+    """In the bibliography: numbers of arXiv, and repositories behind "Code:", as links."""
+    if name == "references":
+        text = _PAPER.sub(r"[arXiv \1](https://arxiv.org/abs/\1)", source[0])
+        source[0] = _PROGRAM.sub(r"\1[`\2`](https://github.com/\2)", text)
+
+
+def told(lines: list[str]) -> tuple[str, bool]:
+    """What became of the links, from Sphinx's ``output.json``, and whether all that were asked answered."""
+    links = {found["uri"]: found for found in map(json.loads, lines) if found["uri"].startswith(("http:", "https:"))}
+    count = Counter(found["status"] for found in links.values())
+    answered = count["working"] + count["redirected"]
+    silent = [
+        f"{uri}: {found['info']}" for uri, found in sorted(links.items()) if found["status"] in ("broken", "timeout")
+    ]
+    head = f"{len(links)} links to elsewhere: {answered} answered, {len(silent)} did not"
+    if rest := len(links) - answered - len(silent):
+        head += f", {rest} were not asked"
+    return "\n".join([head, *silent]), answered == len(links) > 0
+
+
+if __name__ == "__main__":
+    text, all_answered = told(Path(sys.argv[1]).read_text(encoding="utf-8").splitlines())
+    print(text)
+    sys.exit(not all_answered)

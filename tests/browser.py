@@ -55,6 +55,12 @@ class Page:
         if message.get("method") == "Log.entryAdded" and told["entry"]["level"] == "error":
             self.errors.append(told["entry"]["text"])
 
+    def open(self, link: str) -> None:
+        """Go to another page, of which no error is known."""
+        self.errors.clear()
+        self.ask("Page.navigate", url=link)
+        self.until("document.readyState === 'complete'")
+
     def value(self, expression: str) -> Any:
         """What a JavaScript expression is worth; a promise is waited for."""
         answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -109,8 +115,7 @@ def open_page(link: str, folder: Path, *, width: int = 1200, height: int = 800) 
                 page = Page(socket)
                 for part in ("Page", "Runtime", "Log"):
                     page.ask(f"{part}.enable")
-                page.ask("Page.navigate", url=link)
-                page.until("document.readyState === 'complete'")
+                page.open(link)
                 yield page
     finally:
         process.kill()

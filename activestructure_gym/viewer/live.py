@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import zlib
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
@@ -94,7 +95,8 @@ class LiveView:
         host = f"[{host}]" if ":" in host else host
         self.hosts = {f"{host}:{port}", f"localhost:{port}"} if ip_address(address).is_loopback else None
         self.url = f"http://{host}:{port}/?key={self._key}"
-        threading.Thread(target=self._server.serve_forever, name="live view", daemon=True).start()
+        serve = partial(self._server.serve_forever, poll_interval=0.02)  # seconds that closing waits
+        threading.Thread(target=serve, name="live view", daemon=True).start()
 
     def begin(self, episode: Reconstruction, worth: str = "") -> None:
         """An episode has begun; ``worth`` is the name of the feature that candidates are coloured by."""

@@ -143,7 +143,7 @@ def test_paused_it_goes_on_by_steps_and_where_it_is_sent(view: LiveView, episode
     view.begin(episode)
     view.show()
     thread, rows = waiting(view)
-    thread.join(0.3)
+    thread.join(0.1)
     assert thread.is_alive() and news(view)["state"] == "paused"
     assert ask(view, "/do", body={"do": "step"})[0] == 200
     thread.join(5)
@@ -212,7 +212,7 @@ def test_who_is_asked_is_waited_for_until_the_view_is_closed(view: LiveView, epi
     view.begin(episode)
     view.show()
     thread, rows = waiting(view)
-    thread.join(0.3)
+    thread.join(0.1)
     assert thread.is_alive() and news(view)["state"].startswith("your turn")
     view.close()
     thread.join(5)
@@ -234,7 +234,7 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
     view.begin(episode, "pixel")
     view.show()
     thread, rows = waiting(view)
-    with open_page(view.url, tmp_path) as page:
+    with open_page(view.url, tmp_path, width=900, height=600) as page:
         page.until("window.player && player.drawn > 0 && player.dirty === false")
         page.until("document.getElementById('state').textContent.startsWith('your turn')")
         first = page.picture()

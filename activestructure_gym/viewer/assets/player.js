@@ -281,7 +281,7 @@ class Player {
     const [low, high] = this.heights, share = Number(find("cut").value), eye = find("eye").value;
     return { map: find("show-map").checked, planes: find("show-planes").checked, candidates: find("show-candidates").checked,
       path: find("show-path").checked, cut: share >= 1 || eye === "agent" ? 1e6 : low + share * (high - low), eye,
-      coarse: this.coarse, pointed: this.pointed };
+      coarse: this.coarse, playing: this.playing, pointed: this.pointed };
   }
 
   listen(run) {
@@ -307,7 +307,7 @@ class Player {
   toggle() { if (this.playing) this.pause(); else this.play(); }
   scrub(frame) { this.pause(); this.to(frame); }
   play() { if (this.clock >= this.end) this.to(1); this.playing = true; this.before = null; find("play").textContent = "❚❚ pause"; }
-  pause() { this.playing = false; find("play").textContent = "▶ play"; }
+  pause() { this.playing = false; this.dirty = true; find("play").textContent = "▶ play"; }
   step(by) {
     this.pause();
     const frames = this.runs[0].arrays.frames, now = this.runs[0].moment(this.clock);

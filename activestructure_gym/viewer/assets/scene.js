@@ -85,6 +85,8 @@ void main() { result = texture(colours, at * part); gl_FragDepth = texture(depth
 const SKIPPED = 4; // of so many Gaussians one is drawn, as large as all, while a hand moves
 const COARSE = 0.5; // of the sides of a picture that changes while a hand moves
 
+const LATE_MS = 500; // after which Gaussians that are gone disappear while it plays: for them all others are drawn again
+
 class SceneView {
   constructor(canvas, recording) {
     this.canvas = canvas;
@@ -207,7 +209,9 @@ class SceneView {
     const gl = this.gl;
     this.resize();
     const key = `${camera.key}|${shown.map}|${shown.cut}|${background.join()}|${shown.coarse}`;
-    const grows = this.kept && this.kept.key === key && this.kept.frame <= frame && !this.diedBetween(this.kept.frame, frame);
+    const goesOn = this.kept && this.kept.key === key && this.kept.frame <= frame;
+    const stale = goesOn && (this.kept.stale || this.diedBetween(this.kept.frame, frame));
+    const grows = goesOn && (!stale || (shown.playing && performance.now() - this.whole < LATE_MS));
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     const share = shown.coarse ? COARSE : 1, wide = Math.floor(share * this.canvas.width), tall = Math.floor(share * this.canvas.height);
     gl.viewport(0, 0, wide, tall);
@@ -217,6 +221,7 @@ class SceneView {
     if (!grows) {
       gl.clearColor(...background, 1.0);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+      this.whole = performance.now();
     }
     const first = grows ? this.bornBy(this.kept.frame) : 0, last = this.bornBy(frame);
     if (shown.map && last > first) {
@@ -235,7 +240,7 @@ class SceneView {
       gl.bindVertexArray(this.maps[shown.coarse ? 1 : 0]);
       gl.drawArrays(gl.POINTS, begin, Math.floor(last / step) - begin);
     }
-    this.kept = { key, frame };
+    this.kept = { key, frame, stale: grows && stale };
     this.drawn = shown.map ? last : 0;
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);

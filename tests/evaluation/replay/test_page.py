@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,15 @@ import pytest
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.replay import Recording, replay_page, write_replay
-from tests.browser import BROWSER, open_page
+from tests.browser import BROWSER, Page, open_page
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """One browser for all of them."""
+    with open_page("about:blank", tmp_path_factory.mktemp("browser"), width=1200, height=600) as page:
+        yield page
+
 
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
 
@@ -28,48 +37,63 @@ def test_the_page_needs_nothing_else_and_names_are_escaped(recordings: list[Reco
 
 
 @needs_browser
-def test_it_plays_scrubs_and_turns_without_an_error(recordings: list[Recording], tmp_path: Path) -> None:
+def test_it_plays_scrubs_and_turns_without_an_error(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
     write_replay(recordings[:1], tmp_path / "replay.html")
-    with open_page((tmp_path / "replay.html").as_uri(), tmp_path) as page:
-        page.until("window.player && player.drawn > 0")
-        first = page.picture()
-        assert first.std() > 10  # something is drawn
-        page.value("player.to(player.end); 1")
+    page.open((tmp_path / "replay.html").as_uri())
+    page.until("window.player && player.drawn > 0")
+    first = page.picture()
+    assert first.std() > 10  # something is drawn
+    page.value("player.to(player.end); 1")
+    page.until("player.dirty === false")
+    last = page.picture()
+    assert (np.abs(first.astype(int) - last) > 20).mean() > 0.02
+    assert page.value("player.runs[0].scene.drawn") == len(recordings[0].born)
+    # All at once, and decision by decision into a kept picture, look the same.
+    page.value("player.to(1); 1")
+    page.until("player.dirty === false")
+    for moment in recordings[0].moments[1:]:
+        page.value(f"player.to({moment.frame}); 1")
         page.until("player.dirty === false")
-        last = page.picture()
-        assert (np.abs(first.astype(int) - last) > 20).mean() > 0.02
-        assert page.value("player.runs[0].scene.drawn") == len(recordings[0].born)
-        # All at once, and decision by decision into a kept picture, look the same.
-        page.value("player.to(1); 1")
-        page.until("player.dirty === false")
-        for moment in recordings[0].moments[1:]:
-            page.value(f"player.to({moment.frame}); 1")
-            page.until("player.dirty === false")
-        assert (np.abs(page.picture().astype(int) - last) > 20).mean() < 0.01
-        page.value("player.runs[0].orbit.turn(200, 0); player.dirty = true; 1")
-        page.until("player.dirty === false")
-        assert (np.abs(page.picture().astype(int) - last) > 20).mean() > 0.02
-        frame = page.value("player.to(1), player.play(), player.clock")
-        page.until(f"player.clock > {frame} + 2")
-        place = page.value("(({ x, y }) => [x + 9, y + 9])(document.getElementById('play').getBoundingClientRect())")
-        page.click(*place)
-        assert page.value("player.playing") is False
-        page.value("document.getElementById('eye').value = 'agent', player.dirty = true")
-        page.until("player.dirty === false")
-        assert page.errors == []
+    assert (np.abs(page.picture().astype(int) - last) > 20).mean() < 0.01
+    page.value("player.runs[0].orbit.turn(200, 0); player.dirty = true; 1")
+    page.until("player.dirty === false")
+    assert (np.abs(page.picture().astype(int) - last) > 20).mean() > 0.02
+    frame = page.value("player.to(1), player.play(), player.clock")
+    page.until(f"player.clock > {frame} + 2")
+    place = page.value("(({ x, y }) => [x + 9, y + 9])(document.getElementById('play').getBoundingClientRect())")
+    page.click(*place)
+    assert page.value("player.playing") is False
+    # While it plays, who is gone may stay for a moment; when it rests nobody does.
+    page.value("player.to(player.end), 1")
+    page.until("player.dirty === false")
+    whole = page.picture()
+    page.value("""(() => {
+        const run = player.runs[0], { born, died } = run.arrays;
+        for (let i = 0; i < born.length; i++) if (born[i] < player.end / 2) died[i] = player.end - 2;
+        run.scene.load(); player.usual = player.end; player.to(player.end);
+    })()""")
+    page.until("player.dirty === false")
+    without = page.picture()
+    page.value("player.to(1); player.play()")
+    page.until("!player.playing && player.dirty === false")
+    assert (np.abs(page.picture().astype(int) - without) > 20).mean() < 0.01
+    assert (np.abs(whole.astype(int) - without) > 20).mean() > 0.01
+    page.value("document.getElementById('eye').value = 'agent', player.dirty = true")
+    page.until("player.dirty === false")
+    assert page.errors == []
 
 
 @needs_browser
-def test_two_runs_share_a_clock_and_a_camera(recordings: list[Recording], tmp_path: Path) -> None:
+def test_two_runs_share_a_clock_and_a_camera(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
     write_replay(recordings, tmp_path / "replay.html")
-    with open_page((tmp_path / "replay.html").as_uri(), tmp_path, width=1500) as page:
-        page.until("window.player && player.drawn > 0")
-        page.value("player.to(player.end); 1")
-        page.until("player.dirty === false")
-        assert page.value("player.runs.map((run) => run.scene.drawn)") == [len(one.born) for one in recordings]
-        shown = page.picture()
-        assert shown[100:400, 100:600].std() > 5 and shown[100:400, 900:1400].std() > 5
-        assert page.errors == []
+    page.open((tmp_path / "replay.html").as_uri())
+    page.until("window.player && player.drawn > 0")
+    page.value("player.to(player.end); 1")
+    page.until("player.dirty === false")
+    assert page.value("player.runs.map((run) => run.scene.drawn)") == [len(one.born) for one in recordings]
+    shown = page.picture()
+    assert shown[100:300, 50:500].std() > 5 and shown[100:300, 650:1100].std() > 5
+    assert page.errors == []
 
 
 def test_the_command_writes_a_page_and_says_what_it_takes(

@@ -199,9 +199,9 @@ class LiveView:
     def news(self, episode: int, moments: int, version: int) -> bytes | None:
         """What the page does not have yet, deflated; None if nothing comes for a while."""
         with self._news:
-            self._news.wait_for(lambda: self._version != version or self._closed, _PATIENCE_S)
+            self._news.wait_for(lambda: self._closed or self._is_news(version), _PATIENCE_S)
             recorder = self._recorder
-            if self._version == version or recorder is None or not recorder.moments:
+            if recorder is None or not self._is_news(version):
                 return None
             begins = episode != self._episode
             first = 0 if begins or not 0 <= moments <= len(recorder.moments) else moments
@@ -223,6 +223,9 @@ class LiveView:
             }
         arrays, told = film_parts(film)
         return zlib.compress(packed(arrays, head | told), _ZLIB_LEVEL)
+
+    def _is_news(self, version: int) -> bool:
+        return self._version != version and self._recorder is not None and bool(self._recorder.moments)
 
     def obey(self, command: dict[str, Any]) -> str:
         """Do what the page asks for; what is wrong with it, or nothing."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, is_reference
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.archive.verified import GOOD, Verification
 from activestructure_gym.evaluation.report.columns import RATIOS, Column, value_of
@@ -38,6 +38,11 @@ class Row:
     policy: str
     runs: tuple[Run, ...]
     known: tuple[Verification | None, ...]  # in the runs' order
+
+    @property
+    def reference(self) -> bool:
+        """Whether it sees the ground truth, and is no policy."""
+        return is_reference(self.runs[0].job.policy)
 
     @property
     def verified(self) -> int:
@@ -70,7 +75,10 @@ class Row:
         job = self.runs[0].job
         scenes = list(dict.fromkeys(run.job.scene for run in self.runs))
         seeds = sorted({run.job.seed for run in self.runs})
-        words = ["asg", "compare", "--scenes", *scenes, "--policies", job.policy, "--seeds", *map(str, seeds)]
+        who = ["--policies", job.policy]
+        if self.reference:
+            who = ["--policies", "random", "--references", job.policy.removeprefix(REFERENCE)]
+        words = ["asg", "compare", "--scenes", *scenes, *who, "--seeds", *map(str, seeds)]
         words += ["--preset", job.preset]
         words += ["--terms", job.terms] if job.terms != "shared" else []
         words += ["--frames", str(job.frame_budget)] if job.frame_budget is not None else []
@@ -104,9 +112,9 @@ def rows_of(runs: Sequence[Run], known: Known) -> list[tuple[list[Row], int]]:
         wanted = len({_place(run) for run in mine})
         policies = dict.fromkeys(run.policy for run in mine)
         rows = [_row([run for run in mine if run.policy == policy], known) for policy in policies]
-        whole = [row for row in rows if len(row.runs) == wanted]
+        whole = [row for row in rows if _is_ranked(row, wanted)]
         whole.sort(key=lambda row: -(_mean(row, _SORTED_BY) or 0.0))
-        found.append((whole + [row for row in rows if len(row.runs) < wanted], wanted))
+        found.append((whole + [row for row in rows if not _is_ranked(row, wanted)], wanted))
     return found
 
 
@@ -149,7 +157,7 @@ def leaderboard_page(runs: Sequence[Run], known: Known, refused: Mapping[str, st
 
 def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
     job, run = rows[0].runs[0].job, rows[0].runs[0]
-    ranks = [len(row.runs) == wanted for row in rows]
+    ranks = [_is_ranked(row, wanted) for row in rows]
     columns = [_column(rows, column, ranks) for column in COLUMNS]
     table = Table(
         f"task-{place}",
@@ -162,7 +170,7 @@ def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
             for index, row in enumerate(rows)
         ],
         caption="Means over scenes of means over seeds"
-        + ("" if all(ranks) else f"; a row of fewer than {wanted} runs is not ranked"),
+        + ("" if all(ranks) else f"; a row of fewer than {wanted} runs, or of a reference, is not ranked"),
     )  # fmt: skip
     scenes = sorted({without_places(run.job.scene) for row in rows for run in row.runs})
     facts = [
@@ -194,6 +202,11 @@ def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
 def _row(runs: Sequence[Run], known: Known) -> Row:
     mine = tuple(sorted(runs, key=lambda run: (run.scene, run.job.seed)))
     return Row(mine[0].policy, mine, tuple(known(run) for run in mine))
+
+
+def _is_ranked(row: Row, wanted: int) -> bool:
+    """Whether a policy played all of the task; a reference is none."""
+    return len(row.runs) == wanted and not row.reference
 
 
 def _place(run: Run) -> tuple[str, int]:

@@ -126,7 +126,11 @@ def test_an_ungrown_episode_answers_with_nothing_new_after_a_while(
     view: LiveView, episode: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("activestructure_gym.viewer.live._PATIENCE_S", 0.1)
-    view.begin(episode)
+    for begin in (lambda: None, lambda: view.begin(episode)):
+        begin()
+        began = time.monotonic()
+        assert ask(view, "/news?version=-1") == (204, b"")  # the scene is being loaded
+        assert time.monotonic() - began >= 0.1
     view.show()
     assert ask(view, f"/news?episode=1&moments=1&version={view._version}") == (204, b"")
 

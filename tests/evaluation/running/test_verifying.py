@@ -210,6 +210,16 @@ def test_a_row_is_self_reported_until_it_was_verified_here(
     assert main(["verify"]) == 2 and main(["leaderboard", str(tmp_path)]) == 2
 
 
+def test_who_sees_the_ground_truth_leads_no_leaderboard(run: Run) -> None:
+    metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": 99.0}}
+    oracle = replace(run, job=replace(run.job, policy="reference:oracle"), metrics=metrics)
+    (((first, last), _),) = rows_of([oracle, run], lambda one: None)
+    assert (first.policy, last.reference) == ("random", True)
+    assert "--references oracle" in last.command and "reference:" not in last.command
+    page = leaderboard_page([oracle, run], lambda one: None, {})
+    assert "or of a reference, is not ranked" in page
+
+
 def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> None:
     def other(policy: str, seed: int, ratio: float) -> Run:
         metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": ratio}}

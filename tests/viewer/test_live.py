@@ -223,6 +223,14 @@ def test_who_is_asked_is_waited_for_until_the_view_is_closed(view: LiveView, epi
     assert rows == [None]
 
 
+def test_nobody_is_asked_for_the_name_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    def asked(*_: Any) -> None:
+        raise AssertionError("the network was asked")
+
+    monkeypatch.setattr(socket, "getfqdn", asked)
+    LiveView("a test").close()
+
+
 def test_what_cannot_be_served_is_said() -> None:
     taken = LiveView("a test")
     port = urlsplit(taken.url).port

@@ -284,8 +284,12 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         )
         episode.start(ground_truth_of(load_scene("box")), 1)
         view.begin(episode)
+        lives = view._recorder._lives
+        lives.gone.append((lives.parameters[:, :7], lives.ids[:7], 1))  # seven were there and have gone
         view.show()
         page.until("player.runs[0].told.episode === 2 && player.dirty === false")
+        facts = page.value("player.runs[0].facts.textContent")
+        assert f"Gaussians{episode.mapper.map.count:,}planes" in facts
         page.until("document.getElementById('state').textContent === 'exploring'")
         assert page.value("document.querySelectorAll('.stage').length") == 1
         assert page.value("revoked") == images > 0

@@ -200,6 +200,10 @@ class SceneView {
     return low;
   }
 
+  aliveAt(frame) {
+    return this.bornBy(frame) - this.deaths.filter((death) => death <= frame).length;
+  }
+
   diedBetween(first, last) {
     return this.deaths.some((frame) => frame > first && frame <= last);
   }

@@ -19,7 +19,8 @@ from tests.browser import Page, open_page
 
 OUT = Path(__file__).with_name("report.jpg")
 WIDTH, HEIGHT = 1160, 2000  # pixels of the left part, as of a window
-RIGHT = ("#convergence", "#scene-2 .strip", "#scene-2 .tiles")  # what stands in the right one, each whole
+# What stands in the right one, and how many pixels of it: two rows of charts, one scene's views and plans.
+RIGHT = {"#convergence": 738, "#scene-2 .strip": 800, "#scene-2 .tiles": 700}
 SHOWN = 1560  # pixels of the picture's width
 
 
@@ -33,7 +34,7 @@ def main(words: list[str]) -> None:
             page.value("document.querySelectorAll('img').forEach((one) => { one.loading = 'eager'; }), 1")
             page.until("[...document.images].every((one) => one.complete)")
             left = page.picture()
-            right = np.vstack([part(page, name) for name in RIGHT])
+            right = np.vstack([part(page, name)[:most] for name, most in RIGHT.items()])
     height = min(len(left), len(right))
     both = np.hstack([left[:height], right[:height]])
     both = cv2.resize(both, (SHOWN, round(height * SHOWN / both.shape[1])), interpolation=cv2.INTER_AREA)

@@ -303,7 +303,7 @@ class Orbit {
     const [low, high] = bounds;
     this.target = [0, 1, 2].map((axis) => (low[axis] + high[axis]) / 2);
     this.size = Math.hypot(high[0] - low[0], high[1] - low[1]);
-    this.home = { yaw: -2.2, pitch: 0.95, distance: this.size * 1.05, target: [...this.target] };
+    this.home = { yaw: -2.2, pitch: 0.95, distance: this.size * 1.2, target: [...this.target] };
     this.reset();
   }
   reset() { Object.assign(this, { ...this.home, target: [...this.home.target] }); }

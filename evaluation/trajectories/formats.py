@@ -144,7 +144,8 @@ def _numbers(path: Path) -> np.ndarray:  # [T, width]
 
 
 def _tum(rows: np.ndarray, path: Path) -> np.ndarray:
-    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
     wrong = ~(np.abs(lengths - 1.0) <= 1e-2)
     if wrong.any():
         at = int(np.argmax(wrong))

@@ -284,6 +284,7 @@ def test_a_click_on_a_candidate_moves_the_agent(view: LiveView, episode: Reconst
         )
         episode.start(ground_truth_of(load_scene("box")), 1)
         view.begin(episode)
+        assert view._recorder is not None
         lives = view._recorder._lives
         lives.gone.append((lives.parameters[:, :7], lives.ids[:7], 1))  # seven were there and have gone
         view.show()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,7 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
         ("kitti", LINES["tum"], "8 numbers per line, and kitti has 12"),
         ("tum", "0 0 0 0 0 0 0 1\n0 1 2\n", "line 2 .* has 3 numbers"),
         ("tum", "0 0 0 0 0 0 0 2\n", "quaternion of length 2"),
+        ("tum", "0 0 0 0 0 0 1e308 1\n", "quaternion of length inf"),
         ("tum", "0 0 0 x 0 0 0 1\n", "not a trajectory of numbers"),
         ("nice_slam", "1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1\n", "pose 1 .* mirrors: its axes are left-handed"),
         ("nice_slam", "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1\n", "pose 1 .* is no rigid motion"),
@@ -74,7 +76,7 @@ def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Pat
 )
 def test_what_is_wrong_is_said_in_a_sentence(kind: str, text: str, said: str, tmp_path: Path) -> None:
     path = write(tmp_path, kind, text or "0")
-    with pytest.raises(InputError, match=said):
+    with warnings.catch_warnings(action="error"), pytest.raises(InputError, match=said):
         read_poses(path, kind)
 
 

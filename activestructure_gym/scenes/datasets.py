@@ -117,9 +117,11 @@ def published_start(scene: Scene) -> tuple[float, float, float, float]:  # x, y,
     """
     for dataset in DATASETS.values():
         folder = dataset.folder_of(scene.name)
+        if folder is None:
+            continue
         if folder in dataset.starts:
             return dataset.starts[folder]
-        if folder is not None and scene.evaluation_views is not None:
+        if scene.evaluation_views is not None:
             first = scene.evaluation_views.world_from_camera[0]
             x, y, z = first[:3, 3].tolist()
             return x, y, z, float(np.degrees(np.arctan2(first[1, 2], first[0, 2])))

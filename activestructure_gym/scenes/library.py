@@ -11,6 +11,8 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
+from activestructure_gym.scenes.loaders.habitat import ENDING, load_habitat_scene
+from activestructure_gym.scenes.loaders.hm3d import is_hm3d, load_gibson_scene, load_hm3d_scene
 from activestructure_gym.scenes.loaders.matterport3d import is_matterport3d, load_matterport3d_scene
 from activestructure_gym.scenes.loaders.mesh_loader import MESH_SUFFIXES, check_printable, load_mesh_scene
 from activestructure_gym.scenes.loaders.procthor import load_procthor_scene
@@ -45,6 +47,9 @@ SCENES.register("matterport3d")(load_matterport3d_scene)
 SCENES.register("procthor")(load_procthor_scene)
 SCENES.register("scannet")(load_scannet_scene)
 SCENES.register("scannetpp")(load_scannetpp_scene)
+SCENES.register("hm3d")(load_hm3d_scene)
+SCENES.register("gibson")(load_gibson_scene)
+SCENES.register("habitat")(load_habitat_scene)
 
 # What a bare path is: the first layout that it has.
 _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
@@ -52,6 +57,8 @@ _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
     (is_matterport3d, load_matterport3d_scene),
     (is_scannet, load_scannet_scene),
     (is_scannetpp, load_scannetpp_scene),
+    (is_hm3d, load_hm3d_scene),
+    (lambda path: path.name.endswith(ENDING), load_habitat_scene),
 )
 
 
@@ -174,7 +181,7 @@ def _is_known(target: str) -> bool:
 def _is_file(target: str) -> bool:
     """Whether the text is that of a file or a folder, there or not."""
     path = Path(os.path.expanduser(target))
-    return _exists(path) or path.suffix.lower() in MESH_SUFFIXES or target.endswith(".stage_config.json")
+    return _exists(path) or path.suffix.lower() in MESH_SUFFIXES or target.endswith((".stage_config.json", ENDING))
 
 
 def _exists(path: Path) -> bool:

@@ -28,7 +28,7 @@ TRAJECTORY = "trajectory:"  # before the place of poses that are followed, in pl
 _HASH_DIGITS = 12
 LARGEST_SEED = 2**63 - 1
 _LABEL_DIGITS = 8  # of a content hash, in a name that people read
-_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses")  # of files of poses
+_USUAL_STEMS = ("traj", "traj_w_c", "trajectory", "poses", "pose")  # of files of poses, and their folder
 _RUN = re.compile(r"--seed\d+--[0-9a-f]{12}$")  # at the end of a run directory's name
 _LONGEST = 80  # characters of a scene, and of a policy, in a file's name
 

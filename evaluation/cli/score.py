@@ -25,10 +25,10 @@ class Score:
     """
 
     trajectory: PathName = None
-    """A file of poses, a folder that has one (traj.txt, traj_w_c.txt, trajectory.npz), or a finished run."""
+    """A file of poses, a folder that has one (traj.txt, traj_w_c.txt, trajectory.npz, pose), or a finished run."""
     scene: Annotated[str | None, option("SCENE", "")] = None
     """What is explored; a run's own, with its seed and configuration, if not given."""
-    format: Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "npz"] = "auto"
+    format: Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"] = "auto"
     """How the file is written; auto goes by its ending and by the numbers in a line."""
     axes: Annotated[str | None, option("opencv|opengl|habitat|ros", "(default: opencv; habitat's own)")] = None
     """Whose axes its poses have. Poses that cannot be are refused, with the convention that fits best."""

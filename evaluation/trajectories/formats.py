@@ -6,6 +6,10 @@
 ``kitti``     12 numbers per line, its upper 3 rows ([kitti], odometry)
 ``replica``   16 numbers per line; or the folder with ``traj_w_c.txt`` ([semantic_nerf, code])
 ``habitat``   JSON, a list of ``{"position": [x, y, z], "rotation": [x, y, z, w]}``, of the camera and not of the body
+``scannet``   the folder ``pose`` of a scan, with a 4 x 4 matrix in every ``<number>.txt`` ([scannet], its reader of
+              .sens), turned by the scan's axisAlignment, as its mesh is
+``scannetpp`` ``iphone/pose_intrinsic_imu.json``, the ``aligned_pose`` of every frame; or the scene's folder
+              ([scannetpp], its toolkit)
 ``npz``       ``world_from_camera`` [T, 4, 4], as in the ``trajectory.npz`` of a run
 =========== =========================================================================================================
 """
@@ -13,23 +17,33 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from activestructure_gym.errors import InputError, unknown_name
+from activestructure_gym.errors import InputError, InputWarning, unknown_name
 from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.npz import read_npz
+from activestructure_gym.scenes.loaders.json_files import read_json
+from activestructure_gym.scenes.loaders.scannet import axis_alignment
 
-Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "npz"]
+Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
 MOST_POSES = 200_000  # of a file
 _LARGEST = 64 << 20  # bytes of a text
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # numbers per line
 _WIDTHS = {"tum": 8, "kitti": 12, "nice_slam": 16, "replica": 16}
-_IN_FOLDERS = {"nice_slam": "traj.txt", "replica": "traj_w_c.txt", "npz": "trajectory.npz"}
+_SCANNETPP = "pose_intrinsic_imu.json"
+_IN_FOLDERS = {
+    "nice_slam": "traj.txt",
+    "replica": "traj_w_c.txt",
+    "scannet": "pose",  # a folder again
+    "scannetpp": f"iphone/{_SCANNETPP}",
+    "npz": "trajectory.npz",
+}
 _RIGID = 1e-3  # how far a rotation may be from one: files are written with 4 to 18 digits
 _FARTHEST = 1e6  # metres
 
@@ -45,13 +59,18 @@ _POSES: schema.Check = schema.each(
 
 
 def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, str]:
-    """The file of poses at ``place``, a file or a folder that has one, and its format; raises `InputError`."""
+    """The file of poses at ``place``, a file or a folder that has one, and its format; raises `InputError`.
+
+    Of a ScanNet scan it is the folder of its poses.
+    """
     if kind not in FORMATS:
         raise unknown_name("trajectory format", kind, FORMATS)
     path = Path(os.path.expanduser(place))
+    if path.is_dir() and path.name == _IN_FOLDERS["scannet"] and kind in ("auto", "scannet"):
+        return path, "scannet"
     if path.is_dir():
         wanted = _IN_FOLDERS if kind == "auto" else {kind: _IN_FOLDERS.get(kind, "")}
-        found = [(path / name, known) for known, name in wanted.items() if name and (path / name).is_file()]
+        found = [(path / name, known) for known, name in wanted.items() if name and (path / name).exists()]
         if not found:
             names = ", ".join(name for name in wanted.values() if name) or f"no file that {kind} knows"
             raise InputError(f"the folder '{path}' has no trajectory ({names}); name the file itself")
@@ -59,7 +78,10 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
     if not path.is_file():
         raise InputError(f"there is no trajectory '{path}'")
     if kind == "auto":
-        kind = {".npz": "npz", ".json": "habitat"}.get(path.suffix.lower()) or _by_width(path)
+        usual = {".npz": "npz", ".json": "scannetpp" if path.name == _SCANNETPP else "habitat"}
+        kind = usual.get(path.suffix.lower()) or _by_width(path)
+    if kind == "scannet":
+        raise InputError(f"'{path}' is a file; of ScanNet give the scan's folder, or the folder pose in it")
     return path, kind
 
 
@@ -73,6 +95,10 @@ def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:
         poses = np.asarray(arrays_of(path)["world_from_camera"], dtype=np.float64)
     elif kind == "habitat":
         poses = _habitat(path)
+    elif kind == "scannet":
+        poses = _scannet(path)
+    elif kind == "scannetpp":
+        poses = _scannetpp(path)
     else:
         rows = _numbers(path)
         if rows.shape[1] != _WIDTHS[kind]:
@@ -176,6 +202,49 @@ def _habitat(path: Path) -> np.ndarray:
     if not (np.abs(np.linalg.norm(rotations, axis=1) - 1.0) <= 1e-2).all():
         raise InputError(f"'{path}' holds a rotation that is no unit quaternion [x, y, z, w]")
     return _of_quaternions(np.array([pose["position"] for pose in given], dtype=np.float64), rotations)
+
+
+def pose_files(folder: Path) -> list[Path]:
+    """The files of a ScanNet scan's poses in the order of their numbers."""
+    numbered = {int(file.stem): file for file in folder.glob("*.txt") if file.stem.isascii() and file.stem.isdigit()}
+    return [numbered[number] for number in sorted(numbered)][: MOST_POSES + 1]
+
+
+def _scannet(folder: Path) -> np.ndarray:
+    rows = []
+    for file in pose_files(folder):
+        numbers = _numbers(file).ravel()
+        if len(numbers) != 16:
+            raise InputError(f"'{file}' must hold 16 numbers, a pose row by row, got {len(numbers)}")
+        rows.append(numbers)
+    if not rows:
+        raise InputError(f"'{folder}' holds no pose: expected files 0.txt, 1.txt, ...")
+    poses = _known(np.array(rows).reshape(-1, 4, 4), folder)
+    scan = folder.resolve().parent
+    return axis_alignment(scan / f"{scan.name}.txt") @ poses
+
+
+def _scannetpp(path: Path) -> np.ndarray:
+    wanted = "the poses of a ScanNet++ recording (JSON, a table of frames with aligned_pose)"
+    frames = read_json(
+        path, wanted, lambda given: [np.array(given[name]["aligned_pose"], dtype=np.float64) for name in sorted(given)]
+    )
+    if not frames or any(frame.shape != (4, 4) for frame in frames):
+        raise InputError(f"'{path}' is not {wanted}: every aligned_pose must be 4 x 4 numbers, and there must be one")
+    return _known(np.array(frames), path)
+
+
+def _known(poses: np.ndarray, path: Path) -> np.ndarray:
+    """The poses that the recording knows, warning of others: where tracking was lost they are written as infinite."""
+    known = np.isfinite(poses).all(axis=(1, 2))
+    if not known.any():
+        raise InputError(f"none of the {len(poses)} poses of '{path}' is known (all are infinite or no number)")
+    if not known.all():
+        lost = int((~known).sum())
+        warnings.warn(
+            f"{lost} of {len(poses)} poses of '{path}' are not known and are left out", InputWarning, stacklevel=2
+        )
+    return poses[known]
 
 
 def _of_quaternions(positions: np.ndarray, xyzw: np.ndarray) -> np.ndarray:

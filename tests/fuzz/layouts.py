@@ -1,10 +1,11 @@
-"""Damaged folders: Replica scenes, posed RGB-D sequences, Matterport3D scenes."""
+"""Damaged folders: Replica scenes, posed RGB-D sequences, Matterport3D, ScanNet, ScanNet++, HM3D, ProcTHOR, Habitat."""
 
 from __future__ import annotations
 
 import io
 import json
 import os
+import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +18,18 @@ from tests.fuzz._mutations import damaged_bytes, damaged_json, damaged_text
 from tests.fuzz._rooms import CORNERS, QUADS, load, rooms
 
 CI_CASES = 100
+_ENTRANCES = (
+    "room",
+    "room/habitat",
+    "room/habitat/replica.stage_config.json",
+    "replica:seq/room",
+    "house/h1",
+    "scan/scene0000_00",
+    "scanpp/a1",
+    "hm3d/00001-h1",
+    "procthor:house.json",
+    "data.scene_dataset_config.json",
+)
 _CAMERA = {"w": 40, "h": 24, "fx": 20.0, "fy": 20.0, "cx": 19.5, "cy": 11.5, "scale": 6553.5}
 
 
@@ -30,19 +43,25 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
         (folder / name).write_bytes(data)
     if rng.random() < 0.15:
         _misplaced(rng, folder / str(rng.choice(list(files))))
-    entrance = str(
-        rng.choice(["room", "room/habitat", "room/habitat/replica.stage_config.json", "seq/room", "house/h1"])
-    )
+    entrance = str(rng.choice(_ENTRANCES))
     sequence = "replica" if entrance == "room" and rng.random() < 0.5 else ""
     return lambda: _read(folder, entrance, sequence)
 
 
 def _read(folder: Path, entrance: str, sequence: str) -> None:
     from activestructure_gym.evaluation.protocols.held_out_views import recorded_views
+    from activestructure_gym.evaluation.trajectories.formats import read_poses
     from activestructure_gym.scenes import load_scene
 
+    kind, colon, place = entrance.partition(":")
+    if (folder / entrance / "pose").exists():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            read_poses(folder / entrance)
     if sequence:
         scene = load_scene(str(folder / entrance), sequence=str(folder / "seq" / "room"))
+    elif colon:
+        scene = load_scene(f"{kind}:{folder / place}")
     else:
         load(folder / entrance)
         scene = load_scene(str(folder / entrance))
@@ -78,6 +97,32 @@ def layout() -> dict[str, bytes]:
         "house/h1/h1.glb": rooms()["glb"]["room.glb"],
         "house/h1/h1.house": b"ASCII 1.1\n",
     }
+    wall = {
+        "polygon": [{"x": x, "y": y, "z": 0} for x, y in ((0, 0), (4, 0), (4, 2.5), (0, 2.5))],
+        "id": "w",
+        "roomId": "r",
+    }
+    floor = [{"x": x, "y": 0, "z": z} for x, z in ((0, 0), (0, 3), (4, 3), (4, 0))]
+    files |= {
+        "scan/scene0000_00/scene0000_00_vh_clean_2.ply": mesh,
+        "scan/scene0000_00/scene0000_00.txt": b"axisAlignment = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n",
+        "scan/scene0000_00/pose/0.txt": (pose + "\n").encode(),
+        "scan/scene0000_00/pose/1.txt": b"-inf " * 16,
+        "scanpp/a1/scans/mesh_aligned_0.05.ply": mesh,
+        "hm3d/00001-h1/h1.glb": rooms()["glb"]["room.glb"],
+        "house.json": json.dumps({"rooms": [{"id": "r", "floorPolygon": floor}], "walls": [wall]}).encode(),
+        "data.scene_dataset_config.json": json.dumps(
+            {"stages": {"paths": {".json": ["hab"]}}, "objects": {"paths": {".json": ["hab"]}},
+             "scene_instances": {"paths": {".json": ["hab"]}}}
+        ).encode(),
+        "hab/s.stage_config.json": json.dumps({"render_asset": "room.glb", "up": [0, 1, 0]}).encode(),
+        "hab/o.object_config.json": json.dumps({"render_asset": "room.glb", "units_to_meters": 0.1}).encode(),
+        "hab/one.scene_instance.json": json.dumps(
+            {"stage_instance": {"template_name": "s"},
+             "object_instances": [{"template_name": "o", "translation": [1, 0, 1], "rotation": [1, 0, 0, 0]}]}
+        ).encode(),
+        "hab/room.glb": rooms()["glb"]["room.glb"],
+    }  # fmt: skip
     for index in range(3):
         files[f"seq/room/results/frame{index:06d}.jpg"] = _image("JPEG", np.full((24, 40, 3), 80 + index, np.uint8))
         files[f"seq/room/results/depth{index:06d}.png"] = _image("PNG", np.full((24, 40), 9000 + index, np.uint16))

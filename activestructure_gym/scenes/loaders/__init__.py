@@ -1,1 +1,1 @@
-"""Scenes from files: meshes, Replica, Matterport3D, ScanNet, ScanNet++, posed sequences."""
+"""Scenes from files: meshes, published datasets, datasets configured for Habitat, posed sequences."""

@@ -93,6 +93,13 @@ def load_mesh_scene(
     return finished_scene(mesh, path, name=name or path.stem, doubts=doubts, scale=scale)
 
 
+def read_parts(path: Path, textures: TextureStore) -> list[MeshPart]:
+    """The parts of a mesh file in its own axes, in metres; raises `InputError` where it cannot be read."""
+    parts, scale, _ = _read(check_mesh_file(path), textures)
+    _check_parts(path, parts)
+    return [replace(part, vertices=np.asarray(part.vertices, dtype=np.float64) * scale) for part in parts]
+
+
 def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]
     """File axes turned so that ``up`` becomes z, exactly: files that differ in nothing else give equal numbers."""
     axes, signs = _WORLD_FROM_FILE[up]

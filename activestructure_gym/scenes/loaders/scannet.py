@@ -37,7 +37,7 @@ def load_scannet_scene(path: str | os.PathLike[str]) -> Scene:
             f"'{mesh_file.name}'; download the scan's _vh_clean_2.ply and .txt"
         )
     name = mesh_file.name.removesuffix(_SCANNET_MESH)
-    motion = _axis_alignment(mesh_file.with_name(f"{name}.txt"))
+    motion = axis_alignment(mesh_file.with_name(f"{name}.txt"))
     scene = load_mesh_scene(mesh_file, units="m", up="z", name=name)
     vertices = scene.mesh.vertices.astype(np.float64) @ motion[:3, :3].T + motion[:3, 3]
     return replace(scene, mesh=replace(scene.mesh, vertices=(vertices + 0.0).astype(np.float32)))
@@ -73,8 +73,8 @@ def is_scannetpp(path: Path) -> bool:
     return path.name == _SCANNETPP_MESH.name and path.is_file()
 
 
-def _axis_alignment(path: Path) -> np.ndarray:  # [4, 4]
-    """The motion that the scan's text file names; none where it names none."""
+def axis_alignment(path: Path) -> np.ndarray:  # [4, 4]
+    """The motion that a scan's text file names, none where it names none; raises `InputError` where it is not there."""
     if not path.is_file():
         raise InputError(
             f"there is no '{path}', the text file of a ScanNet scan with its axisAlignment; download it, or load the "

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import warnings
+
+
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses
 
 # A quarter turn about z, then (1, 2, 3).
@@ -96,3 +99,57 @@ def test_a_file_that_is_not_there_or_not_an_npz_is_refused(tmp_path: Path) -> No
     np.savez(tmp_path / "poses.npz", poses=np.eye(4))
     with pytest.raises(InputError, match="holds no array world_from_camera"):
         read_poses(tmp_path / "poses.npz")
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """A ScanNet scan whose walls stand along the axes after a quarter turn, with its second pose lost."""
+    folder = tmp_path / "scene0001_00"
+    (folder / "pose").mkdir(parents=True)
+    (folder / "scene0001_00.txt").write_text("axisAlignment = 0 -1 0 1 1 0 0 2 0 0 1 3 0 0 0 1\n")
+    (folder / "pose" / "0.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    (folder / "pose" / "1.txt").write_text("-inf -inf -inf -inf\n" * 4)
+    (folder / "pose" / "10.txt").write_text("1 0 0 4\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    (folder / "pose" / "9.txt").write_text("1 0 0 3\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    return folder
+
+
+@pytest.mark.parametrize("place", ["", "pose"])
+def test_a_scan_s_poses_are_turned_with_its_mesh_and_lost_ones_are_counted(scan: Path, place: str) -> None:
+    with pytest.warns(InputWarning, match="1 of 4 poses of .* are not known"):
+        poses = read_poses(scan / place)
+    # In the order of their numbers: 3 and 4 m along x, which the turn makes y.
+    np.testing.assert_allclose(poses[:, :3, 3], [[1, 2, 3], [1, 5, 3], [1, 6, 3]])
+    np.testing.assert_allclose(poses[0], TURNED)
+    assert find_file(scan) == (scan / "pose", "scannet")
+
+
+def test_what_is_no_folder_of_a_scan_s_poses(scan: Path) -> None:
+    with pytest.raises(InputError, match="give the scan's folder"):
+        read_poses(scan / "pose" / "0.txt", "scannet")
+    (scan / "pose" / "9.txt").write_text("1 2 3")
+    with pytest.raises(InputError, match="must hold 16 numbers, a pose row by row, got 3"):
+        read_poses(scan)
+    for file in (scan / "pose").iterdir():
+        file.write_text("nan nan nan nan\n" * 4)
+    with pytest.raises(InputError, match="none of the 4 poses"):
+        read_poses(scan)
+    for file in list((scan / "pose").iterdir()):
+        file.unlink()
+    with pytest.raises(InputError, match="holds no pose"):
+        read_poses(scan)
+
+
+def test_recordings_of_scannetpp(tmp_path: Path) -> None:
+    (tmp_path / "iphone").mkdir()
+    file = tmp_path / "iphone" / "pose_intrinsic_imu.json"
+    lost = np.full((4, 4), np.inf).tolist()
+    frames = {"frame_000010": TURNED.tolist(), "frame_000000": np.eye(4).tolist(), "frame_000020": lost}
+    file.write_text(json.dumps({name: {"pose": lost, "aligned_pose": pose} for name, pose in frames.items()}))
+    for place in (tmp_path, file):
+        with pytest.warns(InputWarning, match="1 of 3 poses"):
+            np.testing.assert_allclose(read_poses(place), [np.eye(4), TURNED])
+    for broken in ('{"frame_0": {"pose": []}}', "{}", '{"frame_0": {"aligned_pose": [[1, 0], [0, 1]]}}', "[]"):
+        file.write_text(broken)
+        with pytest.raises(InputError, match="is not the poses of a ScanNet"):
+            read_poses(tmp_path)

@@ -1,0 +1,236 @@
+"""Datasets of Habitat by their ``*.scene_dataset_config.json``: stages, and scenes of a stage with objects in it.
+
+Read are ``stages``, ``objects`` and ``scene_instances``: their ``paths`` (folders and patterns of configurations or
+of .glb files), their ``default_attributes``, and of a configuration ``render_asset``, ``up``, ``front``, ``scale`` and
+``units_to_meters``; of an instance ``translation``, ``rotation`` (w first), ``uniform_scale``, ``non_uniform_scale``
+and ``translation_origin``. Articulated objects, lights, semantics, physics and ``configs`` within the dataset's file
+are not. Habitat's world is y up; a scene here is z up. Source of the format: [habitat], its documentation of
+attributes as JSON.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.scenes.loaders.json_files import read_json
+from activestructure_gym.scenes.loaders.mesh_loader import finished_scene, read_parts, texture_notes, upright
+from activestructure_gym.scenes.loaders.mesh_parts import (
+    MeshPart,
+    TextureStore,
+    assemble,
+    find_reference,
+)
+from activestructure_gym.scenes.scene import Scene
+
+ENDING = ".scene_dataset_config.json"
+_ENDINGS = {
+    "stages": ".stage_config.json",
+    "objects": ".object_config.json",
+    "scene_instances": ".scene_instance.json",
+}
+_MOST_FILES = 200_000  # of one kind
+_MOST_OBJECTS = 20_000  # of a scene
+
+
+def load_habitat_scene(
+    path: str | os.PathLike[str], *, scene: str = "", objects: bool = True, max_texture: int = 512
+) -> Scene:
+    """A scene of a dataset that is configured for Habitat.
+
+    Args:
+        path: the ``*.scene_dataset_config.json``.
+        scene: a scene instance or, of a dataset without such, a stage; its name, or the end of its path. May be left
+            away where there is one.
+        objects: whether the objects of a scene instance stand in it.
+        max_texture: pixels; larger textures are shrunk.
+
+    Raises:
+        InputError: a file is missing or broken, or there is no such scene.
+    """
+    dataset = _Dataset.of(Path(os.path.abspath(os.path.expanduser(path))))
+    textures = TextureStore(max_texture)
+    instances, stages = dataset.files("scene_instances"), dataset.files("stages")
+    name, chosen = _chosen(instances or stages, scene, dataset.path)
+    if not instances:
+        parts = dataset.placed("stages", chosen, textures)
+    else:
+        content = _table(chosen, "a scene instance (JSON with stage_instance)")
+        stage = content.get("stage_instance")
+        if not isinstance(stage, Mapping):
+            raise InputError(f"'{chosen}' names no stage_instance, which is the building itself")
+        parts = _instance(dataset, "stages", stage, textures, chosen, "")
+        listed = content.get("object_instances") or []
+        if not isinstance(listed, list) or len(listed) > _MOST_OBJECTS:
+            raise InputError(f"object_instances of '{chosen}' must be a list of at most {_MOST_OBJECTS}")
+        origin = str(content.get("translation_origin", ""))
+        for one in listed if objects else ():
+            if not isinstance(one, Mapping):
+                raise InputError(f"'{chosen}' has an object instance that is no table: {shown(one)}")
+            parts += _instance(dataset, "objects", one, textures, chosen, origin)
+    turned = [replace(part, vertices=upright(part.vertices, "y")) for part in parts]
+    mesh = assemble(turned, textures.images)
+    return finished_scene(mesh, chosen, name=name.rpartition("/")[2], doubts=texture_notes(textures))
+
+
+@dataclass
+class _Dataset:
+    """The dataset's file and what was read of it."""
+
+    path: Path
+    content: Mapping[str, Any]
+    known: dict[str, dict[str, Path]] = field(default_factory=dict)  # files of a kind, by their handles
+    assets: dict[Path, list[MeshPart]] = field(default_factory=dict)  # y up and -z front, metres
+
+    @classmethod
+    def of(cls, path: Path) -> _Dataset:
+        if not path.is_file():
+            raise InputError(f"there is no dataset configuration '{path}', a file *{ENDING}")
+        return cls(path, _table(path, "a dataset's configuration (JSON with stages)"))
+
+    def files(self, kind: str) -> dict[str, Path]:
+        """Configurations and meshes of a kind by handle: the path from the dataset's folder without the ending."""
+        if kind not in self.known:
+            root, found = self.path.parent, {}
+            for file in islice(_listed(self._section(kind), kind, root), _MOST_FILES):
+                ending = _ENDINGS[kind] if file.name.endswith(_ENDINGS[kind]) else file.suffix
+                found[file.relative_to(root).as_posix().removesuffix(ending)] = file
+            self.known[kind] = dict(sorted(found.items()))
+        return self.known[kind]
+
+    def placed(self, kind: str, file: Path, textures: TextureStore) -> list[MeshPart]:
+        """The parts of a stage or an object in Habitat's axes, read once."""
+        if file not in self.assets:
+            default = self._section(kind).get("default_attributes")
+            told = dict(default) if isinstance(default, Mapping) else {}
+            asset = file
+            if file.name.endswith(".json"):
+                told |= _table(file, "a configuration with a render_asset")
+                asset = self._asset(file, told.get("render_asset"))
+            motion = _turn(told, file) * (_vector(told, "scale", file, (1.0,) * 3) * _factor(told, file))
+            if kind == "stages" and _vector(told, "origin", file, (0.0,) * 3).any():
+                raise InputError(f"'{file}' moves its stage by an origin, which is not read; move the mesh")
+            parts = read_parts(asset, textures)
+            self.assets[file] = [_moved(part, motion, np.zeros(3)) for part in parts]
+        return self.assets[file]
+
+    def _section(self, kind: str) -> Mapping[str, Any]:
+        section = self.content.get(kind, {})
+        if not isinstance(section, Mapping):
+            raise InputError(f"'{kind}' of '{self.path}' must be a table, got {shown(section)}")
+        return section
+
+    def _asset(self, file: Path, reference: Any) -> Path:
+        if not isinstance(reference, str):
+            raise InputError(f"'{file}' names no render_asset, the mesh that is seen")
+        climb = max(1, len(file.parent.relative_to(self.path.parent).parts))
+        try:
+            return find_reference(file.parent, reference, climb=climb)
+        except FileNotFoundError:
+            raise InputError(f"'{file}' names the mesh {shown(reference)}, which is not in the dataset") from None
+
+
+def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]:
+    """Files that the ``paths`` of a section mean, none outside the dataset's folder."""
+    paths = section.get("paths", {})
+    for suffix in (".json", ".glb"):
+        patterns = paths.get(suffix, []) if isinstance(paths, Mapping) else []
+        ending = _ENDINGS[kind] if suffix == ".json" else suffix
+        for pattern in patterns if isinstance(patterns, list) else []:
+            try:
+                matches = sorted(root.glob(str(pattern).strip("/") or "."))
+            except (ValueError, NotImplementedError, OSError, IndexError):
+                raise InputError(f"{kind} names a path that is no pattern: {shown(pattern)}") from None
+            for match in matches:
+                for file in sorted(match.iterdir()) if match.is_dir() else [match]:
+                    inside = Path(os.path.abspath(file)).is_relative_to(root)
+                    if inside and file.name.lower().endswith(ending) and file.is_file():
+                        yield Path(os.path.abspath(file))
+
+
+def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, Path]:
+    """The file of a handle, of the end of one, or the only one there is."""
+    if not files:
+        raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
+    if not wanted and len(files) == 1:
+        return next(iter(files.items()))
+    ends = [handle for handle in files if handle == wanted or handle.endswith(f"/{wanted}")]
+    if len(ends) == 1:
+        return ends[0], files[ends[0]]
+    names = [handle.rpartition("/")[2] for handle in files]
+    if not wanted or ends:
+        some = ", ".join(ends or names[:5])
+        raise InputError(f"'{where}' holds {len(files)} scenes; say which one by ?scene=NAME, one of: {some}")
+    raise unknown_name(f"scene of '{where.name}'", wanted, names)
+
+
+def _instance(
+    dataset: _Dataset, kind: str, told: Mapping[str, Any], textures: TextureStore, where: Path, origin: str
+) -> list[MeshPart]:
+    """The parts of one instance, where it stands."""
+    template = told.get("template_name")
+    if not isinstance(template, str):
+        raise InputError(f"'{where}' has an instance without a template_name: {shown(told)}")
+    _, file = _chosen(dataset.files(kind), template, dataset.path)
+    parts = dataset.placed(kind, file, textures)
+    scale = _vector(told, "non_uniform_scale", where, (1.0,) * 3) * float(
+        _vector(told, "uniform_scale", where, (1.0,))[0]
+    )
+    quaternion = _vector(told, "rotation", where, (1.0, 0.0, 0.0, 0.0))
+    if not 0.5 < np.linalg.norm(quaternion) < 2.0:
+        raise InputError(f"'{where}' has a rotation that is no unit quaternion [w, x, y, z]: {shown(told)}")
+    motion = Rotation.from_quat(quaternion, scalar_first=True).as_matrix() * scale
+    moved_by = _vector(told, "translation", where, (0.0,) * 3)
+    if kind == "objects" and str(told.get("translation_origin", origin)).lower() != "asset_local":
+        # Where nothing else is said an object is placed by its centre of mass: the middle of its box.
+        corners = np.concatenate([part.vertices for part in parts])
+        moved_by = moved_by - motion @ (0.5 * (corners.min(axis=0) + corners.max(axis=0)))
+    return [_moved(part, motion, moved_by) for part in parts]
+
+
+def _moved(part: MeshPart, motion: np.ndarray, by: np.ndarray) -> MeshPart:
+    faces = part.faces if np.linalg.det(motion) > 0 else part.faces[:, ::-1]  # mirrored: the other way round
+    return replace(part, vertices=part.vertices @ motion.T + by, faces=faces)
+
+
+def _turn(told: Mapping[str, Any], where: Path) -> np.ndarray:  # [3, 3]
+    """Habitat's axes (y up, -z front) from those of an asset."""
+    up, front = _vector(told, "up", where, (0.0, 1.0, 0.0)), _vector(told, "front", where, (0.0, 0.0, -1.0))
+    right = np.cross(front, up)
+    lengths = [float(np.linalg.norm(axis)) for axis in (right, up, front)]
+    if min(lengths) < 1e-6 or abs(up @ front) > 1e-3 * lengths[1] * lengths[2]:
+        raise InputError(
+            f"up and front of '{where}' must stand at a right angle, got {up.tolist()} and {front.tolist()}"
+        )
+    return np.stack([right / lengths[0], up / lengths[1], -front / lengths[2]])
+
+
+def _factor(told: Mapping[str, Any], where: Path) -> float:
+    value = float(_vector(told, "units_to_meters", where, (1.0,))[0])
+    if not value > 0:
+        raise InputError(f"units_to_meters of '{where}' must be above 0, got {value:g}")
+    return value
+
+
+def _vector(told: Mapping[str, Any], name: str, where: Path, usual: Sequence[float]) -> np.ndarray:
+    """A number or list of numbers, as many as is usual."""
+    given = told.get(name, list(usual))
+    values = given if isinstance(given, list) else [given]
+    good = len(values) == len(usual) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in values
+    )
+    if not good:
+        raise InputError(f"{name} of '{where}' must be {len(usual)} finite numbers, got {shown(given)}")
+    return np.array(values, dtype=np.float64)
+
+
+def _table(path: Path, what: str) -> Mapping[str, Any]:
+    return read_json(path, what, lambda given: dict(given))

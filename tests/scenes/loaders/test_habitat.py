@@ -1,0 +1,150 @@
+"""Datasets that are configured for Habitat, in a small one with a stage, an object and two scenes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.scenes import load_scene
+from activestructure_gym.scenes.loaders.habitat import load_habitat_scene
+
+
+def written(gltf_class, path, vertices, faces):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = gltf_class()
+    writer.triangle_mesh(np.asarray(vertices, float), faces)
+    writer.write(path)
+
+
+def table(path, **content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content))
+
+
+@pytest.fixture
+def dataset(tmp_path, gltf, make_box):
+    """A room 6 x 4 m and 2.6 m high in Habitat's axes (y up), and a chest .4 x 1 x .6 m built in centimetres with
+    its own up (z) and front (+x)."""
+    kind = type(gltf)
+    written(kind, tmp_path / "assets" / "room.glb", *make_box((-3, 0, -2), (3, 2.6, 2)))
+    written(kind, tmp_path / "objects" / "chest.glb", *make_box((0, 0, 0), (60, 40, 100)))
+    table(tmp_path / "stages" / "room.stage_config.json", render_asset="../assets/room.glb", up=[0, 1, 0])
+    chest = {"render_asset": "chest.glb", "up": [0, 0, 1], "front": [1, 0, 0], "units_to_meters": 0.01}
+    table(tmp_path / "objects" / "chest.object_config.json", **chest)
+    here = {"template_name": "chest", "translation": [1.0, 0.5, -1.0]}
+    table(
+        tmp_path / "scenes" / "one.scene_instance.json",
+        stage_instance={"template_name": "stages/room"},
+        object_instances=[here, {**here, "translation": [-2.0, 0.0, 0.0], "translation_origin": "asset_local"}],
+    )
+    table(tmp_path / "scenes" / "empty.scene_instance.json", stage_instance={"template_name": "room"})
+    path = tmp_path / "small.scene_dataset_config.json"
+    table(
+        path,
+        stages={"paths": {".json": ["stages"]}, "default_attributes": {"front": [0, 0, -1]}},
+        objects={"paths": {".json": ["objects/*.object_config.json"]}},
+        scene_instances={"paths": {".json": ["scenes/"]}},
+    )
+    return path
+
+
+def boxes(scene, room=8):
+    """Corners of what stands beside the room's eight vertices, in eights."""
+    rest = scene.mesh.vertices[room:].reshape(-1, 8, 3)
+    return np.sort(np.stack([rest.min(axis=1), rest.max(axis=1)], axis=1), axis=1)
+
+
+def test_objects_stand_where_the_scene_puts_them(dataset):
+    scene = load_scene(f"{dataset}?scene=one")
+    assert scene.name == "one"
+    # y up becomes z up: Habitat's (x, y, z) is (x, -z, y) here.
+    np.testing.assert_allclose(scene.bounds, [[-3, -2, 0], [3, 2, 2.6]], atol=1e-6)
+    by_middle, by_origin = boxes(scene)
+    # Along its front (.6 m), which becomes Habitat's -z and our +y; to its right .4 m, along x; 1 m high.
+    np.testing.assert_allclose(by_middle, [[0.8, 0.7, 0.0], [1.2, 1.3, 1.0]], atol=1e-6)
+    # Its own origin is a corner: it reaches 1 m up, .6 m ahead, and .4 m to its left, since its y axis points there.
+    np.testing.assert_allclose(by_origin, [[-2.4, 0.0, 0.0], [-2.0, 0.6, 1.0]], atol=1e-6)
+
+
+def test_rotations_and_scales_of_an_instance(dataset):
+    scene = dataset.parent / "scenes" / "one.scene_instance.json"
+    content = json.loads(scene.read_text())
+    half = np.sqrt(0.5)
+    content["object_instances"] = [
+        # A quarter turn about Habitat's up, from -z (ahead) to -x (left).
+        {"template_name": "chest", "translation": [0, 0.5, 0], "rotation": [half, 0, half, 0], "uniform_scale": 2.0},
+        {"template_name": "chest", "translation": [0, 0.5, 0], "non_uniform_scale": [1.0, 1.0, -1.0]},
+    ]
+    scene.write_text(json.dumps(content))
+    turned, mirrored = boxes(load_scene(f"{dataset}?scene=one"))
+    np.testing.assert_allclose(turned, [[-0.6, -0.4, -0.5], [0.6, 0.4, 1.5]], atol=1e-6)
+    np.testing.assert_allclose(mirrored, [[-0.2, -0.3, 0.0], [0.2, 0.3, 1.0]], atol=1e-6)
+    mesh = load_scene(f"{dataset}?scene=one").mesh
+
+    def facing(faces):
+        """Whether each triangle's corners run so that it looks away from the middle of them all."""
+        a, b, c = np.moveaxis(mesh.vertices[faces].astype(float), 1, 0)
+        return np.einsum("ij,ij->i", np.cross(b - a, c - a), a - np.mean([a, b, c], axis=(0, 1))) > 0
+
+    np.testing.assert_array_equal(facing(mesh.faces[-12:]), facing(mesh.faces[-24:-12]))  # not turned inside out
+
+
+def test_without_objects_it_is_the_stage(dataset):
+    alone = load_habitat_scene(dataset, scene="one", objects=False)
+    empty = load_habitat_scene(dataset, scene="empty")
+    assert len(alone.mesh.vertices) == 8 and alone.content_hash == empty.content_hash
+
+
+def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
+    content = json.loads(dataset.read_text())
+    stages = {"paths": {".glb": ["assets/*.glb"]}, "default_attributes": {"up": [0, 0, 1], "front": [0, 1, 0]}}
+    dataset.write_text(json.dumps({"stages": stages, "objects": content["objects"]}))
+    scene = load_scene(str(dataset))  # the only one
+    assert scene.name == "room"
+    # Now its z is up: 2.6 m lie along y.
+    np.testing.assert_allclose(np.ptp(scene.bounds, axis=0), [6, 2.6, 4], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "file, change, wanted",
+    [
+        ("small.scene_dataset_config.json", {"stages": [], "scene_instances": {}}, "'stages' of .* must be a table"),
+        ("small.scene_dataset_config.json", {"stages": {}, "scene_instances": {}}, "finds no stages"),
+        ("small.scene_dataset_config.json", {"objects": {}}, "finds no"),
+        ("stages/room.stage_config.json", {"render_asset": "../../../etc/passwd"}, "not in the dataset"),
+        ("stages/room.stage_config.json", {"render_asset": None}, "names no render_asset"),
+        ("stages/room.stage_config.json", {"front": [0, 1, 0]}, "at a right angle"),
+        ("stages/room.stage_config.json", {"up": "y"}, "up of .* must be 3 finite numbers"),
+        ("stages/room.stage_config.json", {"origin": [1, 0, 0]}, "moves its stage by an origin"),
+        ("stages/room.stage_config.json", {"units_to_meters": 0}, "must be above 0"),
+        ("scenes/one.scene_instance.json", {"stage_instance": None}, "names no stage_instance"),
+        ("scenes/one.scene_instance.json", {"stage_instance": {"template_name": "hall"}}, "did you mean|unknown"),
+        ("scenes/one.scene_instance.json", {"object_instances": [7]}, "no table"),
+        (
+            "scenes/one.scene_instance.json",
+            {"object_instances": [{"translation": [0, 0, 0]}]},
+            "without a template_name",
+        ),
+        (
+            "scenes/one.scene_instance.json",
+            {"object_instances": [{"template_name": "chest", "rotation": [0, 0, 0, 0]}]},
+            "no unit quaternion",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(dataset, file, change, wanted):
+    path = dataset.parent / file
+    content = {**json.loads(path.read_text()), **change}
+    path.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+    with pytest.raises(InputError, match=wanted):
+        load_scene(f"{dataset}?scene=one")
+
+
+def test_a_scene_must_be_named_where_there_are_several(dataset):
+    with pytest.raises(InputError, match="holds 2 scenes; say which one by \\?scene=NAME, one of: empty, one"):
+        load_scene(str(dataset))
+    with pytest.raises(InputError, match="one"):
+        load_scene(f"{dataset}?scene=on")
+    with pytest.raises(InputError, match="no dataset configuration"):
+        load_scene("habitat:nowhere.scene_dataset_config.json")

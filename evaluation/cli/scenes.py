@@ -48,7 +48,7 @@ class Scenes:
             print_whole(console, table)
             console.print(
                 "Options are written as in apartment?seed=3&rooms=4. Any glb, gltf, obj, ply, stl or dae file is a "
-                "scene too, and so are folders of published datasets (the guide's page own_scene): asg scenes FILE checks it."
+                "scene too, and so are folders of published datasets (guide: own_scene): asg scenes FILE checks it."
             )
             return 0
         _check_picture(self.picture)

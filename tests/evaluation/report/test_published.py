@@ -47,6 +47,8 @@ def test_a_system_of_the_paper_stands_beside_its_counterpart_here(make_run):
     assert own[:4] == ["NARUTO", "active", "here: naruto", "2 of Replica"] and own[7].startswith("25.25")
     assert found[-1][:4] == ["mine", "active", "here", "1 of Replica"] and found[-1][7].startswith("20.50")
     assert "another dataset" not in table.caption and "60.15" in next(row for row in found if row[0] == "ActiveINR")
+    assert "by its scene's name alone" in table.caption
+    assert "by its scene's name alone" in scenes_table(REPLICA, Results(runs, [])).caption
     by_scene = rows(scenes_table(REPLICA, Results(runs, [])))
     naruto = next(row for row in by_scene if row[0] == "naruto, here" and row[1].startswith("PSNR"))
     assert naruto[2:] == ["–", "–", "20.50", "–", "–", "30.00", "–", "–", "–"]  # no average of two out of eight
@@ -56,6 +58,7 @@ def test_runs_of_other_scenes_say_so(make_run):
     table = averages_table(MP3D, Results([make_run("box", "activestructure"), make_run("room", "activestructure")], []))
     own = next(row for row in rows(table) if row[2] == "here: activestructure")
     assert own[3] == "another dataset: box, room" and "are of another dataset" in table.caption
+    assert "name alone" not in table.caption
     assert "No run here" in scenes_table(MP3D, Results([make_run("box", "activestructure")], [])).caption
 
 

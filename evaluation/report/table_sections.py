@@ -77,4 +77,4 @@ def published_section(tables: Sequence[Table]) -> Markup | None:
     """Tables of published values with the runs beside them; nothing without any."""
     if not tables:
         return None
-    return render("published.html.j2", tables=[(table.title, html_table(table)) for table in tables])
+    return render("published.html.j2", tables=[html_table(table) for table in tables])

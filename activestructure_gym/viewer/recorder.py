@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _JPEG_QUALITY = 82
 _FIELDS = 14  # rows of the map's parameters
+MOST_FRAMES = 65_535  # a frame is 16 bits in what a page is sent
 _CELL = 0.05  # metres: where a map that is made anew has been so near before, nothing is new
 
 
@@ -113,12 +114,17 @@ def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
 class Recorder:
     """Keeps an episode that has begun; it changes nothing of it.
 
-    Raises `InputError` for a mapper without Gaussians.
+    Raises `InputError` for a mapper without Gaussians, and for more frames than a page can tell apart.
     """
 
     def __init__(self, episode: Reconstruction) -> None:
         if not hasattr(episode.mapper, "map"):
             raise InputError("the map of this mapper is not made of Gaussians: there is nothing to watch it grow by")
+        if episode.frame_budget > MOST_FRAMES:
+            raise InputError(
+                f"a page tells at most {MOST_FRAMES:,} frames apart, and this episode may have "
+                f"{episode.frame_budget:,}; lower its frame_budget"
+            )
         self.moments: list[Moment] = []
         self._episode, self._lives = episode, _Lives()
         self._poses = episode.trajectory  # of this episode, whatever begins after it

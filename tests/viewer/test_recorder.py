@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+from activestructure_gym.errors import InputError
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.viewer.recorder import _Lives, plane_rectangles
+from activestructure_gym.viewer.recorder import Recorder, _Lives, plane_rectangles
 
 
 def test_the_rectangle_of_a_plane_lies_as_its_surface_does() -> None:
@@ -56,3 +60,9 @@ def test_a_map_that_is_made_anew_as_a_whole_is_kept_once_and_grows_by_place() ->
     assert parameters.shape == (14, 59) and not lives.gone
     assert born.tolist() == list(range(1, 60)) and (died > 59).all()
     np.testing.assert_array_equal(parameters[0], np.arange(59))
+
+
+def test_more_frames_than_a_page_can_tell_apart_are_refused() -> None:
+    episode = SimpleNamespace(mapper=SimpleNamespace(map=GaussianMap()), frame_budget=65_536)
+    with pytest.raises(InputError, match="at most 65,535 frames .* may have 65,536; lower its frame_budget"):
+        Recorder(episode)  # type: ignore[arg-type]

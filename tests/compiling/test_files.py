@@ -70,13 +70,25 @@ def test_what_is_damaged_is_compiled_again(package, run, tmp_path):
     assert out.splitlines() == list(DAMAGES)
 
 
-def test_what_is_whole_and_of_no_use_is_compiled_again(kept):
+def test_what_is_whole_and_of_no_use_is_compiled_again(package, run, tmp_path):
+    """In a process of its own, too."""
+    code = """
+    import pickle, sys
+    from pathlib import Path
+    from activestructure_gym.compiling import files
+    from activestructure_gym.compiling.files import write
+    from tests.compiling.test_files import use
+
     use()
-    (file,) = kept.rglob("*.kernel")
+    (file,) = Path(sys.argv[1]).rglob("*.kernel")
     stamp = file.read_bytes()[len(files._HEAD) :][: files._STAMP]
     for content in (pickle.dumps("nothing"), pickle.dumps(((), ())), b"not a pickle"):
         write(file, stamp, content)
-        assert use() == (1.5, 1)
+        assert use() == (1.5, 1), content
+        print("again")
+    """
+    out, _ = run(package, code, str(tmp_path / "cache"), cache=tmp_path / "cache")
+    assert out.splitlines() == ["again"] * 3
 
 
 def test_a_file_that_cannot_be_read_is_written_anew_or_costs_a_warning(kept):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.ply_header import NUMPY_TYPES, read_header
+from activestructure_gym.ply_header import NUMPY_TYPES, PlyProperty, read_header
 from activestructure_gym.scenes.datasets import Dataset
 
 State = Literal["there", "missing", "damaged"]
@@ -99,13 +99,19 @@ def _wrong_with_ply(path: Path) -> str:
     if header is None or not header.complete:
         return "it does not begin as a .ply file does" if header is None else "its header does not end"
     for element in header.elements:
-        # A list has its length and, as a face has, at least three entries.
-        sizes = [_size(p.count_kind) + 3 * _size(p.kind) if p.count_kind else _size(p.kind) for p in element.properties]
+        sizes = [_least(p) for p in element.properties]
         least += element.count * sum(sizes)
     size = path.stat().st_size
     if header.format == "ascii" or size >= least:
         return ""
     return f"it has {size:,} bytes, its header speaks of at least {least:,}: cut off?"
+
+
+def _least(one: PlyProperty) -> int:  # bytes
+    """A number; or a list's length and, of the corners of a face, three entries."""
+    if not one.count_kind:
+        return _size(one.kind)
+    return _size(one.count_kind) + (3 * _size(one.kind) if one.name in ("vertex_indices", "vertex_index") else 0)
 
 
 def _size(kind: str) -> int:
@@ -114,8 +120,11 @@ def _size(kind: str) -> int:
 
 def _wrong_with_glb(path: Path) -> str:
     """What is wrong with a binary glTF by its header and length; empty if nothing is."""
-    with open(path, "rb") as file:
-        head = file.read(12)
+    try:
+        with open(path, "rb") as file:
+            head = file.read(12)
+    except OSError as error:
+        return str(error)
     if len(head) < 12 or head[:4] != b"glTF":
         return "it does not begin as a .glb file does"
     told, size = int.from_bytes(head[8:12], "little"), path.stat().st_size

@@ -67,6 +67,31 @@ def test_a_house_is_found_by_its_title(tmp_path, gltf, make_box, monkeypatch):
         assert state.state == "damaged" and state.needed and why in state.why
 
 
+def test_a_mesh_that_may_not_be_opened_is_damaged(tmp_path, monkeypatch):
+    folder = tmp_path / "gZ6f7yhEvPG"
+    folder.mkdir()
+    (folder / "gZ6f7yhEvPG.glb").touch()
+
+    def refused(path, *_, **__):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("builtins.open", refused)
+    (file,) = next(scene for scene in check_dataset(MATTERPORT3D, tmp_path) if scene.place).files
+    assert file.state == "damaged" and "Permission denied" in file.why
+
+
+def test_lists_that_are_no_faces_may_be_empty(replica):
+    """Texture coordinates, say: the header does not tell how long they are."""
+    lines = [b"ply", b"format binary_little_endian 1.0", b"element vertex 3", b"property float x", b"element face 2"]
+    lines += [b"property list uchar int vertex_indices", b"property list uchar float texcoord", b"end_header", b""]
+    content = b"\n".join(lines) + bytes(3 * 4) + 2 * (b"\3" + bytes(12) + b"\0")
+    (replica / "office_2" / "mesh.ply").write_bytes(content)
+    for end, state in ((len(content), "there"), (-1, "damaged")):
+        (replica / "office_2" / "mesh.ply").write_bytes(content[:end])
+        scene = next(scene for scene in check_dataset(REPLICA, replica) if scene.title == "Off2")
+        assert {file.name: file.state for file in scene.files}["mesh.ply"] == state
+
+
 def test_every_file_of_a_scene_is_judged(replica):
     def files(title):
         scene = next(scene for scene in check_dataset(REPLICA, replica) if scene.title == title)

@@ -1,11 +1,11 @@
 """Datasets of Habitat by their ``*.scene_dataset_config.json``: stages, and scenes of a stage with objects in it.
 
 Read are ``stages``, ``objects`` and ``scene_instances``: their ``paths`` (folders and patterns of configurations or
-of .glb files), their ``default_attributes``, and of a configuration ``render_asset``, ``up``, ``front``, ``scale`` and
-``units_to_meters``; of an instance ``translation``, ``rotation`` (w first), ``uniform_scale``, ``non_uniform_scale``
-and ``translation_origin``. Articulated objects, lights, semantics, physics and ``configs`` within the dataset's file
-are not. Habitat's world is y up; a scene here is z up. Source of the format: [habitat], its documentation of
-attributes as JSON.
+of .glb files), their ``default_attributes``, and of a configuration ``render_asset``, ``up``, ``front``, ``scale``,
+``units_to_meters`` and, of an object, ``COM``; of an instance ``translation``, ``rotation`` (w first),
+``uniform_scale``, ``non_uniform_scale`` and ``translation_origin``. Articulated objects, lights, semantics, physics
+and ``configs`` within the dataset's file are not. Habitat's world is y up; a scene here is z up. Source of the format:
+[habitat], its documentation of attributes as JSON.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.json_files import read_json
 from activestructure_gym.scenes.loaders.mesh_loader import finished_scene, read_parts, texture_notes, upright
 from activestructure_gym.scenes.loaders.mesh_parts import (
@@ -61,7 +62,7 @@ def load_habitat_scene(
     instances, stages = dataset.files("scene_instances"), dataset.files("stages")
     name, chosen = _chosen(instances or stages, scene, dataset.path)
     if not instances:
-        parts = dataset.placed("stages", chosen, textures)
+        parts, _ = dataset.placed("stages", chosen, textures)
     else:
         content = _table(chosen, "a scene instance (JSON with stage_instance)")
         stage = content.get("stage_instance")
@@ -88,7 +89,7 @@ class _Dataset:
     path: Path
     content: Mapping[str, Any]
     known: dict[str, dict[str, Path]] = field(default_factory=dict)  # files of a kind, by their handles
-    assets: dict[Path, list[MeshPart]] = field(default_factory=dict)  # y up and -z front, metres
+    assets: dict[Path, tuple[list[MeshPart], np.ndarray]] = field(default_factory=dict)  # see `placed`
 
     @classmethod
     def of(cls, path: Path) -> _Dataset:
@@ -99,15 +100,18 @@ class _Dataset:
     def files(self, kind: str) -> dict[str, Path]:
         """Configurations and meshes of a kind by handle: the path from the dataset's folder without the ending."""
         if kind not in self.known:
-            root, found = self.path.parent, {}
+            root = self.path.parent
+            found: dict[str, Path] = {}
             for file in islice(_listed(self._section(kind), kind, root), _MOST_FILES):
                 ending = _ENDINGS[kind] if file.name.endswith(_ENDINGS[kind]) else file.suffix
-                found[file.relative_to(root).as_posix().removesuffix(ending)] = file
+                # A configuration comes before the bare mesh of the same name.
+                found.setdefault(file.relative_to(root).as_posix().removesuffix(ending), file)
             self.known[kind] = dict(sorted(found.items()))
         return self.known[kind]
 
-    def placed(self, kind: str, file: Path, textures: TextureStore) -> list[MeshPart]:
-        """The parts of a stage or an object in Habitat's axes, read once."""
+    def placed(self, kind: str, file: Path, textures: TextureStore) -> tuple[list[MeshPart], np.ndarray]:
+        """The parts of a stage or an object in Habitat's axes (y up, -z front) and metres, read once, and the centre of
+        mass [3] in them: the configuration's, else the middle of the box."""
         if file not in self.assets:
             default = self._section(kind).get("default_attributes")
             told = dict(default) if isinstance(default, Mapping) else {}
@@ -115,11 +119,14 @@ class _Dataset:
             if file.name.endswith(".json"):
                 told |= _table(file, "a configuration with a render_asset")
                 asset = self._asset(file, told.get("render_asset"))
-            motion = _turn(told, file) * (_vector(told, "scale", file, (1.0,) * 3) * _factor(told, file))
+            scale = _vector(told, "scale", file, (1.0,) * 3)  # along Habitat's axes, not those of the asset
+            motion = scale[:, None] * _turn(told, file) * _factor(told, file)
             if kind == "stages" and _vector(told, "origin", file, (0.0,) * 3).any():
                 raise InputError(f"'{file}' moves its stage by an origin, which is not read; move the mesh")
-            parts = read_parts(asset, textures)
-            self.assets[file] = [_moved(part, motion, np.zeros(3)) for part in parts]
+            parts = [_moved(part, motion, np.zeros(3)) for part in read_parts(asset, textures)]
+            corners = np.concatenate([part.vertices for part in parts])
+            middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+            self.assets[file] = parts, scale * _vector(told, "COM", file, (0.0,) * 3) if "COM" in told else middle
         return self.assets[file]
 
     def _section(self, kind: str) -> Mapping[str, Any]:
@@ -147,13 +154,14 @@ def _listed(section: Mapping[str, Any], kind: str, root: Path) -> Iterator[Path]
         for pattern in patterns if isinstance(patterns, list) else []:
             try:
                 matches = sorted(root.glob(str(pattern).strip("/") or "."))
-            except (ValueError, NotImplementedError, OSError, IndexError):
+                files = [f for match in matches for f in (sorted(match.iterdir()) if match.is_dir() else [match])]
+            except (ValueError, NotImplementedError, IndexError):
                 raise InputError(f"{kind} names a path that is no pattern: {shown(pattern)}") from None
-            for match in matches:
-                for file in sorted(match.iterdir()) if match.is_dir() else [match]:
-                    inside = Path(os.path.abspath(file)).is_relative_to(root)
-                    if inside and file.name.lower().endswith(ending) and file.is_file():
-                        yield Path(os.path.abspath(file))
+            except OSError as error:
+                raise InputError(f"{kind} names a path that cannot be read: {error}") from None
+            for file in map(Path, map(os.path.abspath, files)):
+                if file.is_relative_to(root) and file.name.lower().endswith(ending) and os.path.isfile(file):
+                    yield file
 
 
 def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, Path]:
@@ -162,7 +170,9 @@ def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, P
         raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
     if not wanted and len(files) == 1:
         return next(iter(files.items()))
-    ends = [handle for handle in files if handle == wanted or handle.endswith(f"/{wanted}")]
+    if wanted in files:
+        return wanted, files[wanted]
+    ends = [handle for handle in files if handle.endswith(f"/{wanted}")]
     if len(ends) == 1:
         return ends[0], files[ends[0]]
     names = [handle.rpartition("/")[2] for handle in files]
@@ -180,7 +190,13 @@ def _instance(
     if not isinstance(template, str):
         raise InputError(f"'{where}' has an instance without a template_name: {shown(told)}")
     _, file = _chosen(dataset.files(kind), template, dataset.path)
-    parts = dataset.placed(kind, file, textures)
+    parts, middle = dataset.placed(kind, file, textures)
+    try:
+        textures.budget.take("meshes and copies of them", len(parts))
+        textures.budget.take("triangles", sum(len(part.faces) for part in parts))
+        textures.budget.take("vertices", sum(len(part.vertices) for part in parts))
+    except LimitError as error:
+        raise InputError(f"'{where}' is too large: {error}") from None
     scale = _vector(told, "non_uniform_scale", where, (1.0,) * 3) * float(
         _vector(told, "uniform_scale", where, (1.0,))[0]
     )
@@ -190,9 +206,7 @@ def _instance(
     motion = Rotation.from_quat(quaternion, scalar_first=True).as_matrix() * scale
     moved_by = _vector(told, "translation", where, (0.0,) * 3)
     if kind == "objects" and str(told.get("translation_origin", origin)).lower() != "asset_local":
-        # Where nothing else is said an object is placed by its centre of mass: the middle of its box.
-        corners = np.concatenate([part.vertices for part in parts])
-        moved_by = moved_by - motion @ (0.5 * (corners.min(axis=0) + corners.max(axis=0)))
+        moved_by = moved_by - motion @ middle  # where nothing else is said it is placed by its centre of mass
     return [_moved(part, motion, moved_by) for part in parts]
 
 

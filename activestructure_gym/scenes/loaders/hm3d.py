@@ -15,6 +15,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
 from activestructure_gym.scenes.scene import Scene
 
+_BASIS = ".basis.glb"
 _FOLDER = re.compile(r"\d{5}-(\w+)")
 
 
@@ -25,11 +26,13 @@ def load_hm3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> 
     """
     path = Path(os.path.abspath(os.path.expanduser(path)))
     mesh_file = _mesh_in(path) if path.is_dir() else path
-    if mesh_file.name.endswith(".basis.glb") or not mesh_file.is_file():
-        beside = mesh_file.with_name(f"{mesh_file.name.partition('.')[0]}.basis.glb")
+    if mesh_file.name.endswith(_BASIS):  # of the same scan, whose own mesh lies beside it
+        mesh_file = mesh_file.with_name(f"{mesh_file.name.removesuffix(_BASIS)}.glb")
+    if not mesh_file.is_file():
+        beside = mesh_file.with_name(f"{mesh_file.stem}{_BASIS}")
         hint = ", only its copy for Habitat, whose textures are Basis" if beside.is_file() else ""
         raise InputError(
-            f"'{path}' is no HM3D scan that can be read: there is no file '{mesh_file.name.replace('.basis', '')}'"
+            f"'{path}' is no HM3D scan that can be read: there is no file '{mesh_file.name}'"
             f"{hint}; download the split's `glb` archive"
         )
     if mesh_file.suffix.lower() != ".glb":
@@ -42,7 +45,7 @@ def is_hm3d(path: Path) -> bool:
     named = _FOLDER.fullmatch(path.name)
     if named is None:
         return False
-    return any((path / f"{named[1]}{ending}").is_file() for ending in (".glb", ".basis.glb"))
+    return any((path / f"{named[1]}{ending}").is_file() for ending in (".glb", _BASIS))
 
 
 def _mesh_in(folder: Path) -> Path:

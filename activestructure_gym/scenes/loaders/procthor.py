@@ -85,8 +85,14 @@ def _text(path: Path, house: int) -> bytes:
     if house < 0:
         raise UnreadableMesh(f"houses are counted from 0 on, got {house}")
     data = SceneBudget().read(path)
-    file: io.BufferedIOBase = gzip.GzipFile(fileobj=io.BytesIO(data)) if path.name.endswith(".gz") else io.BytesIO(data)
-    if ".jsonl" not in path.name.lower():
+    name, file = path.name.lower(), io.BytesIO(data)
+    if name.endswith(".gz"):
+        return _house(gzip.GzipFile(fileobj=file), house, many=".jsonl" in name)
+    return _house(file, house, many=".jsonl" in name)
+
+
+def _house(file: io.BufferedIOBase, house: int, *, many: bool) -> bytes:
+    if not many:
         if house:
             raise UnreadableMesh(f"it holds one house, and number {house} was asked for")
         return _limited(file.read(_LARGEST_HOUSE + 1))
@@ -111,7 +117,7 @@ def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
     for kind in ("doors", "windows"):
         for hole in _list(house.get(kind, []), kind, _MOST_WALLS):
             panes += _cut(hole, walls, rooms, door=kind == "doors")
-    parts = [wall.part() for wall in walls.values()]
+    parts = [wall.part() for wall in walls.values() if not wall.empty]
     top = max((wall.top for wall in walls.values()), default=2.5)
     for room in house["rooms"]:
         floor = _points(room["floorPolygon"])
@@ -137,6 +143,7 @@ class _Wall:
             raise UnreadableMesh(f"the wall {shown(wall['id'])} has no width or no height")
         self.along = np.array([along[0], along[1], 0.0]) / self.width
         self.tint = _tint(_material(wall.get("material")), "wall")
+        self.empty = bool(wall.get("empty"))  # two rooms are one there: it says where it would stand
         self.holes: list[tuple[float, float, float, float]] = []  # left, right, bottom, top in metres
 
     def at(self, x: float, y: float) -> np.ndarray:  # metres along and up -> [3]

@@ -1,12 +1,15 @@
 """Datasets that are configured for Habitat, in a small one with a stage, an object and two scenes."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes import load_scene
+from activestructure_gym.scenes.loaders.budget import LIMITS
 from activestructure_gym.scenes.loaders.habitat import load_habitat_scene
 
 
@@ -88,6 +91,58 @@ def test_rotations_and_scales_of_an_instance(dataset):
         return np.einsum("ij,ij->i", np.cross(b - a, c - a), a - np.mean([a, b, c], axis=(0, 1))) > 0
 
     np.testing.assert_array_equal(facing(mesh.faces[-12:]), facing(mesh.faces[-24:-12]))  # not turned inside out
+
+
+def changed(path, **content):
+    table(path, **{**json.loads(path.read_text()), **content})
+
+
+def test_a_template_is_scaled_along_habitats_axes(dataset):
+    # .4 x 1 x .6 m to the right, up and back: twice as high, whichever axis of the asset that is.
+    changed(dataset.parent / "objects" / "chest.object_config.json", scale=[1.0, 2.0, 1.0])
+    by_middle, by_origin = boxes(load_scene(f"{dataset}?scene=one"))
+    np.testing.assert_allclose(by_middle, [[0.8, 0.7, -0.5], [1.2, 1.3, 1.5]], atol=1e-6)
+    np.testing.assert_allclose(by_origin, [[-2.4, 0.0, 0.0], [-2.0, 0.6, 2.0]], atol=1e-6)
+
+
+def test_an_object_is_placed_by_the_centre_of_mass_that_is_said(dataset):
+    # Its corner: what is placed by its own origin stays where it is.
+    changed(dataset.parent / "objects" / "chest.object_config.json", COM=[0, 0, 0])
+    by_mass, by_origin = boxes(load_scene(f"{dataset}?scene=one"))
+    np.testing.assert_allclose(by_origin, [[-2.4, 0.0, 0.0], [-2.0, 0.6, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(by_mass, by_origin + [3.0, 1.0, 0.5], atol=1e-6)
+    # In Habitat's axes, and scaled as the template is: its foot's middle.
+    changed(dataset.parent / "objects" / "chest.object_config.json", COM=[-0.2, 0, -0.3], scale=[1, 1, 0.5])
+    np.testing.assert_allclose(boxes(load_scene(f"{dataset}?scene=one"))[0], [[0.8, 0.85, 0.5], [1.2, 1.15, 1.5]])
+
+
+def test_whole_names_and_configurations_come_first(dataset, tmp_path):
+    # The bare mesh chest.glb has the configuration's name, and a folder holds another chest.
+    (tmp_path / "objects" / "old").mkdir()
+    (tmp_path / "objects" / "old" / "chest.glb").write_bytes(b"no mesh")
+    content = json.loads(dataset.read_text())
+    content["objects"]["paths"][".glb"] = ["objects/**/*.glb"]
+    dataset.write_text(json.dumps(content))
+    instance = dataset.parent / "scenes" / "one.scene_instance.json"
+    changed(instance, object_instances=[{"template_name": "objects/chest", "translation": [1.0, 0.5, -1.0]}])
+    (chest,) = boxes(load_scene(f"{dataset}?scene=one"))
+    np.testing.assert_allclose(chest, [[0.8, 0.7, 0.0], [1.2, 1.3, 1.0]], atol=1e-6)
+
+
+def test_more_copies_than_a_scene_may_have_are_refused(dataset, monkeypatch):
+    few = replace(LIMITS["triangles"], allowance=40, per_byte=0.0)  # two rooms' and an object's 12 each, not two
+    monkeypatch.setitem(LIMITS, "triangles", few)
+    with pytest.raises(InputError, match="one.scene_instance.json' is too large: .* 40 triangles"):
+        load_scene(f"{dataset}?scene=one")
+
+
+def test_a_folder_that_may_not_be_read_is_one_sentence(dataset, monkeypatch):
+    def refused(self):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    with pytest.raises(InputError, match="names a path that cannot be read: .*Permission denied"):
+        load_scene(f"{dataset}?scene=one")
 
 
 def test_without_objects_it_is_the_stage(dataset):

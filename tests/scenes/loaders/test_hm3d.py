@@ -26,7 +26,7 @@ def scan(house, tmp_path):
     return folder
 
 
-@pytest.mark.parametrize("form", ["", "TEEsavR23oF.glb"])
+@pytest.mark.parametrize("form", ["", "TEEsavR23oF.glb", "TEEsavR23oF.basis.glb"])
 def test_folder_and_mesh_of_hm3d_are_one_scene_with_z_up(scan, form):
     scene = load_hm3d_scene(scan / form)
     assert scene.name == "TEEsavR23oF"

@@ -93,6 +93,18 @@ def test_walls_doorways_panes_and_floors_are_where_the_house_says(file: Path) ->
     np.testing.assert_allclose(area, whole - 2 * 1.0 * 2.1, rtol=1e-5)
 
 
+def test_where_two_rooms_are_one_there_is_no_wall(file: Path) -> None:
+    """A wall that is said to be empty, as ProcTHOR's between a kitchen and a living room that are open."""
+    content = house()
+    content["doors"].pop(0)
+    for one in content["walls"]:
+        one["empty"] = one["id"] in ("a2", "b4")
+    file.write_text(json.dumps(content))
+    scene = load_procthor_scene(file, objects=False)
+    ends = np.array([[2.0, 2.5, 2.4], [2.0, 0.5, 1.0]]), np.array([[5.0, 2.5, 2.4], [8.0, 0.5, 1.0]])
+    np.testing.assert_array_equal(scene.raycaster.occluded(*ends), [False, True])  # open, but for the outer wall
+
+
 def test_the_frame_is_not_mirrored(file: Path) -> None:
     """Their x is ours and their z our y: a left-handed frame with y up becomes a right-handed one with z up."""
     scene = load_procthor_scene(file)
@@ -158,6 +170,8 @@ def test_what_is_no_file_of_houses_is_said(tmp_path: Path) -> None:
         load_procthor_scene(tmp_path / "house.glb")
     (tmp_path / "deep.json").write_text("[" * 100_000)
     (tmp_path / "bad.jsonl.gz").write_bytes(b"\x1f\x8b no gzip")
+    (tmp_path / "HOUSE.JSON.GZ").write_bytes(gzip.compress(json.dumps(house()).encode()))
+    assert load_procthor_scene(tmp_path / "HOUSE.JSON.GZ").name == "HOUSE"
     for name in ("deep.json", "bad.jsonl.gz"):
         with pytest.raises(InputError, match="is no ProcTHOR house"):
             load_procthor_scene(tmp_path / name)

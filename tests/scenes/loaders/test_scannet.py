@@ -49,8 +49,11 @@ def test_a_scan_without_an_alignment_stays_as_it_is(scan):
 
 @pytest.mark.parametrize(
     "said",
-    ["", "1 0 0", QUARTER.replace("5", "nan"), QUARTER.replace("-1", "1", 1), QUARTER.replace("-1", "-2", 1), "x"],
-)
+    [
+        "", "1 0 0", "x", QUARTER.replace("5", "nan"), QUARTER.replace("5", "1e39"), QUARTER.replace("-1", "1", 1),
+        QUARTER.replace("-1", "-2", 1),
+    ],
+)  # fmt: skip
 def test_an_alignment_that_is_no_motion_is_refused(scan, said):
     (scan / "scene0000_00.txt").write_text(f"axisAlignment = {said}\n")
     with pytest.raises(InputError, match="axisAlignment must be 16 numbers"):

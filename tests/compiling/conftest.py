@@ -71,9 +71,16 @@ def run(start) -> Callable[..., tuple[str, str]]:
 
 @pytest.fixture
 def kept(tmp_path, monkeypatch) -> Path:
-    """Where the kernels of this process are kept meanwhile."""
+    """Where the kernels of this process are kept meanwhile, whatever else of numba's environment changes.
+
+    Before it compiles, numba reads its whole configuration again where a variable NUMBA_* has changed since the last
+    time, as by a test before this one: the place must stand in the environment, and that must be what was read last.
+    """
     from numba import config
 
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    read = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_")}
+    monkeypatch.setattr(config._env_reloader, "old_environ", read)
     monkeypatch.setattr(files, "not_kept", [])
     return tmp_path

@@ -91,6 +91,16 @@ def test_what_is_whole_and_of_no_use_is_compiled_again(package, run, tmp_path):
     assert out.splitlines() == ["again"] * 3
 
 
+def test_kernels_stay_where_they_are_kept_when_numba_reads_its_environment_again(kept, monkeypatch):
+    assert use() == (1.5, 1) and use() == (1.5, 0)
+    monkeypatch.setenv("NUMBA_LOG_PYTHON", "0")
+    (file,) = kept.rglob("*.kernel")
+    file.unlink()
+    assert use() == (1.5, 1)  # numba has read it now
+    assert files.cache_place().is_relative_to(kept) and use() == (1.5, 0)
+    assert list(kept.rglob("*.kernel")) == [file]
+
+
 def test_a_file_that_cannot_be_read_is_written_anew_or_costs_a_warning(kept):
     use()
     (file,) = kept.rglob("*.kernel")

@@ -16,11 +16,25 @@ from activestructure_gym.errors import InputError, unknown_name
 
 
 def parse_options(query: str, label: str) -> dict[str, str]:
-    """``key=value&key=value`` as a dict; ``label`` names whose options they are. Raises `InputError`."""
+    """``key=value&key=value`` as a dict; ``label`` names whose options they are. Raises `InputError`.
+
+    A plus is a plus, as in paths and numbers; ``%26`` and the like are the characters that they stand for.
+    """
     try:
-        return dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
+        pairs = parse_qsl(query.replace("+", "%2B"), keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:
         raise InputError(f"'{query}' in {label} is not of the form key=value&key=value") from error
+    options = dict(pairs)
+    for key, value in pairs:
+        if options[key] != value:
+            raise InputError(f"'{query}' in {label} says {key} twice: {value} and {options[key]}")
+    return options
+
+
+def number_text(value: float) -> str:
+    """The number as short as can be without becoming another one: ``2``, ``0.3``, ``17.188733853924695``."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(float(value))
 
 
 def typed_options(

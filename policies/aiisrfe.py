@@ -55,11 +55,13 @@ class Aiisrfe(Planner):
         unsure = np.where(new, candidates["aiisrfe_uncertainty"], 0.0)
         mode = "explore" if explores and frontier.any() else "both" if frontier.any() else "reconstruct"
         if self.travel == "shared":
-            worth = np.where(frontier, 1.0, 0.0 if explores else unsure / max(float(unsure.max(initial=0.0)), 1e-12))
+            worth = np.where(
+                frontier, 1.0, 0.0 if mode == "explore" else unsure / max(float(unsure.max(initial=0.0)), 1e-12)
+            )
             choice = best_valid(self.scores(worth, observation), observation)
         else:
             if not len(self._left):
-                self._left = self._tour(candidates, frontier, np.where(explores & frontier.any(), 0.0, unsure))
+                self._left = self._tour(candidates, frontier, np.where(mode == "explore", 0.0, unsure))
             choice = self._next(candidates, new, observation)
         self._trace = {"mode": mode, "left": len(self._left), "near": near, "total": total}
         return choice

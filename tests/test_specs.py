@@ -1,7 +1,7 @@
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.specs import parse_options, typed_options
+from activestructure_gym.specs import number_text, parse_options, typed_options
 
 
 def make(path: str, *, depth: int = 3, wide: bool = False, size: tuple[float, float] = (1.0, 2.0), name: str = "a"):
@@ -23,6 +23,23 @@ def test_texts_become_what_the_annotations_say():
     }  # fmt: skip
     assert typed_options("thing 'x'", Maker, {"depth": "7", "share": "0.5"}) == {"depth": 7, "share": 0.5}
     assert typed_options("thing 'x'", Maker, {"depth": 8}) == {"depth": 8}  # no text: as it came
+
+
+def test_a_plus_in_a_path_or_a_number_stays_one():
+    assert parse_options("sequence=/a+b/c d&size=1e+2,3&name=x%26y", "thing 'x'") == {
+        "sequence": "/a+b/c d", "size": "1e+2,3", "name": "x&y"
+    }  # fmt: skip
+
+
+def test_an_option_is_said_once():
+    assert parse_options("depth=7&depth=7", "thing 'x'") == {"depth": "7"}
+    with pytest.raises(InputError, match="'depth=7&depth=8' in thing 'x' says depth twice: 7 and 8"):
+        parse_options("depth=7&depth=8", "thing 'x'")
+
+
+@pytest.mark.parametrize("value", [2.0, -0.3, 90, 17.188733853924695, 1.2345678, 12345.678, 1e20, 1e-9])
+def test_the_text_of_a_number_is_that_number(value):
+    assert float(number_text(value)) == value and len(number_text(value)) <= len(repr(float(value)))
 
 
 @pytest.mark.parametrize(

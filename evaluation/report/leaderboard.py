@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.report.html import counted, html_table, rend
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number, ranked
 from activestructure_gym.evaluation.report.page import CONTENT_POLICY, page_asset
 from activestructure_gym.evaluation.report.places import without_places
+from activestructure_gym.specs import number_text
 
 COLUMNS = (
     *RATIOS,
@@ -85,7 +86,7 @@ class Row:
         changes = [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in job.overrides]
         words += ["--set", *changes] if changes else []
         if job.start_pose is not None:
-            words.append("--start=" + ",".join(f"{value:g}" for value in job.start_pose))
+            words.append("--start=" + ",".join(map(number_text, job.start_pose)))
         words += ["--protocols", "standard", *job.also] if job.also else []
         usual = type(job.protocol)()
         for name, option in (("views", "--views"), ("surface_samples", "--samples"), ("view_source", "--view-source")):

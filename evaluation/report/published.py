@@ -213,8 +213,8 @@ def averages_table(published: Published, results: Results) -> Table:
         cells = [number(values[name][-1] if name in values else None, c.digits, MISSING) for name, c in columns.items()]
         rows.append([Cell(system), Cell(kind), Cell("published"), Cell(where), *cells])
         here(system, kind, (_PASSIVE if kind == "passive" else _OURS)[system])
-    known = {*_OURS.values(), *_PASSIVE.values()}
-    others = [run for run in runs if _name_here(run) not in known]
+    known = {(system in _PASSIVE, {**_OURS, **_PASSIVE}[system]) for system in published.values}  # in this table
+    others = [run for run in runs if (is_trajectory(run.job.policy), _name_here(run)) not in known]
     for policy in dict.fromkeys(run.policy for run in others):
         blocks.append(len(rows))
         group = [run for run in others if run.policy == policy]

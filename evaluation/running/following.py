@@ -28,7 +28,7 @@ from activestructure_gym.evaluation.trajectories.formats import arrays_of, find_
 from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.motion import Leg, recorded_legs, regular_legs
-from activestructure_gym.specs import parse_options, typed_options
+from activestructure_gym.specs import number_text, parse_options, typed_options
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
@@ -95,7 +95,7 @@ class Given:
             "format": kind if kind != find_file(file)[1] else "",
             "inverted": "true" if self.inverted else "",
             "mapper": self.mapper,
-            "start": ",".join(f"{value:g}" for value in self.start or ()),
+            "start": ",".join(map(number_text, self.start or ())),
         }
         query = "&".join(f"{key}={value}" for key, value in options.items() if value)
         return f"{TRAJECTORY}{file}@{_digits(file)}" + (f"?{query}" if query else "")

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -138,9 +139,13 @@ def _text(path: Path) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Number and words of every line that is neither empty nor a comment; commas separate like spaces."""
+    """Number and words of every line that is neither empty nor a comment; commas separate like spaces.
+
+    Of more than are read the first: whoever asks for all has too many.
+    """
     words = ((n, line.replace(",", " ").split()) for n, line in enumerate(_text(path).splitlines(), start=1))
-    return [(number, line) for number, line in words if line and not line[0].startswith("#")]
+    lines = ((number, line) for number, line in words if line and not line[0].startswith("#"))
+    return list(islice(lines, MOST_POSES + 1))
 
 
 def _by_width(path: Path) -> str:

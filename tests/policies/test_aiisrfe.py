@@ -43,6 +43,13 @@ def test_without_frontiers_the_surface_is_left_and_without_that_the_nearest_view
     assert policy.act(masked) == 0
 
 
+def test_without_a_tour_unsure_surface_counts_where_no_near_frontier_can_be_gone_to() -> None:
+    rows = views([(0.6, 0.6, -1, 0.1), (0.7, 0.7, -1, 0.9), (3.0, 3.0, 0, 0.0)], near=4, total=4)
+    rows["action_mask"][2] = 0
+    policy = bound(Aiisrfe(travel="shared"))
+    assert policy.act(rows) == 1 and policy.trace()["mode"] == "reconstruct"
+
+
 def test_the_tour_and_not_the_nearest_task_decides() -> None:
     # First the one at 2 m to the left, then all on the right: 2 + 2 + 3 + 1 instead of 1.9 + 3.9 + 4.
     rows = [(1.9, 1.9, 0, 0.0), (-2.0, 2.0, 1, 0.0), (6.0, 6.0, 2, 0.0), (7.0, 7.0, 3, 0.0)]

@@ -72,6 +72,17 @@ def test_what_followed_a_trajectory_is_compared_by_its_mapper(make_run):
     assert own[1][1] == "passive" and own[1][7] == "11.00"
 
 
+def test_systems_that_one_table_lacks_are_others_there(make_run):
+    """Table 2 has no Co-SLAM and Table 1 no Gaussian-SLAM; and nobody's runs are left out."""
+    followed = make_run("box", "trajectory:passive?mapper=co_slam", psnr=11.0)
+    followed.config["configuration"]["mapper"] = {"name": "co_slam"}
+    planner = make_run("box", "splatam", psnr=99.0)  # somebody's policy that is called so
+    mine = {"splatam": [["splatam", "active", "here"]], "co_slam": [[followed.policy, "passive", "here"]]}
+    for table, others in ((REPLICA, mine["splatam"]), (MP3D, mine["co_slam"] + mine["splatam"])):
+        found = rows(averages_table(table, Results([followed, planner], [])))
+        assert [row[:3] for row in found if row[2] == "here"] == others
+
+
 def test_the_report_has_them_when_asked(make_run, tmp_path):
     results = Results([make_run("box", "naruto")], [])
     for asked in (False, True):

@@ -95,6 +95,8 @@ def test_a_trajectory_has_one_name_and_is_known_by_its_content(played: Run, tmp_
     assert policy_label(spec) == f"trajectory:way@{spec.partition('@')[2]}"
     refuse_code([Job("box", spec, 0)], "a file")
     assert Given.of(spec).frames == 6
+    exactly = named_trajectory(f"trajectory:{file}?start=1.23456789,0,1e+1,90")
+    assert exactly.endswith("?start=1.23456789,0,10,90") and Given.of(exactly).start == (1.23456789, 0.0, 10.0, 90.0)
     write(file, flown(np.eye(4))[:3])
     with pytest.raises(InputError, match=r"way.txt' has changed: expected"):
         named_trajectory(spec)

@@ -16,6 +16,7 @@ from activestructure_gym.evaluation import StandardProtocol, compare, read_run
 from activestructure_gym.evaluation.archive import verified
 from activestructure_gym.evaluation.archive.store import DONE, Run
 from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.cli.options import parse_start
 from activestructure_gym.evaluation.machine.hardware import code_sum
 from activestructure_gym.evaluation.report.leaderboard import COLUMNS, leaderboard_page, rows_of
 from activestructure_gym.evaluation.running.verifying import TOLERANCES, out_of_tolerance, verify
@@ -218,6 +219,13 @@ def test_who_sees_the_ground_truth_leads_no_leaderboard(run: Run) -> None:
     assert "--references oracle" in last.command and "reference:" not in last.command
     page = leaderboard_page([oracle, run], lambda one: None, {})
     assert "or of a reference, is not ranked" in page
+
+
+def test_the_command_of_a_row_plays_its_own_jobs_to_the_last_digit(run: Run) -> None:
+    start = (0.123456789, -1.0, 1.4, 17.188733853924695)  # as a recorded pose has them
+    (((row,), _),) = rows_of([replace(run, job=replace(run.job, start_pose=start))], lambda one: None)
+    (said,) = (word for word in row.command.split() if word.startswith("--start="))
+    assert parse_start(said.removeprefix("--start=")) == start
 
 
 def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> None:

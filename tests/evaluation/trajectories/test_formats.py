@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.evaluation.trajectories import formats
 from activestructure_gym.evaluation.trajectories.formats import find_file, read_poses
 
 # A quarter turn about z, then (1, 2, 3).
@@ -151,3 +152,10 @@ def test_recordings_of_scannetpp(tmp_path: Path) -> None:
         file.write_text(broken)
         with pytest.raises(InputError, match="is not the poses of a ScanNet"):
             read_poses(tmp_path)
+
+
+def test_no_more_lines_are_read_than_poses_may_be(tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "MOST_POSES", 3)
+    (tmp_path / "long.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 4 + "1 0\n" * 50)
+    with pytest.raises(InputError, match="holds 4 poses, from 1 to 3 are read"):
+        read_poses(tmp_path / "long.txt")

@@ -228,7 +228,12 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
     label = f"scene '{name}'" if name else f"scene '{path}'"
     arguments = typed_options(label, factory, options, apart=("path",) if path is not None else ())
-    scene = factory(path, **arguments) if path is not None else factory(**arguments)
+    try:
+        scene = factory(path, **arguments) if path is not None else factory(**arguments)
+    except OSError as error:
+        if path is None:
+            raise
+        raise InputError(f"{label} cannot be read: {error.strerror or error}: {shown(path)}") from error
     if not isinstance(scene, Scene):
         raise InputError(f"{label}: its factory must return a Scene, and returned {shown(scene)}")
     return scene

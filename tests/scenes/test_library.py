@@ -181,3 +181,13 @@ def test_options_are_added_to_a_text_or_refused(hut, mesh_file, furnished_room):
     ):
         with pytest.raises(InputError, match=said.replace("?", r"\?")):
             with_options(scene, {"seed": 4})
+
+
+@pytest.mark.parametrize(
+    "kind", ["mesh", "replica", "matterport3d", "procthor", "scannet", "scannetpp", "hm3d", "gibson", "habitat"]
+)
+@pytest.mark.parametrize("path", ["x" * 5000, "/"])
+def test_a_path_that_none_can_be_is_one_sentence(kind, path):
+    with pytest.raises(InputError) as error:
+        load_scene(f"{kind}:{path}")
+    assert len(str(error.value)) < 500

@@ -96,12 +96,13 @@ def _house(file: io.BufferedIOBase, house: int, *, many: bool) -> bytes:
         if house:
             raise UnreadableMesh(f"it holds one house, and number {house} was asked for")
         return _limited(file.read(_LARGEST_HOUSE + 1))
-    for number in range(house + 1):
-        line = file.readline(_LARGEST_HOUSE + 1)
-        if not line:
-            raise UnreadableMesh(f"it holds {number} houses, and number {house} was asked for")
-        _limited(line)
-    return line
+    number = 0
+    while line := _limited(file.readline(_LARGEST_HOUSE + 1)):
+        if line.strip():
+            if number == house:
+                return line
+            number += 1
+    raise UnreadableMesh(f"it holds {number} houses, and number {house} was asked for")
 
 
 def _limited(data: bytes) -> bytes:
@@ -111,14 +112,15 @@ def _limited(data: bytes) -> bytes:
 
 
 def _parts(house: dict[str, Any], *, objects: bool) -> list[MeshPart]:
-    walls = {str(wall["id"]): _Wall(wall) for wall in _list(house["walls"], "walls", _MOST_WALLS)}
+    all_walls = [_Wall(wall) for wall in _list(house["walls"], "walls", _MOST_WALLS)]
+    walls = {wall.id: wall for wall in all_walls}
     rooms = {str(room["id"]) for room in house["rooms"]}
     panes: list[MeshPart] = []
     for kind in ("doors", "windows"):
         for hole in _list(house.get(kind, []), kind, _MOST_WALLS):
             panes += _cut(hole, walls, rooms, door=kind == "doors")
-    parts = [wall.part() for wall in walls.values() if not wall.empty]
-    top = max((wall.top for wall in walls.values()), default=2.5)
+    parts = [wall.part() for wall in all_walls if not wall.empty]
+    top = max((wall.top for wall in all_walls), default=2.5)
     for room in house["rooms"]:
         floor = _points(room["floorPolygon"])
         tint = _tint(str(room.get("floorMaterial", "")), str(room["id"]))
@@ -134,6 +136,7 @@ class _Wall:
     """An upright rectangle with rectangular holes."""
 
     def __init__(self, wall: dict[str, Any]) -> None:
+        self.id = str(wall["id"])
         corners = _points(wall["polygon"])
         lowest = corners[np.argsort(corners[:, 2], kind="stable")[:2]]
         self.start, self.top = lowest[0], float(corners[:, 2].max())
@@ -192,7 +195,10 @@ def _boxes(thing: dict[str, Any], *, on_floor: bool) -> list[MeshPart]:
     # The middle of what stands on the floor is half as high as it is; of what hangs it says nothing.
     height = 2.0 * float(middle[2]) if on_floor and 0.1 < 2.0 * middle[2] <= 1.6 * usual[2] else usual[2]
     rotation = thing.get("rotation") or {}
-    turn = np.radians(-float(rotation.get("y", 0.0)))  # clockwise from above in their frame
+    degrees = float(rotation.get("y", 0.0))
+    if not abs(degrees) < 1e6:
+        raise UnreadableMesh(f"the rotation of {shown(thing.get('id', name))} is no finite number of degrees")
+    turn = np.radians(-degrees)  # clockwise from above in their frame
     corners = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
     corners *= 0.5 * np.array([usual[0], usual[1], height])
     spin = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])

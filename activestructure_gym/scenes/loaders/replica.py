@@ -96,8 +96,8 @@ def _mesh_file(path: Path) -> tuple[Path, Path]:
         (path / "habitat" / "mesh_semantic.ply", path),
         (path / "mesh_semantic.ply", path.parent),
         # NICE-SLAM's download puts the mesh beside the sequence.
-        (path.with_name(f"{path.name}_mesh.ply"), path),
-        (path.with_name(f"{path.name}.ply"), path),
+        (path.parent / f"{path.name}_mesh.ply", path),
+        (path.parent / f"{path.name}.ply", path),
     ):
         if candidate.is_file():
             return candidate, root

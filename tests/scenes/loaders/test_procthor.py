@@ -93,6 +93,12 @@ def test_walls_doorways_panes_and_floors_are_where_the_house_says(file: Path) ->
     np.testing.assert_allclose(area, whole - 2 * 1.0 * 2.1, rtol=1e-5)
 
 
+def test_walls_of_one_name_are_all_there(file: Path) -> None:
+    whole = load_procthor_scene(file, objects=False)
+    file.write_text(json.dumps(changed(("walls", 0, "id"), "b1")))
+    assert load_procthor_scene(file, objects=False).content_hash == whole.content_hash
+
+
 def test_where_two_rooms_are_one_there_is_no_wall(file: Path) -> None:
     """A wall that is said to be empty, as ProcTHOR's between a kitchen and a living room that are open."""
     content = house()
@@ -125,7 +131,7 @@ def test_furniture_is_boxes_as_high_as_their_middles_say_and_can_be_left_away(fi
 def test_of_many_houses_one_is_chosen(tmp_path: Path, ending: str) -> None:
     second = house()
     second["objects"] = []
-    path, text = tmp_path / f"train{ending}", "\n".join(json.dumps(one) for one in (house(), second)) + "\n"
+    path, text = tmp_path / f"train{ending}", "\n\n".join(json.dumps(one) for one in (house(), second)) + "\n"
     path.write_bytes(gzip.compress(text.encode()) if ending.endswith("gz") else text.encode())
     first, other = load_scene(f"procthor:{path}"), load_scene(f"procthor:{path}?house=1")
     assert first.name == "train-0" and len(first.mesh.faces) - len(other.mesh.faces) == 36
@@ -153,6 +159,8 @@ def changed(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
         (changed(("doors", 0, "wall0"), "z9"), "'z9' is missing"),
         (changed(("walls", 0, "polygon"), [point(0, 0, 0)] * 4), "has no width or no height"),
         (changed(("objects", 0, "position"), None), "a part of it is of another kind"),
+        (changed(("objects", 0, "rotation"), {"y": float("nan")}), "the rotation of 'Bed|2|0' is no finite number"),
+        (changed(("objects", 0, "rotation"), {"y": float("inf")}), "the rotation of 'Bed|2|0' is no finite number"),
     ],
 )
 def test_what_is_no_house_is_said(tmp_path: Path, content: Any, message: str) -> None:

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, travel_discount
+from activestructure_gym.policies.base import POLICIES, Observation, best_valid, nearest_new, standing, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.schedule import Schedule
@@ -131,7 +131,7 @@ class AnmS(Planner):
     def _next_node(self, observation: Observation, candidates: Candidates) -> int:
         """The best node's candidate that faces something there best; the nearest view where there is no node."""
         node = candidates["voronoi_node"]
-        rows = candidates.valid & ~candidates.revisit & (node >= 0)
+        rows = candidates.valid & ~candidates.revisit & ~standing(candidates) & (node >= 0)
         if not rows.any():
             return nearest_new(observation)
         places, way = candidates.xyz.astype(np.float64), candidates.path_length.astype(np.float64)

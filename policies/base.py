@@ -220,6 +220,13 @@ def only_new(observation: Observation) -> Observation:
 def nearest_new(observation: Observation) -> int:
     """The fallback of planners without anything to decide by: the valid view with the fewest frames, revisits last.
 
-    A revisit of the present pose costs a single frame, so among the others it would always be the nearest.
+    A revisit of the present pose costs a single frame, so among the others it would always be the nearest; and so would
+    be the present pose itself, where a source offers it.
     """
-    return best_valid(travel_discount(observation) - Candidates(observation).revisit, observation)
+    candidates = Candidates(observation)
+    return best_valid(travel_discount(observation) - (candidates.revisit | standing(candidates)), observation)
+
+
+def standing(candidates: Candidates) -> np.ndarray:  # [K] bool
+    """Which views are the one it has: a single frame and no way. A planner that takes one stands still."""
+    return (candidates.path_length < 1e-3) & (candidates.frames == 1)

@@ -9,6 +9,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import ActiveINR, AnmS, make_policy
 from activestructure_gym.policies.anm_s import ARRIVED_M, AT_NODE, DEFERRED_M, FORGET_AFTER
+from activestructure_gym.policies.base import nearest_new
 from tests.policies.binding import bound, columns
 
 X, Y, Z = np.eye(3)
@@ -199,6 +200,31 @@ def test_a_target_is_kept_until_it_is_near_or_a_tenth_of_the_budget_has_gone() -
     assert act(patient, changed, pose=4 * X, budget=0.89) == 2
     assert act(policy, changed, pose=4.3 * X, budget=0.94) == 2
     assert policy.trace()["target"] == [-2.0, 0.0, 0.0]
+
+
+def test_nobody_stands_still() -> None:
+    """On native terms the present pose is on offer: the nearest view of all, on the way to a target and without any."""
+    here = {"at": 0 * X, "path": 0.0, "frames": 1.0}
+    turn = {"at": 0 * X, "path": 0.0, "frames": 5.0, "look": Y}
+    for rows in ([{**here, "activeinr": 0.9}, turn], [here, {**turn, "activeinr": 0.1}]):
+        assert act(bound(ActiveINR()), rows) == 1
+    policy = bound(ActiveINR())
+    assert act(policy, [inr(2 * X, 0.5, 3 * Y)]) == 0  # and is on the way to what is nearest to where it stands:
+    assert act(policy, [here, turn, inr(-X, 0.0)]) == 1 and policy.trace()["stage"] == "on the way"
+    assert act(bound(ActiveINR()), [here]) == 0  # nothing else
+    lonely = [node(0, 0 * X, path=0.0, frames=1.0), node(0, 0 * X, path=0.0, frames=5.0, look=Y)]
+    assert act(bound(AnmS()), lonely) == 1 and act(bound(AnmS()), lonely[:1]) == 0
+    assert nearest_new(observation([here, turn], ())) == 1
+
+
+def test_on_wheels_a_target_is_reached_below_and_above_the_camera() -> None:
+    target = np.array([4.0, 0.0, -1.2])  # 0.4 m away as seen from above
+    rows = [inr(4 * X + 0.4 * Y, 0.5, target), inr(-X, 0.4, -2 * X)]
+    level, flying = bound(ActiveINR()), bound(ActiveINR())
+    assert act(level, rows) == 0 and act(flying, [*rows, inr(3 * X + Z)]) == 0
+    later = [inr(4 * X + Y), inr(-X, 0.9, -2 * X)]
+    assert act(level, later, pose=4 * X + 0.4 * Y) == 1
+    assert act(flying, [*later, inr(3 * X + Z)], pose=4 * X + 0.4 * Y) == 0  # 1.26 m
 
 
 def test_without_a_cluster_the_nearest_and_no_target_is_kept() -> None:

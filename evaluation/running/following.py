@@ -24,7 +24,7 @@ from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, Job, is_trajectory
 from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
 from activestructure_gym.evaluation.trajectories.fit import checked
-from activestructure_gym.evaluation.trajectories.formats import arrays_of, find_file, pose_files, read_poses
+from activestructure_gym.evaluation.trajectories.formats import arrays_of, find_file, pose_files, read_poses, scan_text
 from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.motion import Leg, recorded_legs, regular_legs
@@ -190,7 +190,7 @@ def _options(
 def _digits(file: Path) -> str:
     if file.is_dir():  # of poses, a file each
         whole = hashlib.sha256()
-        for one in pose_files(file):
+        for one in (*pose_files(file), *filter(Path.is_file, [scan_text(file)])):
             whole.update(f"{one.name} {hashlib.sha256(one.read_bytes()).hexdigest()}\n".encode())
         return whole.hexdigest()[:_DIGITS]
     with open(file, "rb") as stream:

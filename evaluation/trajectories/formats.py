@@ -215,6 +215,12 @@ def pose_files(folder: Path) -> list[Path]:
     return [numbered[number] for number in sorted(numbered)][: MOST_POSES + 1]
 
 
+def scan_text(folder: Path) -> Path:
+    """The text file of the ScanNet scan whose poses are in this folder, by which they are turned."""
+    scan = folder.resolve().parent
+    return scan / f"{scan.name}.txt"
+
+
 def _scannet(folder: Path) -> np.ndarray:
     rows = []
     for file in pose_files(folder):
@@ -225,8 +231,7 @@ def _scannet(folder: Path) -> np.ndarray:
     if not rows:
         raise InputError(f"'{folder}' holds no pose: expected files 0.txt, 1.txt, ...")
     poses = _known(np.array(rows).reshape(-1, 4, 4), folder)
-    scan = folder.resolve().parent
-    return axis_alignment(scan / f"{scan.name}.txt") @ poses
+    return axis_alignment(scan_text(folder)) @ poses
 
 
 def _scannetpp(path: Path) -> np.ndarray:

@@ -113,6 +113,18 @@ def test_damaged_legs_are_refused(played: Run, tmp_path: Path) -> None:
         Comparison(["box"], [f"trajectory:{tmp_path}"], preset="fast").prepare()
 
 
+def test_the_poses_of_a_scan_are_known_by_what_turns_them_too(tmp_path: Path) -> None:
+    (tmp_path / "scene0000_00" / "pose").mkdir(parents=True)
+    np.savetxt(tmp_path / "scene0000_00" / "pose" / "0.txt", np.eye(4))
+    text, line = tmp_path / "scene0000_00" / "scene0000_00.txt", " ".join(map(str, np.eye(4).ravel()))
+    text.write_text(f"axisAlignment = {line}\n")
+    spec = named_trajectory(f"trajectory:{tmp_path / 'scene0000_00'}")
+    assert spec == named_trajectory(spec)
+    text.write_text(f"axisAlignment = {line.replace('0.0', '1.5', 1)}\n")
+    with pytest.raises(InputError, match="has changed"):
+        named_trajectory(spec)
+
+
 def test_a_sweep_is_the_same_for_every_mapper_and_starts_where_planners_do(played: Run, tmp_path: Path) -> None:
     policies = with_mappers(["random", "trajectory:sweep"], ["default", "splatam"])
     assert policies == ["random", "trajectory:sweep?mapper=default", "trajectory:sweep?mapper=splatam"]

@@ -30,17 +30,23 @@ def split_list(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def split_scenes(words: Sequence[str]) -> tuple[str, ...]:
-    """Like `split_list`, but a word that is a file, with options or without, stays whole whatever its name holds."""
+    """Like `split_list`, but a word that is a file or a folder, with options or without and with its kind before it
+    (``replica:...``) or without, stays whole whatever its name holds."""
     items: list[str] = []
     for word in words:
         ends = [len(word), *(place for place, letter in enumerate(word) if letter == "?")]
-        file = next((word[:end] for end in ends if Path(os.path.expanduser(word[:end])).is_file()), "")
+        file = next((word[:end] for end in ends if _is_there(word[:end])), "")
         if file:
             first, *others = split_list(["?" + word[len(file) + 1 :]])  # as if the file had no name
             items += [file + first if file != word else file, *others]
         else:
             items += split_list([word])
     return tuple(items)
+
+
+def _is_there(word: str) -> bool:
+    """Whether it is a file or a folder, or has one behind the colon."""
+    return any(os.path.exists(os.path.expanduser(name)) for name in (word, word.partition(":")[2]) if name)
 
 
 def split_policies(words: Sequence[str]) -> tuple[str, ...]:

@@ -35,6 +35,10 @@ def test_the_name_of_a_file_stays_whole(tmp_path, monkeypatch):
     words = ["my, room?.glb", "my, room?.glb?up=y&units=cm", "box,room"]
     assert split_scenes(words) == (*words[:2], "box", "room")
     assert split_scenes(["my, room?.glb?up=y,box?seed=2,room"]) == ("my, room?.glb?up=y", "box?seed=2", "room")
+    folder = tmp_path / "Größe, 2" / "room_0"
+    folder.mkdir(parents=True)
+    words = [f"replica:{folder}?sequence=seq,box", str(folder.parent), "x" * 5000 + ",room"]
+    assert split_scenes(words) == (f"replica:{folder}?sequence=seq", "box", str(folder.parent), "x" * 5000, "room")
 
 
 def test_seeds():

@@ -57,6 +57,8 @@ def load_habitat_scene(
     Raises:
         InputError: a file is missing or broken, or there is no such scene.
     """
+    if max_texture < 1:
+        raise InputError(f"max_texture is the largest side of a texture in pixels, at least 1, got {max_texture}")
     dataset = _Dataset.of(Path(os.path.abspath(os.path.expanduser(path))))
     textures = TextureStore(max_texture)
     instances, stages = dataset.files("scene_instances"), dataset.files("stages")
@@ -170,9 +172,7 @@ def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, P
         raise InputError(f"'{where}' finds no stages and no scene_instances in its paths; is the dataset whole?")
     if not wanted and len(files) == 1:
         return next(iter(files.items()))
-    if wanted in files:
-        return wanted, files[wanted]
-    ends = [handle for handle in files if handle.endswith(f"/{wanted}")]
+    ends = _called(files, wanted)
     if len(ends) == 1:
         return ends[0], files[ends[0]]
     names = [handle.rpartition("/")[2] for handle in files]
@@ -182,6 +182,11 @@ def _chosen(files: Mapping[str, Path], wanted: str, where: Path) -> tuple[str, P
     raise unknown_name(f"scene of '{where.name}'", wanted, names)
 
 
+def _called(files: Mapping[str, Path], wanted: str) -> list[str]:
+    """The handles that a name means: the one that it is, else those that end with it."""
+    return [wanted] if wanted in files else [handle for handle in files if handle.endswith(f"/{wanted}")]
+
+
 def _instance(
     dataset: _Dataset, kind: str, told: Mapping[str, Any], textures: TextureStore, where: Path, origin: str
 ) -> list[MeshPart]:
@@ -189,7 +194,14 @@ def _instance(
     template = told.get("template_name")
     if not isinstance(template, str):
         raise InputError(f"'{where}' has an instance without a template_name: {shown(told)}")
-    _, file = _chosen(dataset.files(kind), template, dataset.path)
+    files = dataset.files(kind)
+    ends = _called(files, template)
+    if len(ends) > 1:
+        raise InputError(f"'{where}' names '{template}', which may be each of the {kind} {', '.join(ends[:5])}")
+    if not ends:
+        names = [handle.rpartition("/")[2] for handle in files]
+        raise unknown_name(f"template among the {kind} of '{dataset.path.name}'", template, names)
+    file = files[ends[0]]
     parts, middle = dataset.placed(kind, file, textures)
     try:
         textures.budget.take("meshes and copies of them", len(parts))

@@ -1,6 +1,7 @@
 """Datasets that are configured for Habitat, in a small one with a stage, an object and two scenes."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,18 @@ def test_whole_names_and_configurations_come_first(dataset, tmp_path):
     np.testing.assert_allclose(chest, [[0.8, 0.7, 0.0], [1.2, 1.3, 1.0]], atol=1e-6)
 
 
+def test_a_template_of_which_there_are_two_is_named_with_both(dataset, tmp_path):
+    (tmp_path / "objects" / "old").mkdir()
+    shutil.copy(tmp_path / "objects" / "chest.object_config.json", tmp_path / "objects" / "old")
+    changed(dataset, objects={"paths": {".json": ["objects", "objects/old"]}})
+    with pytest.raises(
+        InputError, match="names 'chest', which may be each of the objects objects/chest, objects/old/c"
+    ):
+        load_scene(f"{dataset}?scene=one")
+    with pytest.raises(InputError, match="max_texture is the largest side"):
+        load_scene(f"{dataset}?scene=empty&max_texture=0")
+
+
 def test_more_copies_than_a_scene_may_have_are_refused(dataset, monkeypatch):
     few = replace(LIMITS["triangles"], allowance=40, per_byte=0.0)  # two rooms' and an object's 12 each, not two
     monkeypatch.setitem(LIMITS, "triangles", few)
@@ -166,7 +179,7 @@ def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
     [
         ("small.scene_dataset_config.json", {"stages": [], "scene_instances": {}}, "'stages' of .* must be a table"),
         ("small.scene_dataset_config.json", {"stages": {}, "scene_instances": {}}, "finds no stages"),
-        ("small.scene_dataset_config.json", {"objects": {}}, "finds no"),
+        ("small.scene_dataset_config.json", {"objects": {}}, "unknown template among the objects"),
         ("stages/room.stage_config.json", {"render_asset": "../../../etc/passwd"}, "not in the dataset"),
         ("stages/room.stage_config.json", {"render_asset": None}, "names no render_asset"),
         ("stages/room.stage_config.json", {"front": [0, 1, 0]}, "at a right angle"),
@@ -174,7 +187,11 @@ def test_a_dataset_of_stages_alone_has_them_as_scenes(dataset):
         ("stages/room.stage_config.json", {"origin": [1, 0, 0]}, "moves its stage by an origin"),
         ("stages/room.stage_config.json", {"units_to_meters": 0}, "must be above 0"),
         ("scenes/one.scene_instance.json", {"stage_instance": None}, "names no stage_instance"),
-        ("scenes/one.scene_instance.json", {"stage_instance": {"template_name": "hall"}}, "did you mean|unknown"),
+        (
+            "scenes/one.scene_instance.json",
+            {"stage_instance": {"template_name": "hall"}},
+            "unknown template among the stages.*Known: room",
+        ),
         ("scenes/one.scene_instance.json", {"object_instances": [7]}, "no table"),
         (
             "scenes/one.scene_instance.json",

@@ -69,11 +69,12 @@ class Policy(ABC):
         return Candidates(observation, self._columns, type(self).__name__, self._rows)
 
 
-def gains_of(policy: Policy) -> tuple[str, ...]:
-    """The features that a policy asks an env for; raises `InputError` where they are no tuple of names."""
+def gains_of(policy: Policy | type[Policy]) -> tuple[str, ...]:
+    """The features that a policy or its class asks an env for; raises `InputError` unless it is a tuple of names."""
     gains = policy.required_gains
     if not isinstance(gains, tuple | list) or not all(isinstance(name, str) for name in gains):
-        raise InputError(f"required_gains of {type(policy).__name__} must be a tuple of names, got {shown(gains)}")
+        name = (policy if isinstance(policy, type) else type(policy)).__name__
+        raise InputError(f"required_gains of {name} must be a tuple of names, got {shown(gains)}")
     return tuple(gains)
 
 
@@ -193,11 +194,14 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
 
 
 def best_valid(scores: np.ndarray, observation: Observation) -> int:
-    """The row with the highest score among the valid ones; the first of equals."""
+    """The row with the highest score among the valid ones; the first of equals. A NaN there raises `ValueError`."""
     valid = Candidates(observation).valid
     if not valid.any():
         raise ValueError("no candidate is valid: the episode has ended, call reset()")
-    return int(np.argmax(np.where(valid, scores, -np.inf)))
+    counted = np.where(valid, scores, -np.inf)
+    if np.isnan(counted).any():  # argmax would take it for the best
+        raise ValueError(f"the score of every valid row must be a number, got nan in row {np.isnan(counted).argmax()}")
+    return int(np.argmax(counted))
 
 
 def nearest_of_best(scores: np.ndarray, observation: Observation, tolerance: float = 0.0) -> int:

@@ -197,6 +197,13 @@ def test_travel_discount_best_valid_and_nearest_new(rng: np.random.Generator) ->
     assert nearest_new(observed) == 1
 
 
+def test_a_score_that_is_no_number_is_not_the_best(rng: np.random.Generator) -> None:
+    observed = observation(rng, rows=3, valid=2)
+    assert best_valid(np.array([1.0, 2.0, np.nan]), observed) == 1  # nobody offers that row
+    with pytest.raises(ValueError, match="every valid row must be a number, got nan in row 1"):
+        best_valid(np.array([1.0, np.nan, 0.0]), observed)
+
+
 def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator) -> None:
     @POLICIES.register("nearest_for_this_test")
     class Nearest(Policy):

@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import tyro
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Switch, option
-from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed
+from activestructure_gym.evaluation.cli.listing import print_json, print_listed
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 
 
@@ -50,7 +49,7 @@ class Policies:
             return 0
         table = plain_table("Options", "name", "default")
         for name, default in facts["options"].items():
-            table.add_row(escape(name), escape(str(default)))
+            table.add_row(escape(name), escape("must be given" if name in facts["required"] else str(default)))
         print_whole(console, table)
         example = f"{self.name.partition('?')[0]}?{next(iter(facts['options']))}=..."
         console.print(escape(f"They are written as in {example}"))
@@ -62,16 +61,23 @@ def _policy_facts(name: str) -> dict[str, Any]:
     from activestructure_gym.policies.base import gains_of
 
     kind: Any = POLICIES.get(name.partition("?")[0])
-    try:  # some ask for a gain more or less by their options
-        gains = gains_of(make_policy(name))
-    except InputError:  # it has an option without a default
-        gains = gains_of(kind)
     parameters = inspect.signature(kind).parameters.values()
+    required = [p.name for p in parameters if p.default is p.empty]
+    # Some ask for a gain more or less by their options; without those that must be given none can be made to be asked.
+    gains = gains_of(kind if required and "?" not in name else make_policy(name))
+    about = _own_words(kind)
     return {
         "name": name,
-        "decides_by": kind.decides_by or first_line(kind),
+        "decides_by": kind.decides_by or about.partition("\n")[0],
         "gains": list(gains),
         "source": kind.source,
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
-        "about": inspect.getdoc(kind) or "",
+        "required": required,
+        "about": about,
     }
+
+
+def _own_words(kind: type) -> str:
+    """The docstring of a policy, or of one it is derived from; that of an interface says nothing about it."""
+    told = (parent for parent in kind.__mro__ if vars(parent).get("__doc__") and not inspect.isabstract(parent))
+    return inspect.cleandoc(next(told).__doc__ or "")

@@ -47,7 +47,7 @@ def test_a_policy_s_options_stand_with_their_defaults(capsys):
 def test_policies_for_programs(capsys):
     rows = json.loads(said(capsys, "policies", "--json"))
     assert [row["name"] for row in rows] == list(POLICIES)
-    assert {"name", "decides_by", "gains", "source", "options", "about"} == set(rows[0])
+    assert {"name", "decides_by", "gains", "source", "options", "required", "about"} == set(rows[0])
 
 
 def test_a_policy_of_a_user_without_any_of_it_is_listed(capsys, monkeypatch):
@@ -66,6 +66,27 @@ def test_a_policy_of_a_user_without_any_of_it_is_listed(capsys, monkeypatch):
     assert "did you mean 'mine'" in capsys.readouterr().err
     with pytest.raises(ValueError):
         make_policy("mine")
+
+
+def test_a_policy_is_described_by_its_own_words_and_what_must_be_given_is_said(capsys, monkeypatch):
+    class Mute(Policy):
+        required_gains = "pixel"
+
+        def __init__(self, where: str, far: int = 2) -> None: ...
+
+        def act(self, observation):
+            return 0
+
+    monkeypatch.setitem(POLICIES._entries, "mute", Mute)
+    assert main(["policies", "mute"]) == 2
+    assert "required_gains of Mute must be a tuple of names, got 'pixel'" in capsys.readouterr().err
+    Mute.required_gains = ("pixel",)
+    out = said(capsys, "policies", "mute")
+    assert "Chooses one row" not in out and "pixel" in out
+    assert [line.split() for line in out.splitlines()[-4:-2]] == [["where", "must", "be", "given"], ["far", "2"]]
+    assert json.loads(said(capsys, "policies", "mute", "--json"))["required"] == ["where"]
+    assert main(["policies", "activeinr?travel=fast"]) == 2
+    assert "travel" in capsys.readouterr().err
 
 
 def test_every_feature_has_units_and_a_line(capsys):

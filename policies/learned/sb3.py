@@ -28,16 +28,26 @@ from activestructure_gym.policies.learned.network import CandidateNetwork
 
 def with_used_keys(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """The env without the entries of the observation that the network does not read."""
+    _refuse_others(env.observation_space)
     return gym.wrappers.FilterObservation(env, list(USED_KEYS))
+
+
+def _refuse_others(space: gym.Space[Any]) -> None:
+    """Raise `InputError` for an observation space without the entries that the network reads."""
+    if not isinstance(space, spaces.Dict):
+        raise InputError(
+            f"a learned policy reads the entries {', '.join(USED_KEYS)} of an observation, and this one is a "
+            f"{type(space).__name__} without entries: give it an env of ours that no wrapper has flattened"
+        )
+    if missing := [key for key in USED_KEYS if key not in space.spaces]:
+        raise InputError(f"the observation lacks {', '.join(missing)}: a learned policy reads {', '.join(USED_KEYS)}")
 
 
 class CandidateExtractor(BaseFeaturesExtractor):
     """The whole network, as what stable-baselines3 calls a feature extractor: [B, K + 1], scores and value."""
 
     def __init__(self, observation_space: spaces.Dict, network: Mapping[str, Any] | None = None) -> None:
-        missing = [key for key in USED_KEYS if key not in observation_space.spaces]
-        if missing:
-            raise InputError(f"the observation lacks {', '.join(missing)}: a learned policy reads {USED_KEYS}")
+        _refuse_others(observation_space)
         table = observation_space["candidate_gains"]
         names: tuple[str, ...] | None = getattr(table, "names", None)
         rows, gains = table.shape  # type: ignore[misc]
@@ -61,6 +71,12 @@ class CandidateExtractor(BaseFeaturesExtractor):
 
     def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
         """Scores of all rows, then the value."""
+        mask = observations["action_mask"]
+        if not ((mask == 0) | (mask == 1)).all():
+            raise InputError(
+                "action_mask holds other numbers than 0 and 1: a wrapper such as VecNormalize has changed the "
+                "observation, which this policy scales by itself; leave them as they are (norm_obs=False)"
+            )
         scores, value = self.network(observations)
         return torch.cat([scores, value[:, None]], dim=-1)
 

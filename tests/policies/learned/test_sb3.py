@@ -10,6 +10,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from activestructure_gym.envs.observation import Table
 from activestructure_gym.errors import InputError
@@ -130,6 +131,22 @@ def test_a_policy_begins_from_a_checkpoint(model: OnPolicyAlgorithm, tmp_path: P
 def test_unused_entries_can_be_dropped() -> None:
     env = with_used_keys(RandomCandidates(images=True))
     assert set(env.observation_space.spaces) == set(USED_KEYS) == set(env.reset(seed=0)[0])
+
+
+def test_what_is_no_observation_of_ours_is_one_sentence() -> None:
+    flat = gym.wrappers.FlattenObservation(RandomCandidates())
+    for use in (with_used_keys, lambda env: PPO(CandidatePolicy, env)):
+        with pytest.raises(InputError, match="this one is a Box without entries: give it an env of ours"):
+            use(flat)
+    some = gym.wrappers.FilterObservation(RandomCandidates(), ["budget"])
+    with pytest.raises(InputError, match="the observation lacks pose, candidates, "):
+        with_used_keys(some)
+
+
+def test_a_mask_that_a_wrapper_has_scaled_is_refused() -> None:
+    env = VecNormalize(DummyVecEnv([lambda: with_used_keys(RandomCandidates())]))
+    with pytest.raises(InputError, match="action_mask holds other numbers than 0 and 1"):
+        PPO(CandidatePolicy, env, n_steps=8, batch_size=8).learn(8)
 
 
 @pytest.mark.parametrize("gains", [("a", "b", "c"), ("a", "b"), tuple(reversed(GAINS))])

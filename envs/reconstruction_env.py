@@ -174,6 +174,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode. ``options`` may hold ``scene`` and ``start_pose`` for this episode only."""
         super().reset(seed=seed)
+        self._ended = True  # where something is refused below, the episode before it must not go on in silence
         options = dict(_fields("options", options))
         unknown = sorted(options.keys() - {"scene", "start_pose"})
         if unknown:

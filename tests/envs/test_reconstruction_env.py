@@ -225,6 +225,14 @@ def test_reset_options_that_cannot_be_used(box_options: dict[str, Any], options:
         ReconstructionEnv(**box_options).reset(seed=0, options=options)
 
 
+def test_after_a_reset_that_was_refused_no_earlier_episode_goes_on(env: ReconstructionEnv) -> None:
+    env.reset(seed=0)
+    with pytest.raises(InputError):
+        env.reset(seed=1, options={"start_pose": (99.0, 0.0, 1.2, 0.0)})
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(0)
+
+
 def test_heights_outside_the_scene_are_refused_at_reset(box_options: dict[str, Any]) -> None:
     config = {**box_options["config"], "views": {"max_candidates": 24, "heights_m": (5.0, -5.0)}}
     env = ReconstructionEnv(**{**box_options, "config": config})

@@ -62,7 +62,7 @@ class Evaluate:
         console = make_console()
         runs = _open(self.runs)
         table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
-        different, added = 0, 0
+        compared, different, added = 0, 0, 0
         lost = list[str]()
         reasons: dict[str, str] = {}
         for run in runs:
@@ -71,6 +71,7 @@ class Evaluate:
                     numbers = measure_again(run, protocol)
                 wrong = differing(stored, numbers) if stored is not None else []
                 different += bool(wrong)
+                compared += stored is not None
                 if stored is None or (not wrong and stored["lpips"] is None and numbers["lpips"] is not None):
                     try:
                         write_evaluation(run.directory, protocol.parameters(), run.job.scene_hash, numbers)
@@ -90,7 +91,8 @@ class Evaluate:
         if different:
             console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
             return 1
-        console.print("[green]✓[/] every stored number is identical, bit for bit")
+        if compared:
+            console.print("[green]✓[/] every stored number is identical, bit for bit")
         return 1 if lost else 0
 
 

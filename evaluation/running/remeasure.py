@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +41,8 @@ def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     from activestructure_gym.evaluation.running.episode import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
-    refuse_code([run.job], run.directory / CONFIG)
+    # Nobody plays here: of what the job names only the scene is loaded.
+    refuse_code([replace(run.job, policy="random", overrides=())], run.directory / CONFIG)
     path, gaussians = CameraPath.from_arrays(run.trajectory), run.gaussians
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_job_scene(run.job))), path))
 
@@ -75,11 +79,23 @@ def measure_file(
     from activestructure_gym.scenes import load_scene
 
     path = read_path(poses) if poses is not None else None
+    _refuse_turned(map_file)
     gaussians = read_map(map_file, None if path is None else path.start)
     if path is None and map_kind(map_file) == "splatam":
         arrays = splatam_path(map_file)
         path = _path_of(arrays, map_file) if arrays is not None else None
     return plain(protocol.evaluate(gaussians, protocol.truth(ground_truth_of(load_scene(scene))), path))
+
+
+def _refuse_turned(map_file: str | Path) -> None:
+    """Raise `InputError` for a PLY that says, as `asg export --up` writes it, that it is not z up."""
+    with suppress(OSError), open(map_file, "rb") as file:
+        said = re.match(rb"ply\r?\n(?:[^\n]*\n){1,9}?comment world frame, (-?[xy]) up", file.read(1000))
+        if said:
+            raise InputError(
+                f"'{map_file}' says that {said[1].decode()} is up in it, and a map is measured z up, as its scene: "
+                "export it with --up z, or give the run itself"
+            )
 
 
 def read_path(file: str | Path) -> CameraPath:

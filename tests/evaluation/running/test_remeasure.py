@@ -8,7 +8,9 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.running.remeasure import measure_again
+from activestructure_gym.evaluation.running.remeasure import measure_again, measure_file
+from activestructure_gym.mapping.gaussian_map import GaussianMap
+from activestructure_gym.mapping.ply import write_ply
 
 
 def test_measuring_a_run_again_runs_no_code_that_its_files_name(tmp_path):
@@ -17,3 +19,16 @@ def test_measuring_a_run_again_runs_no_code_that_its_files_name(tmp_path):
     with pytest.raises(InputError, match="config.json' names the scene .* add --trust-code"):
         measure_again(Run(Path("run"), "scene", job, {}, {}, {}), StandardProtocol())
     assert not hacked.exists()
+
+
+def test_measuring_a_run_again_asks_no_trust_for_a_policy_that_nobody_calls(tmp_path):
+    job = Job("there is no such scene", "some_policy:Mine", 0, overrides=(("gains", ("some_feature:mine",)),))
+    with pytest.raises(InputError, match="trajectory.npz' is missing"):  # which is read after who is trusted
+        measure_again(Run(tmp_path, "scene", job, {}, {}, {}), StandardProtocol())
+
+
+@pytest.mark.parametrize("up", ["y", "-y"])
+def test_a_map_that_says_it_is_not_z_up_is_refused(up, tmp_path):
+    write_ply(GaussianMap(), tmp_path / "map.ply", up=up)
+    with pytest.raises(InputError, match=f"says that {up} is up in it, and a map is measured z up"):
+        measure_file(tmp_path / "map.ply", "box", StandardProtocol())

@@ -42,14 +42,14 @@ class Verify:
         from rich.progress import Progress as Bar
 
         from activestructure_gym.evaluation.archive.comparison import each_run
-        from activestructure_gym.evaluation.archive.verified import GOOD, Verification, keep
+        from activestructure_gym.evaluation.archive.verified import GOOD, keep
         from activestructure_gym.evaluation.running.verifying import verify
 
         if not self.runs:
             raise InputError("asg verify needs the directory of a comparison or of a run")
         console = make_console()
         runs, refused = each_run([Path(name) for name in self.runs])
-        failed = len(refused)
+        failed, unplayed = len(refused), 0
         for reason in refused.values():
             console.print(f"[red]✗[/] damaged: {escape(reason)}", soft_wrap=True)
         columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
@@ -60,20 +60,27 @@ class Verify:
                 def tell(progress: Progress, bar: Bar = bar, task: TaskID = task) -> None:
                     bar.update(task, completed=progress.frames)
 
+                found = None
                 try:
-                    found, kept = verify(run, tell), True
+                    found = verify(run, tell)
                 except Exception as error:  # of one run, whose policy may raise anything: the others are played
                     said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-                    found, kept = Verification("differs", (f"cannot be played here: {said}",)), False
+            if found is None:
+                unplayed += 1
+                said = escape(f"{run.job.title}: cannot be played here: {said}")
+                console.print(f"[red]✗[/] {said}", soft_wrap=True)
+                continue
             failed += found.verdict not in GOOD
             mark = _MARKS.get(found.verdict, "[red]✗[/]")
             said = f"{mark} {escape(run.job.title)}: {found.verdict}"
             console.print("; ".join((said, *map(escape, found.why))), soft_wrap=True)
-            if kept:
-                try:
-                    keep(run.directory, found)
-                except InputError as error:
-                    print(f"asg: note: this is not remembered: {error}", file=sys.stderr)
+            try:
+                keep(run.directory, found)
+            except InputError as error:
+                print(f"asg: note: this is not remembered: {error}", file=sys.stderr)
+        asked = len(runs) + len(refused)
         if failed:
-            console.print(f"[red]✗[/] {failed} of {len(runs) + len(refused)} did not come out as stored")
-        return 1 if failed else 0
+            console.print(f"[red]✗[/] {failed} of {asked} did not come out as stored")
+        if unplayed:
+            console.print(f"[red]✗[/] {unplayed} of {asked} could not be played, so nothing is known of them")
+        return 1 if failed or unplayed else 0

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import yaml
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command
 from activestructure_gym.evaluation.cli.parsing import parse
 from activestructure_gym.policies import POLICIES
@@ -241,6 +242,18 @@ def test_every_command_that_is_shown_has_the_options_it_is_shown_with(page: Path
             parse(find_command(words[1]), words[1], words[2:])
         except SystemExit as end:  # it is help that is shown
             assert end.code in (None, 0), line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_within_sentences_have_their_options(page: Path) -> None:
+    for words in re.findall(r"(?<!`)`asg ([a-z][^`|]*)`(?!`)", page.read_text(encoding="utf-8")):
+        name, *rest = (word for word in words.split() if word != "...")
+        try:
+            parse(find_command(name), name, rest)
+        except SystemExit as end:
+            assert end.code in (None, 0), words
+        except InputError as error:  # a sentence may leave away what must be given, as in `asg train --resume`
+            assert not re.match("unrecognized options|unknown command", str(error)), words
 
 
 def test_the_workflow_publishes_with_the_least_rights_and_no_secret() -> None:

@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_lpips_weights,
     use_trust,
 )
-from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
+from activestructure_gym.evaluation.cli.output import counted, make_console, print_whole, working
 from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
 
 if TYPE_CHECKING:
@@ -216,8 +216,8 @@ def _with_demo_defaults(options: Compare) -> Compare:
         scenes=DEMO.scenes,
         preset=options.preset or DEMO.preset,
         frames=DEMO.frames if options.frames is None and options.preset is None else options.frames,
-        views=options.views or DEMO.views,
-        samples=options.samples or DEMO.samples,
+        views=DEMO.views if options.views is None else options.views,
+        samples=DEMO.samples if options.samples is None else options.samples,
     )
 
 
@@ -254,9 +254,9 @@ def _announce(
 ) -> None:
     frames = f"{comparison.frame_budget} frames" if comparison.frame_budget else "the preset's frame budget"
     parts = [
-        _counted(len(comparison.scenes), "scene"),
-        _counted(policies, "policy", "policies"),
-        _counted(len(comparison.seeds), "seed"),
+        counted(len(comparison.scenes), "scene"),
+        counted(policies, "policy", "policies"),
+        counted(len(comparison.seeds), "seed"),
     ]
     conditions = f"{comparison.terms} terms, preset {comparison.preset}"
     line = f"[bold]{' x '.join(parts)}[/], {conditions}, {frames} per run, into {escape(str(directory))}"
@@ -274,10 +274,10 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
     from activestructure_gym.evaluation.report.tables import rich_table, table_rows
 
     if result.skipped:
-        console.print(f"{_counted(result.skipped, 'run')} finished before and kept")
+        console.print(f"{counted(result.skipped, 'run')} finished before and kept")
     if result.missing:
         console.print(
-            f"[yellow]{_counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
+            f"[yellow]{counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
         )
     if result.runs:
         with console.status("drawing"):
@@ -289,10 +289,10 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
         for told in trajectories_text(Results(result.runs, [])):
             console.print(escape(told.replace("`", "")), soft_wrap=True)
         page, summary = escape(str(files[-1])), files[-2]
-        console.print(f"\n{_counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
+        console.print(f"\n{counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
         console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")
     if result.failed:
-        what = _counted(len(result.failed), "run")
+        what = counted(len(result.failed), "run")
         print(f"asg: {what} failed; what was said is in {directory / 'logs'}", file=sys.stderr)
     return 1 if result.failed else 0
 
@@ -300,10 +300,6 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
 def _title(result: Result) -> str:
     seeds = len({run.job.seed for run in result.runs})
     return f"mean ± standard deviation over {seeds} seeds" if seeds > 1 else "one seed"
-
-
-def _counted(number: int, one: str, many: str | None = None) -> str:
-    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def _command_line(arguments: Sequence[str] | None = None) -> str:

@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import PathName, Runs
-from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.evaluation.cli.output import counted, make_console
 
 
 @dataclass(frozen=True)
@@ -47,5 +47,5 @@ class Leaderboard:
             file.write(leaderboard_page(runs, lambda run: known(run.directory), refused).encode())
         for reason in refused.values():
             console.print(f"[red]✗[/] left out: {escape(reason)}", soft_wrap=True)
-        console.print(f"Open [bold]{escape(str(out))}[/] in a browser: {len(runs)} runs")
+        console.print(f"Open [bold]{escape(str(out))}[/] in a browser: {counted(len(runs), 'run')}")
         return 1 if refused else 0

@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, Text, option
-from activestructure_gym.evaluation.cli.output import make_console, print_whole
+from activestructure_gym.evaluation.cli.output import counted, make_console, print_whole
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Report:
         results = gather(directories, self.baseline)
         with console.status("drawing"):
             files = write_results(out, results, published=self.paper_tables)
-        print_whole(console, rich_table(table_rows(results.runs), title=f"{len(results.runs)} runs"))
+        print_whole(console, rich_table(table_rows(results.runs), title=counted(len(results.runs), "run")))
         if self.paper_tables:
             from activestructure_gym.evaluation.report.published import published_tables
 

@@ -113,7 +113,7 @@ def _asked(options: Score, run: Run | None) -> tuple[Compare, Comparison]:
     comparison = comparison_of(asked)
     return asked, dataclasses.replace(
         comparison,
-        frame_budget=options.frames or run.config["configuration"]["frame_budget"],
+        frame_budget=options.frames if options.frames is not None else run.config["configuration"]["frame_budget"],
         overrides=_changes_of(run) | dict(comparison.overrides),
         recorded={job.scene: job.scene_hash},
     )

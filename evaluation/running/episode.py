@@ -279,7 +279,10 @@ class _Episode:
     def _chosen(self, row: Any) -> int:
         if not self.env.action_space.contains(row):
             last = int(self.env.action_space.n) - 1
-            raise InputError(f"policy '{self.job.policy}': act() must return a row from 0 to {last}, got {shown(row)}")
+            raise InputError(
+                f"policy '{self.job.policy}': act() must return a row, a whole number from 0 to {last}, "
+                f"got {shown(row)}"
+            )
         return int(row)
 
     @property

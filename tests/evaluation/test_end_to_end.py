@@ -264,7 +264,9 @@ def test_a_policy_that_returns_no_row_is_told(runs, tmp_path, monkeypatch):
 
     monkeypatch.setitem(POLICIES._entries, "silent", Silent)
     job = replace(runs[0].job, policy="silent", frame_budget=3)
-    with pytest.raises(InputError, match=r"policy 'silent': act\(\) must return a row from 0 to \d+, got None"):
+    with pytest.raises(
+        InputError, match=r"policy 'silent': act\(\) must return a row, a whole number from 0 to \d+, got None"
+    ):
         episode.run_job(job, tmp_path / "jobs" / job.name)
 
 

@@ -126,6 +126,8 @@ def test_failed_runs_end_with_one(asked, monkeypatch, capsys):
         ("--set mapper.keyframe_reduction=-1", "keyframe_reduction must be a whole number from 1 to 64, got -1"),
         ("--set mapper.keyframe_reduction=2.5", "keyframe_reduction must be a whole number, got 2.5"),
         ("--set mapper.keyframe_reduction=x", "keyframe_reduction must be a whole number, got 'x'"),
+        ("--views 0", "views must be"),
+        ("--samples 0", "surface_samples must be"),
         ("--references foo", "unknown reference 'foo'. Known: oracle, oracle-quality"),
         ("--references oracle --policies oracle", "unknown policy 'oracle'"),
         ("--policies reference:oracle", "ask for it by --references oracle"),

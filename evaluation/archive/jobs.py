@@ -8,7 +8,7 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
@@ -128,27 +128,31 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
     They may name what is registered, and files; see `registry.refuse_code`.
     """
     from activestructure_gym import registry
+
+    for job in jobs:
+        for kind, name in code_of(job):
+            registry.refuse_code(kind, name, file)
+
+
+def code_of(job: Job) -> Iterator[tuple[str, str]]:
+    """What kind of thing, and its name, of all that a job names by the module to import it from."""
     from activestructure_gym.features import FEATURES
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes.library import imports_code
     from activestructure_gym.sources import SOURCES, sources_in
 
-    for job in jobs:
-        if imports_code(job.scene):
-            registry.refuse_code("scene", job.scene, file)
-        if (
-            not is_reference(job.policy)
-            and not is_trajectory(job.policy)
-            and POLICIES.imports(job.policy.partition("?")[0])
-        ):
-            registry.refuse_code("policy", job.policy, file)
-        gains = dict(job.overrides).get("gains", ())
-        for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
-            if isinstance(name, str) and FEATURES.imports(name):
-                registry.refuse_code("feature", name, file)
-        for name in sources_in(dict(job.overrides)):
-            if SOURCES.imports(name):
-                registry.refuse_code("candidate source", name, file)
+    if imports_code(job.scene):
+        yield "scene", job.scene
+    given = is_reference(job.policy) or is_trajectory(job.policy)
+    if not given and POLICIES.imports(job.policy.partition("?")[0]):
+        yield "policy", job.policy
+    gains = dict(job.overrides).get("gains", ())
+    for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
+        if isinstance(name, str) and FEATURES.imports(name):
+            yield "feature", name
+    for name in sources_in(dict(job.overrides)):
+        if SOURCES.imports(name):
+            yield "candidate source", name
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

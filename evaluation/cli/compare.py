@@ -146,7 +146,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
     from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
-    from activestructure_gym.evaluation.archive.jobs import is_trajectory, policy_label
+    from activestructure_gym.evaluation.archive.jobs import code_of, is_trajectory, policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
     from activestructure_gym.evaluation.running.following import named_trajectory
@@ -199,9 +199,10 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
             return _report(console, result, directory, seconds, baseline)
     except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
         if (directory / COMPARISON).is_file():
+            trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
             print(
                 "asg: stopped; finished runs are kept, go on with: "
-                f"asg compare --out {shlex.quote(str(directory))} --resume",
+                f"asg compare --out {shlex.quote(str(directory))} --resume{trust}",
                 file=sys.stderr,
             )
         if isinstance(error, OSError):

@@ -75,7 +75,9 @@ def test_ctrl_c_says_how_to_go_on(asked, monkeypatch, capsys):
 
     monkeypatch.setattr(comparison, "run_comparison", interrupted)
     assert main(["compare", "--scenes", "box", "--out", "here"]) == 130
-    assert "asg compare --out here --resume" in capsys.readouterr().err
+    assert capsys.readouterr().err.endswith("asg compare --out here --resume\n")
+    assert main(["compare", "--scenes", "box", "--policies", "my_policy:Mine", "--out", "mine"]) == 130
+    assert capsys.readouterr().err.endswith("asg compare --out mine --resume --trust-code\n")  # else it is refused
 
 
 def test_sigterm_ends_as_ctrl_c_does(asked, monkeypatch, capsys):

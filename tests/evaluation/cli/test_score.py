@@ -40,6 +40,7 @@ def test_a_run_names_its_scene_seed_and_configuration(tmp_path: Path) -> None:
     assert (wanted.scenes, wanted.seeds, wanted.preset) == (("box",), (4,), "fast")
     assert dict(wanted.overrides) == {"keyframe_every": 7, "revisit_rounds": 2}
     assert wanted.policies[0].startswith(f"trajectory:{run.resolve() / 'trajectory.npz'}@")
+    assert asked(str(run), frames=0).frame_budget == 0  # for a configuration to refuse, and not the run's
     elsewhere = asked(str(run), scene="room")
     assert (elsewhere.scenes, elsewhere.seeds, dict(elsewhere.overrides)) == (("room",), (0,), {})
 

@@ -17,13 +17,14 @@ from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion import planar_graph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, make_source
+from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, facing, make_source
 from activestructure_gym.sources.facing import (
     UnsureFacing,
     _rank_within,
     frontier_cells,
     standing_places,
 )
+from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import FREE
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 60}
@@ -93,7 +94,8 @@ def test_heights_of_the_lattice_count_from_the_camera_or_from_the_floor() -> Non
     for options in ("heights_m=0", "heights_m=1.3&from_floor=true"):
         spec = f"lattice?spacing_m=0.5&directions=2&rows=60&{options}"
         run = begin((spec, TURNS))
-        run.visit(int(rows_of(run, TURNS)[3]))
+        for _ in range(3):  # where it has looked there are free places, on every processor
+            run.visit(int(rows_of(run, TURNS)[3]))
         heights = run.candidates.world_from_camera[rows_of(run, spec), 2, 3] - run.scene.bounds[0, 2]
         wanted = 1.3 if "floor" in options else run.trajectory[0][2, 3] - run.scene.bounds[0, 2]
         assert len(heights) > 3 and abs(wanted - 1.3) < 0.2
@@ -215,15 +217,29 @@ def look_round(*stages: tuple[str, ...]) -> Reconstruction:
     return run
 
 
-def test_views_that_keep_apart_reach_farther() -> None:
+def test_views_that_keep_apart_reach_farther(monkeypatch: pytest.MonkeyPatch) -> None:
     near, apart = "frontier_facing?rows=30", "frontier_facing?rows=30&apart_m=1"
     run = look_round((TURNS, near, apart))
+    faced: list[np.ndarray] = []
 
-    def reach(name: str) -> float:
-        places = run.candidates.world_from_camera[rows_of(run, name), :3, 3]
-        return float(np.median(np.linalg.norm(places - run.pose[:3, 3], axis=1)))
+    def noted(places: np.ndarray, along: np.ndarray) -> np.ndarray:
+        faced.append(places[0] + along[0])
+        return looking(places, along)
 
-    assert len(rows_of(run, near)) > 5 and reach(apart) > reach(near)
+    monkeypatch.setattr(facing, "looking", noted)
+
+    def regions(name: str) -> np.ndarray:  # [R, 3] that have views
+        faced.clear()
+        run._sources = {one: make_source(one) for one in (TURNS, name)}
+        run.config = replace(run.config, views=replace(run.config.views, stages=((TURNS, name),)))
+        run._offer()
+        return np.array(faced)
+
+    nearest, spread = regions(near), regions(apart)
+    cubes = np.floor((spread - run.volume.origin) / 1.0)
+    assert len(np.unique(cubes, axis=0)) == len(spread) > 3
+    reach = [float(np.linalg.norm(found - run.pose[:3, 3], axis=1).max()) for found in (nearest, spread)]
+    assert reach[1] > reach[0]
 
 
 def test_the_worst_rendered_surface_is_faced_first() -> None:

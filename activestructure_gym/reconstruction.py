@@ -148,7 +148,7 @@ class Reconstruction:
     def agent(self) -> Agent:
         """Where the agent stands now, and how it would get to a view."""
         return Agent(
-            pose=self.pose,
+            pose=self.pose.copy(),  # sources and features of others read it: what they write moves nobody
             frames=self.frames,
             frame_budget=self.frame_budget,
             keyframe_every=self.config.keyframe_every,
@@ -357,10 +357,10 @@ class Reconstruction:
                     volume=self.volume,
                     planes=self.planes,
                     camera=self.scoring_camera,
-                    bounds=self.scene.bounds,
+                    bounds=self.scene.bounds.copy(),
                     max_range=config.sensor.max_range,
                     agent=agent,
-                    start=self.trajectory[0][:3, 3],
+                    start=self.trajectory[0][:3, 3].copy(),
                     clearance_m=config.motion.candidate_clearance,
                     decision=self.decisions,
                     pool=self.pool,
@@ -382,10 +382,10 @@ class Reconstruction:
                 volume=self.volume,
                 planes=self.planes,
                 camera=self.scoring_camera,
-                bounds=self.scene.bounds,
+                bounds=self.scene.bounds.copy(),
                 coverage_alpha=config.views.coverage_alpha,
                 max_range=config.sensor.max_range,
-                world_from_camera=self.candidates.world_from_camera[: self.candidates.views],
+                world_from_camera=self.candidates.world_from_camera[: self.candidates.views].copy(),
                 agent=agent,
             )
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))

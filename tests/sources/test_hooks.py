@@ -15,6 +15,7 @@ from activestructure_gym.config import configure
 from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES, row_columns
 from activestructure_gym.errors import InputError
+from activestructure_gym.features import FEATURES
 from activestructure_gym.policies.base import Policy
 from activestructure_gym.sources import Proposals, Source
 
@@ -164,6 +165,41 @@ def test_a_point_is_looked_at_on_the_way() -> None:
     cosine = (towards * way[moved, :3, 2]).sum(axis=1) / np.linalg.norm(towards, axis=1)
     assert len(moved) > 3 and cosine.min() > 1 - 1e-9
     np.testing.assert_allclose(way[-1], goal, atol=1e-9)
+
+
+@dataclass(frozen=True)
+class Scribbling(Source):
+    """Its own place, after it has written into what it was shown."""
+
+    rows: int = 4
+    scribble: bool = False
+
+    def propose(self, context):
+        pose = context.agent.pose.copy()
+        for shown in (context.agent.pose, context.bounds, context.start) if self.scribble else ():
+            shown += 100.0
+        return Proposals(np.array([pose]))
+
+
+def scribbling(context):  # [K]
+    """0 everywhere, after it has written into what it was shown."""
+    for shown in (context.world_from_camera, context.agent.pose, context.bounds):
+        shown[:] = 0.0
+    return np.zeros(len(context.world_from_camera))
+
+
+@pytest.mark.parametrize("scribble, gains", [("true", ("pixel",)), ("false", ("scribbling",))])
+def test_what_is_written_into_what_is_shown_moves_nobody(scribble, gains, monkeypatch) -> None:
+    monkeypatch.setattr(FEATURES, "_entries", dict(FEATURES._entries))
+    FEATURES.register("scribbling", unit="-")(scribbling)
+    ways = []
+    for flag, asked in (("false", ("pixel",)), (scribble, gains)):
+        env = make([["pool", f"tests.sources.test_hooks:Scribbling?scribble={flag}"]], gains=asked)
+        env.reset(seed=0)
+        for row in (3, 2):
+            env.step(row)
+        ways.append(np.array(env.reconstruction.trajectory))
+    assert np.array_equal(*ways) and len(ways[0]) > 3
 
 
 def test_without_hooks_a_reader_sees_the_pool_alone() -> None:

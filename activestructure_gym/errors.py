@@ -1,4 +1,4 @@
-"""The one error a user is meant to read, and the helper that names the nearest valid choice."""
+"""The one error a user is meant to read, and the words for names, values and counts that messages share."""
 
 from __future__ import annotations
 
@@ -36,3 +36,8 @@ def shown(value: object) -> str:
     except Exception:  # whole numbers of thousands of digits, and whatever the objects of others raise
         return f"something of the kind {type(value).__name__}"
     return text if len(text) <= 200 else f"{text[:160]}... ({len(text)} characters)"
+
+
+def counted(number: int, one: str, many: str | None = None) -> str:
+    """A number with what it counts: ``1 run``, ``2 runs``."""
+    return f"{number} {one if number == 1 else many or one + 's'}"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from rich.console import Console
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, counted
 from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, NoNames, PathName, Switch, Text, option
 from activestructure_gym.evaluation.cli.options import (
     parse_overrides,
@@ -26,7 +26,7 @@ from activestructure_gym.evaluation.cli.options import (
     use_lpips_weights,
     use_trust,
 )
-from activestructure_gym.evaluation.cli.output import counted, make_console, print_whole, working
+from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
 from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
 
 if TYPE_CHECKING:

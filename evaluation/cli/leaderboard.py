@@ -7,9 +7,9 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, counted
 from activestructure_gym.evaluation.cli.fields import PathName, Runs
-from activestructure_gym.evaluation.cli.output import counted, make_console
+from activestructure_gym.evaluation.cli.output import make_console
 
 
 @dataclass(frozen=True)

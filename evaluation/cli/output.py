@@ -23,11 +23,6 @@ def make_console() -> Console:
     return Console(highlight=False, width=_WIDEST if endless else None)
 
 
-def counted(number: int, one: str, many: str | None = None) -> str:
-    """A number with what it counts: ``1 run``, ``2 runs``."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
-
-
 @contextmanager
 def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
     """A spinner beside ``text`` while the block runs, and a function that says something else there.

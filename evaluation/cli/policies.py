@@ -79,5 +79,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
 
 def _own_words(kind: type) -> str:
     """The docstring of a policy, or of one it is derived from; that of an interface says nothing about it."""
-    told = (parent for parent in kind.__mro__ if vars(parent).get("__doc__") and not inspect.isabstract(parent))
-    return inspect.cleandoc(next(told).__doc__ or "")
+    from activestructure_gym.policies import Policy
+
+    policies = (parent for parent in kind.__mro__ if issubclass(parent, Policy) and not inspect.isabstract(parent))
+    return inspect.cleandoc(next((told for parent in policies if (told := vars(parent).get("__doc__"))), ""))

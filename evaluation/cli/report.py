@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, counted
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, Text, option
-from activestructure_gym.evaluation.cli.output import counted, make_console, print_whole
+from activestructure_gym.evaluation.cli.output import make_console, print_whole
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.ext import Extension
 from markupsafe import Markup
 
+from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.report.layout import Cell, Table
 from activestructure_gym.evaluation.report.packing import packed
 from activestructure_gym.evaluation.report.places import without_places
@@ -50,11 +51,6 @@ def _environment() -> Environment:
 def render(template: str, **content: Any) -> Markup:
     """One of ``templates/`` with its content."""
     return Markup(_environment().get_template(template).render(content))
-
-
-def counted(number: int, one: str, many: str | None = None) -> str:
-    """``1 run``, ``2 runs``."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 class _Shown(NamedTuple):

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, is_reference
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.archive.verified import GOOD, Verification
 from activestructure_gym.evaluation.report.columns import RATIOS, Column, value_of
-from activestructure_gym.evaluation.report.html import counted, html_table, render
+from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number, ranked
 from activestructure_gym.evaluation.report.page import CONTENT_POLICY, page_asset
 from activestructure_gym.evaluation.report.places import without_places

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.report.curve_section import convergence_section
 from activestructure_gym.evaluation.report.first_sight import first_sight
 from activestructure_gym.evaluation.report.glance_section import glance_section
-from activestructure_gym.evaluation.report.html import counted, render
+from activestructure_gym.evaluation.report.html import render
 from activestructure_gym.evaluation.report.layout import Table
 from activestructure_gym.evaluation.report.method_section import method_section
 from activestructure_gym.evaluation.report.results import Results

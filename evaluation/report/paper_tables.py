@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.report.columns import Aspect, Column, aspects, reason_of
 from activestructure_gym.evaluation.report.layout import (
     MISSING,
@@ -46,7 +47,7 @@ def quality_table(results: Results, aspect: Aspect, *, average: bool = True) -> 
     headings = [Heading("Method", numeric=False), Heading("Metric", numeric=False)]
     headings += [Heading(scene or "Avg.") for scene in scenes]
     caption = (
-        f"Means over {_counted(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
+        f"Means over {counted(len(results.seeds), 'seed')}. “{MISSING}”: no finished run; “{NONE}”: not measured "
         "or not defined"
     )
     blocks = [k * len(columns) for k in range(1, len(results.policies))]
@@ -79,7 +80,7 @@ def ablation_table(results: Results, aspect: Aspect) -> Table:
         caption = "One run each" if len(results.scenes) == 1 else f"Means over {len(results.scenes)} scenes, a run each"
     else:
         caption = (
-            f"Means over {_counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
+            f"Means over {counted(len(results.scenes), 'scene')}, each the mean over its runs, with stratified "
             "bootstrap intervals of 95 %; none where a scene has a single run"
         )
     if len(results.scenes) > 1:
@@ -122,7 +123,3 @@ def _undefined(results: Results, policy: str, column: Column, scene: str | None)
         return Cell(MISSING)
     reasons = [reason for run in results.of(policy, scene) if (reason := reason_of(run, column.key))]
     return Cell(NONE, note=reasons[0] if reasons else "")
-
-
-def _counted(number_of: int, one: str) -> str:
-    return f"{number_of} {one}" + ("" if number_of == 1 else "s")

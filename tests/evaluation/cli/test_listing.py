@@ -84,7 +84,8 @@ def test_a_policy_is_described_by_its_own_words_and_what_must_be_given_is_said(c
     out = said(capsys, "policies", "mute")
     assert "Chooses one row" not in out and "pixel" in out
     assert [line.split() for line in out.splitlines()[-4:-2]] == [["where", "must", "be", "given"], ["far", "2"]]
-    assert json.loads(said(capsys, "policies", "mute", "--json"))["required"] == ["where"]
+    facts = json.loads(said(capsys, "policies", "mute", "--json"))
+    assert facts["required"] == ["where"] and facts["about"] == facts["decides_by"] == ""
     assert main(["policies", "activeinr?travel=fast"]) == 2
     assert "travel" in capsys.readouterr().err
 

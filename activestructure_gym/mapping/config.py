@@ -90,6 +90,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "seed_footprint": 1.0,  # one pixel of the image the seeds are taken from
         "seed_opacity": 0.5,
         "normalised_depth": False,
+        "centre_depth": True,
         "in_front_floor": 0.0,
         "coarse_ratio": None,
         "iterations": 15,
@@ -144,13 +145,14 @@ class MapperConfig:
     image_weight: float = 0.5  # of the image term (SplaTAM)
     l1_share: float = 0.8  # of L1 in the image term; the rest is 1 - SSIM (3DGS)
     normalised_depth: bool = True  # depth divided by alpha, where alpha > .5; False = as accumulated (False: SplaTAM)
+    centre_depth: bool = False  # depth of Gaussians' centres, not of where pixels' rays meet them (True: SplaTAM)
     depth_weight: float = 1.0  # of the depth term; .3 favours appearance (rows C8, C9)
     alpha_weight: float = 0.1  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
     # A seed is where it was measured and has the colour that was measured: what is left to learn is little, and at
     # SplaTAM's rates training views are fitted at the cost of all others (measured). Opacity is not learnt at all.
-    mean_rate: float = 6e-5  # metres per step
-    quaternion_rate: float = 1e-4  # per step
-    log_scale_rate: float = 6e-4  # per step
+    mean_rate: float = 1e-4  # metres per step
+    quaternion_rate: float = 2e-4  # per step
+    log_scale_rate: float = 1.5e-3  # per step
     opacity_rate: float = 0.0  # logit per step
     color_rate: float = 3e-4  # of the 0..1 range per step
     refine_shapes: bool = False  # refining learns more than colours (measured: held-out views of scans get worse)
@@ -222,6 +224,7 @@ class MonoGSConfig(MapperConfig):
     color_rate: float = 2.5e-3 * HARMONIC
     refine_shapes: bool = True
     normalised_depth: bool = False
+    centre_depth: bool = True
     window: int = 10  # keyframes that every step renders
     prune_opacity: float = 0.7  # Gaussians below go, when they are judged
     psnr_refresh: int = 0
@@ -260,6 +263,7 @@ class GaussianSLAMConfig(MapperConfig):
     l1_share: float = 0.8
     depth_weight: float = 1.0
     normalised_depth: bool = False
+    centre_depth: bool = True
     mean_rate: float = 1e-4
     quaternion_rate: float = 1e-3
     log_scale_rate: float = 5e-3

@@ -166,6 +166,7 @@ def drawn(rows: torch.Tensor, frame: Frame, config: MapperConfig) -> Rasterizati
         rows[11:].T,
         camera_from_world=pose,
         camera=frame.camera,
+        centre_depth=config.centre_depth,
         backend=config.backend,
     )
 

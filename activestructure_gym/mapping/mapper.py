@@ -105,6 +105,7 @@ class Mapper:
             depth=config.depth_weight,
             alpha=config.alpha_weight,
             normalised_depth=config.normalised_depth,
+            centre_depth=config.centre_depth,
         )
 
     @property

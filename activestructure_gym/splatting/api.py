@@ -48,6 +48,7 @@ class _Request:
     camera_from_world: torch.Tensor
     camera: PinholeCamera
     max_alpha: float
+    centre_depth: bool
     median_depth: bool
     threads: int | None
 
@@ -63,6 +64,7 @@ def rasterize(
     camera: PinholeCamera,
     sh: torch.Tensor | None = None,  # [N, K, 3] harmonics of degree 0 to 3 in place of colours, K = 1, 4, 9 or 16
     channels: torch.Tensor | None = None,  # [N, D] anything else to blend
+    centre_depth: bool = False,
     median_depth: bool = False,
     backend: Backend | Literal["auto"] = "auto",
     max_alpha: float = 0.999,
@@ -92,6 +94,9 @@ def rasterize(
         max(0, 0.5 + sum of coefficient times harmonic), seen from the camera centre.
     channels
         [N, D] anything else to blend.
+    centre_depth
+        Take every Gaussian at the depth of its centre, as 3D Gaussian splatting does. Otherwise a pixel takes it where
+        its ray meets it (see Notes), which for a disk seen at a slant is on the disk.
     median_depth
         Also give the depth of the Gaussian with which the transmittance, front to back, first falls to 0.5 or below; 0
         where alpha stays under 0.5; it has no gradient.
@@ -118,7 +123,8 @@ def rasterize(
     Notes
     -----
     Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, eqs. 3, 5 and
-    6; cut-offs are those of [gsplat, code] 1.5.3.
+    6; cut-offs are those of [gsplat, code] 1.5.3. A ray meets a Gaussian where it is densest along the ray; to the
+    first order in the pixel, as in Zhang et al., "RaDe-GS: Rasterizing Depth in Gaussian Splatting", 2024.
 
     Examples
     --------
@@ -134,7 +140,7 @@ def rasterize(
         raise unknown_name("splatting backend", backend, BACKENDS)
     request = _Request(
         means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world, camera, max_alpha,
-        median_depth, threads,
+        centre_depth, median_depth, threads,
     )  # fmt: skip
     _check(request)
     if backend == "auto":
@@ -229,7 +235,7 @@ def _reference_of_one(request: _Request, pose: torch.Tensor) -> Rasterization:
     features = colors if channels is None else torch.cat([colors, channels], dim=1)
     picture, depth, alpha, median = blend_reference(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, features, pose, request.camera,
-        max_alpha=request.max_alpha,
+        max_alpha=request.max_alpha, centre_depth=request.centre_depth,
     )  # fmt: skip
     extra = None if channels is None else picture[..., 3:]
     return Rasterization(picture[..., :3], depth, alpha, extra, median if request.median_depth else None)
@@ -257,6 +263,7 @@ def _render_gsplat(request: _Request) -> Rasterization:
     color, depth, alpha, extra = rasterize_gsplat(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
         pose.reshape(-1, 4, 4), request.camera, sh=request.sh, channels=request.channels,
+        centre_depth=request.centre_depth,
     )  # fmt: skip
     if pose.dim() == 2:
         return Rasterization(color[0], depth[0], alpha[0], None if extra is None else extra[0])
@@ -269,7 +276,7 @@ def _render_cpu(request: _Request) -> Rasterization:
             f"splatting backend 'cpu' takes float32 tensors on the CPU, got {request.means.dtype} on "
             f"{request.means.device}; use backend='reference' or convert them."
         )
-    options = CpuOptions(request.camera, request.max_alpha, request.median_depth, request.threads)
+    options = CpuOptions(request.camera, request.max_alpha, request.centre_depth, request.median_depth, request.threads)
     return Rasterization(
         *CpuRasterization.apply(
             options, request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,

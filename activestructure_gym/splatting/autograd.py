@@ -28,6 +28,7 @@ class CpuOptions:
 
     camera: PinholeCamera
     max_alpha: float
+    centre_depth: bool
     median_depth: bool
     threads: int | None
 
@@ -69,8 +70,9 @@ class CpuRasterization(torch.autograd.Function):
                 view, grid = make_view(camera, pose), make_grid(count, ctx.parameters.shape[1], camera)
                 shade(ctx.parameters, coefficients, pose, view, grid, ctx.threads)
             workspace.render(
-                ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, threads=ctx.threads, keep=goes_back
-            )
+                ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, centre_depth=options.centre_depth,
+                threads=ctx.threads, keep=goes_back,
+            )  # fmt: skip
             own = list(workspace.pictures())
             kept: list[np.ndarray] = []
             if features is not None:

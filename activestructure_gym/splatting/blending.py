@@ -16,6 +16,7 @@ from activestructure_gym.splatting.layout import (
     L00,
     L01,
     L11,
+    LEAST_DEPTH,
     LEAST_LEFT,
     LEAST_POWER,
     LOG_OPACITY,
@@ -24,6 +25,8 @@ from activestructure_gym.splatting.layout import (
     ONE,
     RECORD,
     RED,
+    SLOPE_S,
+    SLOPE_T,
     SORTED_REACH,
     SORTED_SPLAT,
     STRIDE,
@@ -115,9 +118,22 @@ def place_of(records, base, block, along, across):
 def alpha_of(records, base, block, along, across, view):
     """Alpha (0 below 1/255) at the 16 pixels of a block."""
     t, s = place_of(records, base, block, along, across)
+    return alpha_at(records, base, t, s, view)
+
+
+@inline
+def alpha_at(records, base, t, s, view):
+    """Alpha (0 below 1/255) at 16 pixels."""
     power = fma(neg(s), s, fma(neg(t), t, peek(records, base + LOG_OPACITY)))
     alpha = smaller(exp2_hot(power, view), spread(peek(view, MAX_ALPHA)))
     return sel(power >= peek(view, LEAST_POWER), alpha, F(0.0))
+
+
+@inline
+def depth_at(records, base, z, t, s, view):
+    """Depth at which the rays of 16 pixels meet a Gaussian, to the first order; not before the near plane."""
+    depth = fma(spread(peek(records, base + SLOPE_T)), t, fma(spread(peek(records, base + SLOPE_S)), s, z))
+    return larger(depth, spread(peek(view, LEAST_DEPTH)))
 
 
 # State of a block while blending, in floats: transmittance, depth (, red, green, blue), and room for the backward pass:
@@ -169,7 +185,8 @@ def _make_forward(with_color):
                 block = lowest_bit(reach)
                 reach &= reach - 1
                 at = width * block
-                opaque = alpha_of(records, base, block, along, across, view)
+                t, s = place_of(records, base, block, along, across)
+                opaque = alpha_at(records, base, t, s, view)
                 before = load(state, at)
                 after = fma(neg(opaque), before, before)
                 goes_on = after > peek(view, LEAST_LEFT)
@@ -182,7 +199,8 @@ def _make_forward(with_color):
                     if bits(goes_on) == 0:
                         alive &= ~(1 << block)
                 store(state, at, after)
-                store(state, at + 16, fma(weight, z, load(state, at + 16)))
+                here = depth_at(records, base, z, t, s, view)
+                store(state, at + 16, fma(weight, here, load(state, at + 16)))
                 if with_color:
                     store(state, at + 32, fma(weight, r, load(state, at + 32)))
                     store(state, at + 48, fma(weight, g, load(state, at + 48)))
@@ -244,7 +262,7 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
             spread(peek(records, base + BLUE)), spread(peek(records, base + DEPTH)),
         )  # fmt: skip
         m0, m1, m2, m3, m4, m5 = zero, zero, zero, zero, zero, zero
-        w_r, w_g, w_b, w_z, w_all = zero, zero, zero, zero, zero
+        w_r, w_g, w_b, w_z, w_all, w_zt, w_zs = zero, zero, zero, zero, zero, zero, zero
         while reach != 0:
             block = lowest_bit(reach)
             reach &= reach - 1
@@ -258,17 +276,20 @@ def blend_backward(tile, done, lists, state, kept, keeps, slots):
             store(state, at, before - weight)
             g_r, g_g, g_b = load(state, at + 32), load(state, at + 48), load(state, at + 64)
             g_z = load(state, at + 80)
-            term = weight * fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(z, g_z, load(state, at + 96)))))
+            here = depth_at(records, base, z, t, s, view)
+            term = weight * fma(r, g_r, fma(g, g_g, fma(b, g_b, fma(here, g_z, load(state, at + 96)))))
             rest = load(state, at + 16) - term
             store(state, at + 16, rest)
             w_r, w_g, w_b = fma(weight, g_r, w_r), fma(weight, g_g, w_g), fma(weight, g_b, w_b)
-            w_z, w_all = fma(weight, g_z, w_z), w_all + weight
+            by_depth = sel(here > peek(view, LEAST_DEPTH), weight * g_z, F(0.0))
+            w_z, w_all = w_z + by_depth, w_all + weight
+            w_zt, w_zs = fma(by_depth, t, w_zt), fma(by_depth, s, w_zs)
             v = term - opaque / (peek(view, ONE) - opaque) * rest
             v = sel(opaque < peek(view, MAX_ALPHA), v, F(0.0))  # at its limit alpha does not move
             vt, vs = v * t, v * s
             m0, m1, m2 = m0 + v, m1 + vt, m2 + vs
             m3, m4, m5 = fma(vt, t, m3), fma(vt, s, m4), fma(vs, s, m5)
-        store(slots, slot, sums((m0, m1, m2, m3, m4, m5, w_r, w_g, w_b, w_z, w_all)))
+        store(slots, slot, sums((m0, m1, m2, m3, m4, m5, w_r, w_g, w_b, w_z, w_all, w_zt, w_zs)))
     for entry in range(done, stop):
         store(slots, LANES * np.int64(peek(entries, SORTED_SPLAT * room + entry) >> U64(32)), zero)
 

@@ -51,6 +51,7 @@ class LossWeights:
     depth: float = 1.0  # per metre
     alpha: float = 0.0  # of the missing opacity where there is a depth
     normalised_depth: bool = True
+    centre_depth: bool = False  # every Gaussian at the depth of its centre, not where the ray meets it
 
     def __post_init__(self) -> None:
         check_ranges(self, {**dict.fromkeys(("image", "depth", "alpha"), "[0, 1e6]"), "l1_share": "[0, 1]"})
@@ -101,18 +102,20 @@ def render(
     world_from_camera: np.ndarray,  # [4, 4]
     *,
     max_alpha: float = MAX_ALPHA,
+    centre_depth: bool = False,
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks of 1024 Gaussians] bool
 ) -> Rendering:
     """Colour, accumulated depth and alpha of one camera.
 
+    A pixel takes a Gaussian at the depth where its ray meets it, with ``centre_depth`` at that of its centre.
     ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
     """
     check_map(parameters, count)
     pooled = PooledWorkspace()
     pooled.workspace.render(
-        fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha, threads=threads,
-        keep=False, unseen=unseen,
+        fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha,
+        centre_depth=centre_depth, threads=threads, keep=False, unseen=unseen,
     )  # fmt: skip
     return Rendering(*pooled.workspace.pictures())
 
@@ -123,13 +126,14 @@ def render_depth_alpha(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [C, 4, 4]
     *,
+    centre_depth: bool = False,
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
     """Depth and alpha of many cameras, for scoring candidates."""
     check_map(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
-    views = np.repeat(make_view(camera, np.eye(4))[None], len(poses), axis=0)
+    views = np.repeat(make_view(camera, np.eye(4), centre_depth=centre_depth)[None], len(poses), axis=0)
     views[:, : layout.FX] = poses[:, :3].reshape(-1, layout.FX)
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     tickets = np.zeros(1, np.int64)
@@ -177,14 +181,18 @@ def mapping_step(
     workspace = pooled.workspace
     pose, of_color = inverse_of_pose(world_from_camera), weights.image * weights.l1_share
     if weights.image * (1.0 - weights.l1_share) == 0.0:
-        workspace.prepare(used[0], count, camera, pose, threads=threads, unseen=unseen)
+        workspace.prepare(
+            used[0], count, camera, pose, centre_depth=weights.centre_depth, threads=threads, unseen=unseen
+        )
         color, depth = workspace.fused_step(
             target_rgb, target_depth, rates, *used[1:], of_color=of_color, of_depth=weights.depth,
             of_alpha=weights.alpha, normalised_depth=weights.normalised_depth,
         )  # fmt: skip
         ssim = float("nan")
     else:
-        workspace.render(used[0], count, camera, pose, threads=threads, unseen=unseen)
+        workspace.render(
+            used[0], count, camera, pose, centre_depth=weights.centre_depth, threads=threads, unseen=unseen
+        )
         color, depth, ssim = workspace.losses(
             target_rgb, target_depth, of_color, weights.image * (1.0 - weights.l1_share), weights.depth, weights.alpha,
             weights.normalised_depth,

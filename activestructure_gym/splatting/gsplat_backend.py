@@ -8,8 +8,8 @@ import importlib.metadata
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting.reference import camera_centre
-from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
+from activestructure_gym.splatting.reference import camera_centre, depth_slopes, project_means
+from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
 _ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # from this version on the second
 
@@ -34,28 +34,53 @@ def rasterize_gsplat(
     *,
     sh: torch.Tensor | None = None,  # [N, K, 3] in place of colours
     channels: torch.Tensor | None = None,  # [N, D]
+    centre_depth: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
     """Colour ``[C, H, W, 3]``, accumulated depth ``[C, H, W]``, alpha ``[C, H, W]`` and channels ``[C, H, W, D]``.
 
-    gsplat renders any number of per-Gaussian channels, but harmonics only alone: with both, the colours are worked out
-    here for every camera.
+    gsplat blends any number of per-Gaussian channels, and centres' depths. Depth where the rays meet the Gaussians is
+    blended as three channels, of each camera its own: the linear functions of the pixel that `depth_planes` gives.
     """
     from gsplat import rasterization
 
-    degree = None
+    cameras = len(camera_from_world)
     if sh is None:
         assert colors is not None
-        features = colors if channels is None else torch.cat([colors, channels], dim=-1)
-    elif channels is None:
-        features, degree = sh, TERMS.index(sh.shape[1])
+        own = colors.expand(cameras, -1, -1)
     else:
-        own = [evaluate_sh(sh, means - camera_centre(pose)) for pose in camera_from_world]
-        features = torch.stack([torch.cat([of_camera, channels], dim=-1) for of_camera in own])  # [C, N, 3 + D]
+        own = torch.stack([evaluate_sh(sh, means - camera_centre(pose)) for pose in camera_from_world])
+    parts = [own] if channels is None else [own, channels.expand(cameras, -1, -1)]
+    if not centre_depth:
+        parts.append(depth_planes(means, quaternions, log_scales, camera_from_world, camera))
+    features = torch.cat(parts, dim=-1)  # [C, N, F]
     intrinsics = torch.tensor(camera.matrix, dtype=torch.float32, device=means.device)
     output, alpha, _ = rasterization(
         means, quaternions, torch.exp(log_scales), torch.sigmoid(opacity_logits), features, camera_from_world,
-        intrinsics.expand(len(camera_from_world), 3, 3).contiguous(), camera.width, camera.height,
-        near_plane=0.01, eps2d=0.3, sh_degree=degree, packed=False, render_mode="RGB+D",
+        intrinsics.expand(cameras, 3, 3).contiguous(), camera.width, camera.height,
+        near_plane=0.01, eps2d=0.3, packed=False, render_mode="RGB+D" if centre_depth else "RGB",
     )  # fmt: skip
-    extra = None if channels is None else output[..., 3:-1]
-    return output[..., :3], output[..., -1], alpha[..., 0], extra
+    extra = None if channels is None else output[..., 3 : 3 + channels.shape[1]]
+    depth = output[..., -1] if centre_depth else depth_of_planes(output[..., -3:])
+    return output[..., :3], depth, alpha[..., 0], extra
+
+
+def depth_planes(
+    means: torch.Tensor,  # [N, 3]
+    quaternions: torch.Tensor,  # [N, 4]
+    log_scales: torch.Tensor,  # [N, 3]
+    camera_from_world: torch.Tensor,  # [C, 4, 4]
+    camera: PinholeCamera,
+) -> torch.Tensor:  # [C, N, 3]
+    """Depth where a pixel's ray meets a Gaussian as a + b x + c y of the pixel, counted from the image's middle."""
+    position, depth = project_means(means, camera_from_world, camera)
+    slope = depth_slopes(means, quaternions, log_scales, camera_from_world, camera)
+    from_middle = position - position.new_tensor([0.5 * camera.width, 0.5 * camera.height])
+    return torch.cat([(depth - (slope * from_middle).sum(dim=-1))[..., None], slope], dim=-1)
+
+
+def depth_of_planes(blended: torch.Tensor) -> torch.Tensor:  # [C, H, W, 3] -> [C, H, W] metres
+    """Accumulated depth from the blended `depth_planes`."""
+    height, width = blended.shape[-3:-1]
+    x = torch.arange(width, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * width)
+    y = torch.arange(height, dtype=blended.dtype, device=blended.device) + (0.5 - 0.5 * height)
+    return blended[..., 0] + blended[..., 1] * x + blended[..., 2] * y[:, None]

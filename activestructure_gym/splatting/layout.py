@@ -20,6 +20,7 @@ PLACES = 258  # integers behind the tiles in ``tile_order``: room for ordering t
 
 NEAR_PLANE = F(0.01)
 BLUR_VARIANCE = F(0.3)  # px^2
+SLANT_VARIANCE = F(0.03)  # px^2, where depth is concerned: a disk seen from its edge has no slope that could be drawn
 MIN_TRANSMITTANCE = F(1e-4)
 CLAMP_MARGIN = 0.3  # of half the image
 LOG2_E = F(1.4426950408889634)
@@ -29,21 +30,25 @@ LN_4 = F(1.3862943611198906)  # 1 / ROOT^2
 SLACK = F(0.01)  # px around every ellipse, far above the rounding of its border
 
 # view: floats of a camera
-POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, CONSTANTS, VIEW_SIZE = 0, *range(12, 22), 32
+POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, SLANT, CONSTANTS, VIEW_SIZE = 0, *range(12, 23), 32
 # grid: integers of a rendering
 COUNT, CAPACITY, WIDTH, HEIGHT, TILES_X, TILES_Y, CHUNKS, BLOCKS_X, BLOCKS_Y, STRIDE, MARGIN = range(11)
 TILE_BLOCKS, GRID_SIZE = 11, 12  # 64, as a number that the compiler does not know: it would unroll the loops
-# record: t = L00 dx + L01 dy, s = L11 dy; BOX_X and BOX_Y hold first + last << 16 in blocks; SLOT.. are set by fill
-U, V, L00, L01, L11, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, BOX_X, BOX_Y, BITMAP, SLOT, SLOTS = (*range(13), 14, 15)
+# record: t = L00 dx + L01 dy, s = L11 dy, depth at a pixel DEPTH + SLOPE_T t + SLOPE_S s; BOX_X and BOX_Y hold first +
+# last << 16 in blocks until fill puts SLOT and SLOTS in their place
+U, V, L00, L01, L11, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, SLOPE_T, SLOPE_S, BITMAP, BOX_X, BOX_Y = (*range(13), 14, 15)
+SLOT, SLOTS = BOX_X, BOX_Y
 # rows of the array of entries
 KEY, KEY_2, SPLAT_KEY, REACH, SORTED_REACH, SORTED_SPLAT, ENTRY_ROWS = range(7)
 # sums of a slot
-V_, VT, VS, VTT, VTS, VSS, W_RED, W_GREEN, W_BLUE, W_DEPTH, W_ALL = range(11)
+V_, VT, VS, VTT, VTS, VSS, W_RED, W_GREEN, W_BLUE, W_DEPTH, W_ALL, W_DEPTH_T, W_DEPTH_S = range(13)
 
 # The numbers of the hot loops, as memory operands behind every view: as literals LLVM hoists them out of the loop and
 # spills them to a stack that is not aligned to 64 bytes, where every reload takes two cache lines.
-MAGIC, EXP_5, EXP_4, EXP_3, EXP_2, EXP_1, ONE, LEAST_POWER, LEAST_LEFT = range(CONSTANTS, CONSTANTS + 9)
+MAGIC, EXP_5, EXP_4, EXP_3, EXP_2, EXP_1, ONE, LEAST_POWER, LEAST_LEFT, LEAST_DEPTH = range(CONSTANTS, CONSTANTS + 10)
 CONSTANT_VALUES = np.array(
-    [12582912.0, 1.3264725e-3, 9.6715127e-3, 5.5507337e-2, 0.24022242, 0.69314698, 1.0, -LOG2_255, MIN_TRANSMITTANCE],
-    np.float32,
-)
+    [
+        12582912.0, 1.3264725e-3, 9.6715127e-3, 5.5507337e-2, 0.24022242, 0.69314698, 1.0, -LOG2_255, MIN_TRANSMITTANCE,
+        NEAR_PLANE,
+    ], np.float32,
+)  # fmt: skip

@@ -25,10 +25,14 @@ _AT_ONCE = 3  # channels a rendering carries
 
 
 def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
-    """Depth of the Gaussian with which the transmittance first falls to 0.5 or below; 0 where none does."""
+    """Depth, at the pixel, of the Gaussian with which the transmittance first falls to 0.5 or below; 0 without any."""
     gaussian = median_gaussian(workspace)
-    depths = workspace.records[layout.DEPTH :: layout.RECORD]
-    return np.where(gaussian >= 0, depths[gaussian], np.float32(0.0))
+    record = workspace.records.reshape(-1, layout.RECORD)[np.maximum(gaussian, 0)]  # [H, W, 16]
+    rows, columns = np.indices(gaussian.shape, np.float32) + np.float32(0.5)
+    dx, dy = columns - record[..., layout.U], rows - record[..., layout.V]
+    t, s = record[..., layout.L00] * dx + record[..., layout.L01] * dy, record[..., layout.L11] * dy
+    depth = record[..., layout.DEPTH] + record[..., layout.SLOPE_T] * t + record[..., layout.SLOPE_S] * s
+    return np.where(gaussian >= 0, np.maximum(depth, layout.NEAR_PLANE), np.float32(0.0))
 
 
 def median_gaussian(workspace: Workspace) -> np.ndarray:  # [H, W] int64

@@ -29,6 +29,8 @@ from activestructure_gym.splatting.layout import (
     RECORD,
     ROOT,
     SLACK,
+    SLANT,
+    SLANT_VARIANCE,
     WIDTH,
 )
 from activestructure_gym.splatting.memory import load, store_transposed
@@ -92,6 +94,27 @@ def jacobian_of(x, y, inverse_z, view):
 
 
 @inline
+def depth_slopes(p, n, z, view):
+    """How the depth at which a pixel's ray meets a Gaussian changes along x and y, metres per pixel: A^-1 (z.p, z.n).
+    And the determinant of A, its covariance in the image, less blurred than for drawing.
+
+    ``p``, ``n`` and ``z`` are its three axes in pixels along x and y and in metres. By cross products, in which nothing
+    cancels for needles: without blur A^-1 (z.p, z.n) = ((z x n).(p x n), (p x z).(p x n)) / |p x n|^2.
+    """
+    c, a, b = cross(p, n), cross(z, n), cross(p, z)
+    spread_of = dot3(*p, *p) + dot3(*n, *n)
+    determinant = fma(spread_of, SLANT_VARIANCE, dot3(*c, *c)) + SLANT_VARIANCE * SLANT_VARIANCE
+    factor = spread(view[SLANT]) / determinant
+    slope_x = fma(dot3(*z, *p), SLANT_VARIANCE, dot3(*a, *c)) * factor
+    return slope_x, fma(dot3(*z, *n), SLANT_VARIANCE, dot3(*b, *c)) * factor, determinant
+
+
+@inline
+def cross(a, b):
+    return fma(a[1], b[2], neg(a[2] * b[1])), fma(a[2], b[0], neg(a[0] * b[2])), fma(a[0], b[1], neg(a[1] * b[0]))
+
+
+@inline
 def opacity_of(parameters, capacity, i):
     """Opacity, its complement (not by subtraction: it multiplies gradients) and its log2."""
     power = load(parameters, 10 * capacity + i) * neg(spread(LOG2_E))
@@ -152,11 +175,20 @@ def project_block(parameters, i, view, grid, records):
     live = live & (inside >= F(0.0)) & (determinant > F(0.0))
     inside = sel(live, inside, F(0.0))
     one = spread(F(1.0))
+    z0, z1, z2 = (
+        dot3(r[0], r[3], r[6], view[8], view[9], view[10]) * s0,
+        dot3(r[1], r[4], r[7], view[8], view[9], view[10]) * s1,
+        dot3(r[2], r[5], r[8], view[8], view[9], view[10]) * s2,
+    )
+    slope_x, slope_y, _ = depth_slopes((p0, p1, p2), (n0, n1, n2), (z0, z1, z2), view)
     root_yy, root_determinant = sqrt(yy), sqrt(determinant)
     l11 = one / root_yy * ROOT
     l00 = root_yy / root_determinant * ROOT
     l01 = neg(xy) / (root_yy * root_determinant) * ROOT
     live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # not so where a covariance overflows
+    # The same per t and s. In y alone the slope is that of the blurred covariance, and what the other has less of it.
+    zy = dot3(z0, z1, z2, n0, n1, n2) * view[SLANT]
+    slope_t, slope_s = slope_x / l00, fma(slope_y, BLUR_VARIANCE - SLANT_VARIANCE, zy) / (root_yy * ROOT)
 
     # The box of the ellipse in blocks whose pixel centres it can contain.
     root = sqrt(inside) * (one / ROOT)
@@ -207,7 +239,7 @@ def project_block(parameters, i, view, grid, records):
             u, v, l00, l01, l11, log_opacity,
             load(parameters, 11 * capacity + i), load(parameters, 12 * capacity + i),
             load(parameters, 13 * capacity + i), z,
-            float_bits(box_x), float_bits(box_y), float_bits(low), float_bits(high),
+            slope_t, slope_s, float_bits(low), float_bits(high), float_bits(box_x), float_bits(box_y),
         ),
     )  # fmt: skip
     return bits(live)

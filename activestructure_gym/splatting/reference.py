@@ -13,6 +13,7 @@ from activestructure_gym.geometry import PinholeCamera
 
 NEAR_PLANE = 0.01  # metres
 BLUR_VARIANCE = 0.3  # px^2, the low-pass filter of EWA splatting
+SLANT_VARIANCE = 0.03  # px^2, added where the depth at a pixel is concerned
 MIN_ALPHA = 1.0 / 255.0
 MIN_TRANSMITTANCE = 1e-4
 CLAMP_MARGIN = 0.3  # of half the image: how far outside the Jacobian of the projection still follows the mean
@@ -29,11 +30,13 @@ def rasterize_reference(
     camera: PinholeCamera,
     *,
     max_alpha: float = 0.999,
+    centre_depth: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # colour [H, W, 3], accumulated depth [H, W], alpha [H, W]
     """Render one camera; gradients of everything by autograd."""
     color, depth, alpha, _ = blend_reference(
-        means, quaternions, log_scales, opacity_logits, colors, camera_from_world, camera, max_alpha=max_alpha
-    )
+        means, quaternions, log_scales, opacity_logits, colors, camera_from_world, camera,
+        max_alpha=max_alpha, centre_depth=centre_depth,
+    )  # fmt: skip
     return color, depth, alpha
 
 
@@ -47,6 +50,7 @@ def blend_reference(
     camera: PinholeCamera,
     *,
     max_alpha: float = 0.999,
+    centre_depth: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Pictures of one camera: features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``).
 
@@ -54,11 +58,13 @@ def blend_reference(
     does; it has no gradient.
     """
     position, inverse_covariance, depth = project_gaussians(means, quaternions, log_scales, camera_from_world, camera)
+    slope = depth_slopes(means, quaternions, log_scales, camera_from_world, camera)
+    slope = torch.zeros_like(slope) if centre_depth else slope
     opacity = torch.sigmoid(opacity_logits)
     kept = torch.nonzero((depth.detach() >= NEAR_PLANE) & (opacity.detach() >= MIN_ALPHA))[:, 0]
     order = kept[torch.argsort(depth.detach()[kept], stable=True)]
     position, inverse_covariance, depth = position[order], inverse_covariance[order], depth[order]
-    opacity, features = opacity[order], torch.cat([features[order], depth[:, None]], dim=1)  # [M, F + 1]
+    opacity, features, slope = opacity[order], features[order], slope[order]
 
     rows, columns = torch.meshgrid(
         torch.arange(camera.height, dtype=means.dtype, device=means.device) + 0.5,
@@ -81,12 +87,13 @@ def blend_reference(
         # The product only falls, so "stop before the one that takes it to 1e-4" is a test on every factor.
         counts = after.detach() > MIN_TRANSMITTANCE
         weight = alpha * before * counts
-        outputs.append(weight @ features)
+        here = (depth + (offset * slope).sum(dim=2)).clamp_min(NEAR_PLANE)  # [p, M]
+        outputs.append(torch.cat([weight @ features, (weight * here).sum(dim=1, keepdim=True)], dim=1))
         alphas.append(weight.sum(dim=1))
         halves = (counts & (after.detach() <= 0.5) & (before.detach() > 0.5)).to(depth.dtype)  # at most one per pixel
-        medians.append(halves @ depth.detach())
+        medians.append((halves * here.detach()).sum(dim=1))
     shape = (camera.height, camera.width)
-    output = torch.cat(outputs).reshape(*shape, features.shape[1])
+    output = torch.cat(outputs).reshape(*shape, features.shape[1] + 1)
     alpha, median = torch.cat(alphas).reshape(shape), torch.cat(medians).reshape(shape)
     return output[..., :-1], output[..., -1], alpha, median
 
@@ -104,27 +111,81 @@ def project_gaussians(
     camera: PinholeCamera,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx xy yy, depth [N]
     """EWA projection with the Jacobian taken at the mean, clamped near the image border."""
-    rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
-    points = means @ rotation.T + translation
-    z = points[:, 2]
+    position, depth = project_means(means, camera_from_world, camera)
+    factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
+    covariance = factor[:, :2] @ factor[:, :2].transpose(1, 2)
+    xx, xy, yy = covariance[:, 0, 0] + BLUR_VARIANCE, covariance[:, 0, 1], covariance[:, 1, 1] + BLUR_VARIANCE
+    determinant = xx * yy - xy**2
+    inverse = torch.stack([yy, -xy, xx], dim=1) / determinant[:, None]
+    return position, inverse, depth
+
+
+def project_means(
+    means: torch.Tensor,  # [N, 3]
+    camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
+    camera: PinholeCamera,
+) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 2] px, [..., N] metres
+    """Where the means are seen, and their depths; those before the near plane at a harmless place."""
+    points, inverse_depth = _camera_points(means, camera_from_world)
+    focal, centre = points.new_tensor([camera.fx, camera.fy]), points.new_tensor([camera.cx, camera.cy])
+    return points[..., :2] * inverse_depth[..., None] * focal + centre, points[..., 2]
+
+
+def depth_slopes(
+    means: torch.Tensor,  # [N, 3]
+    quaternions: torch.Tensor,  # [N, 4]
+    log_scales: torch.Tensor,  # [N, 3]
+    camera_from_world: torch.Tensor,  # [4, 4] or [C, 4, 4]
+    camera: PinholeCamera,
+) -> torch.Tensor:  # [..., N, 2] metres per pixel
+    """How the depth at which a pixel's ray meets a Gaussian changes with the pixel, around its mean.
+
+    There it is densest along the ray [yu2024, radegs], which for the projection's tangent is a linear function of the
+    pixel: the covariance of depth and image over that of the image. For a flat Gaussian it is its plane's.
+    """
+    factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
+    x, y, z = torch.unbind(factor, dim=-2)  # [..., N, axis]
+    # By cross products, in which nothing cancels for needles: |x cross y|^2 = xx yy - xy^2, and so on.
+    area = torch.linalg.cross(x, y, dim=-1)
+    numerators = [
+        (torch.linalg.cross(z, y, dim=-1) * area + SLANT_VARIANCE * z * x).sum(dim=-1),
+        (torch.linalg.cross(x, z, dim=-1) * area + SLANT_VARIANCE * z * y).sum(dim=-1),
+    ]
+    determinant = (area * area + SLANT_VARIANCE * (x * x + y * y)).sum(dim=-1) + SLANT_VARIANCE**2
+    return torch.stack(numerators, dim=-1) / determinant[..., None]
+
+
+def _camera_points(
+    means: torch.Tensor, camera_from_world: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:  # [..., N, 3] metres, [..., N] one over their depth
+    points = means @ camera_from_world[..., :3, :3].transpose(-1, -2) + camera_from_world[..., None, :3, 3]
+    z = points[..., 2]
     # What lies in front of the near plane is dropped later; a harmless depth keeps its gradient finite (and zero).
-    z = torch.where(z.detach() >= NEAR_PLANE, z, torch.ones_like(z))
-    slope_x, slope_y = points[:, 0] / z, points[:, 1] / z
+    return points, 1.0 / torch.where(z.detach() >= NEAR_PLANE, z, torch.ones_like(z))
+
+
+def _projected_axes(
+    means: torch.Tensor,
+    quaternions: torch.Tensor,
+    log_scales: torch.Tensor,
+    camera_from_world: torch.Tensor,
+    camera: PinholeCamera,
+) -> torch.Tensor:  # [..., N, 3, 3]
+    """Axes of the Gaussians, one standard deviation long, in pixels along x and y and in metres along z; an axis a
+    column.
+    """
+    points, inverse_depth = _camera_points(means, camera_from_world)
+    slope_x, slope_y = points[..., 0] * inverse_depth, points[..., 1] * inverse_depth
     margin_x = CLAMP_MARGIN * 0.5 * camera.width / camera.fx
     margin_y = CLAMP_MARGIN * 0.5 * camera.height / camera.fy
     clamped_x = slope_x.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
     clamped_y = slope_y.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
-    zero = torch.zeros_like(z)
-    jacobian = torch.stack(
-        [camera.fx / z, zero, -camera.fx * clamped_x / z, zero, camera.fy / z, -camera.fy * clamped_y / z], dim=1
-    ).reshape(-1, 2, 3)
-    factor = jacobian @ (rotation @ rotation_matrices(quaternions)) * torch.exp(log_scales)[:, None, :]  # [N, 2, 3]
-    covariance = factor @ factor.transpose(1, 2)
-    xx, xy, yy = covariance[:, 0, 0] + BLUR_VARIANCE, covariance[:, 0, 1], covariance[:, 1, 1] + BLUR_VARIANCE
-    determinant = xx * yy - xy**2
-    inverse = torch.stack([yy, -xy, xx], dim=1) / determinant[:, None]
-    position = torch.stack([camera.fx * slope_x + camera.cx, camera.fy * slope_y + camera.cy], dim=1)
-    return position, inverse, points[:, 2]
+    fx, fy = camera.fx * inverse_depth, camera.fy * inverse_depth
+    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+    rows = [fx, zero, -fx * clamped_x, zero, fy, -fy * clamped_y, zero, zero, one]
+    jacobian = torch.stack(rows, dim=-1).reshape(*fx.shape, 3, 3)
+    turned = camera_from_world[..., None, :3, :3] @ rotation_matrices(quaternions)
+    return jacobian @ turned * torch.exp(log_scales)[:, None, :]
 
 
 def rotation_matrices(quaternions: torch.Tensor) -> torch.Tensor:  # [N, 4] wxyz -> [N, 3, 3]

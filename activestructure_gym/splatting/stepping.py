@@ -33,6 +33,8 @@ from activestructure_gym.splatting.layout import (
     NEAR_PLANE,
     RECORD,
     ROWS,
+    SLANT,
+    SLANT_VARIANCE,
     SLOT,
     SLOTS,
     TILES_X,
@@ -46,6 +48,8 @@ from activestructure_gym.splatting.layout import (
     W_ALL,
     W_BLUE,
     W_DEPTH,
+    W_DEPTH_S,
+    W_DEPTH_T,
     W_GREEN,
     W_RED,
 )
@@ -61,8 +65,15 @@ from activestructure_gym.splatting.memory import (
     store,
     sums,
 )
-from activestructure_gym.splatting.projection import camera_point, jacobian_of, opacity_of, rotation_of, scale_of
-from activestructure_gym.splatting.simd import LANES, F, bits, fma, inline, inner, sel, spread, sqrt
+from activestructure_gym.splatting.projection import (
+    camera_point,
+    depth_slopes,
+    jacobian_of,
+    opacity_of,
+    rotation_of,
+    scale_of,
+)
+from activestructure_gym.splatting.simd import LANES, F, bits, fma, inline, inner, neg, sel, spread, sqrt
 from activestructure_gym.splatting.tile_losses import TILE_TERMS
 
 
@@ -86,24 +97,35 @@ class _Shared(NamedTuple):
     """What the three axes of 16 Gaussians have in common; SIMD values."""
 
     covariance: Any  # (s00, s01, s11): derivatives by the projected covariance, the first and last times 1/2
+    leaning: Any  # (a0, a1): derivatives by the covariance of the projection and depth
     lens: Any  # (j00, j02, j11, j12): the Jacobian of the projection
     seen: Any  # which of the 16 count
 
 
 @inline
-def _axis_gradient(axis, scale, row, shared, view, gradient, pose):
+def _turned_axis(axis, scale, lens, view):
+    """An axis of the Gaussian in the world (k), turned into the camera (t) and projected (b)."""
+    j00, j02, j11, j12 = lens
+    k0, k1, k2 = axis[0] * scale, axis[1] * scale, axis[2] * scale
+    t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))
+    t1 = dot3(k0, k1, k2, spread(view[4]), spread(view[5]), spread(view[6]))
+    t2 = dot3(k0, k1, k2, spread(view[8]), spread(view[9]), spread(view[10]))
+    return k0, k1, k2, t0, t1, t2, fma(j02, t2, j00 * t0), fma(j12, t2, j11 * t1)
+
+
+@inline
+def _axis_gradient(turned, scale, row, shared, view, gradient, pose):
     """One axis of the Gaussian: writes the derivative by its log-scale, adds to the pose's, returns the derivatives by
     the axis' direction (3) and by J00, J02, J11, J12.
     """
     s00, s01, s11 = shared.covariance
+    a0, a1 = shared.leaning
     j00, j02, j11, j12 = shared.lens
-    k0, k1, k2 = axis[0] * scale, axis[1] * scale, axis[2] * scale
-    t0 = dot3(k0, k1, k2, spread(view[0]), spread(view[1]), spread(view[2]))  # turned into the camera
-    t1 = dot3(k0, k1, k2, spread(view[4]), spread(view[5]), spread(view[6]))
-    t2 = dot3(k0, k1, k2, spread(view[8]), spread(view[9]), spread(view[10]))
-    b0, b1 = fma(j02, t2, j00 * t0), fma(j12, t2, j11 * t1)
-    by_b0, by_b1 = fma(s01, b1, s00 * b0) * F(2.0), fma(s11, b1, s01 * b0) * F(2.0)
-    by_t0, by_t1, by_t2 = j00 * by_b0, j11 * by_b1, fma(j12, by_b1, j02 * by_b0)
+    k0, k1, k2, t0, t1, t2, b0, b1 = turned
+    by_b0 = fma(a0, t2, fma(s01, b1, s00 * b0) * F(2.0))
+    by_b1 = fma(a1, t2, fma(s11, b1, s01 * b0) * F(2.0))
+    by_t0, by_t1 = j00 * by_b0, j11 * by_b1
+    by_t2 = fma(a1, b1, fma(a0, b0, fma(j12, by_b1, j02 * by_b0)))
     _add_outer(pose, shared.seen, by_t0, by_t1, by_t2, k0, k1, k2)
     d0 = fma(by_t2, view[8], fma(by_t1, view[4], by_t0 * view[0]))
     d1 = fma(by_t2, view[9], fma(by_t1, view[5], by_t0 * view[1]))
@@ -138,10 +160,24 @@ def _splat_gradient(parameters, i, view, grid, records, sums_of, gradient, pose)
     s0 = scale_of(parameters, capacity, i, np.int64(0))
     s1 = scale_of(parameters, capacity, i, np.int64(1))
     s2 = scale_of(parameters, capacity, i, np.int64(2))
-    shared = _Shared((s00, s01, s11), (j00, j02, j11, j12), seen)
-    h0, h3, h6, x00, x02, x11, x12 = _axis_gradient((r[0], r[3], r[6]), s0, np.int64(7), shared, view, gradient, pose)
-    h1, h4, h7, y00, y02, y11, y12 = _axis_gradient((r[1], r[4], r[7]), s1, np.int64(8), shared, view, gradient, pose)
-    h2, h5, h8, z00, z02, z11, z12 = _axis_gradient((r[2], r[5], r[8]), s2, np.int64(9), shared, view, gradient, pose)
+    lens = (j00, j02, j11, j12)
+    first = _turned_axis((r[0], r[3], r[6]), s0, lens, view)
+    second = _turned_axis((r[1], r[4], r[7]), s1, lens, view)
+    third = _turned_axis((r[2], r[5], r[8]), s2, lens, view)
+    # The depth at a pixel d from the mean is z + e.d; a is A^-1 times the sum of what depends on e, times d.
+    p, n, along = (first[6], second[6], third[6]), (first[7], second[7], third[7]), (first[5], second[5], third[5])
+    e0, e1, flat = depth_slopes(p, n, along, view)
+    by_u, by_v = by_u - e0 * m[W_DEPTH], by_v - e1 * m[W_DEPTH]
+    d1 = m[W_DEPTH_S] / sel(seen, l11, F(1.0)) * view[SLANT]
+    d0 = (m[W_DEPTH_T] * view[SLANT] - l01 * d1) / sel(seen, l00, F(1.0))
+    xy = dot3(*p, *n)
+    a0 = fma(dot3(*n, *n) + SLANT_VARIANCE, d0, neg(xy * d1)) / flat
+    a1 = fma(dot3(*p, *p) + SLANT_VARIANCE, d1, neg(xy * d0)) / flat
+    s00, s01, s11 = s00 - a0 * e0, s01 - fma(a0, e1, a1 * e0) * F(0.5), s11 - a1 * e1
+    shared = _Shared((s00, s01, s11), (a0, a1), lens, seen)
+    h0, h3, h6, x00, x02, x11, x12 = _axis_gradient(first, s0, np.int64(7), shared, view, gradient, pose)
+    h1, h4, h7, y00, y02, y11, y12 = _axis_gradient(second, s1, np.int64(8), shared, view, gradient, pose)
+    h2, h5, h8, z00, z02, z11, z12 = _axis_gradient(third, s2, np.int64(9), shared, view, gradient, pose)
     by_j00, by_j02, by_j11, by_j12 = x00 + y00 + z00, x02 + y02 + z02, x11 + y11 + z11, x12 + y12 + z12
     h = (h0, h1, h2, h3, h4, h5, h6, h7, h8)
     g0 = fma(q1, h[7] - h[5], fma(q2, h[2] - h[6], q3 * (h[3] - h[1])))

@@ -18,7 +18,7 @@ from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
 from activestructure_gym.splatting.torch_losses import Adam, mapping_loss
 
 _MOST_PAIRS = 30_000_000  # of pixel and Gaussian in a step by the reference, which keeps 130 bytes of each: 4 GB
-_AT_ONCE = 16_000_000  # pairs of camera and Gaussian that gsplat projects together
+_AT_ONCE = 4_000_000  # pairs of camera and Gaussian that are projected together: about 2 GB
 
 
 class TorchRasterizer:
@@ -107,7 +107,9 @@ class TorchRasterizer:
         rows = self._tensor(parameters[:, :count]).requires_grad_()
         # A channel that is 0 everywhere changes no picture; the derivative of its sum is each Gaussian's weight.
         nothing = torch.zeros((count, 1), dtype=self.dtype, device=self.device, requires_grad=True)
-        color, depth, alpha, blended = self._draw(rows, camera, np.asarray(world_from_camera)[None], nothing)
+        color, depth, alpha, blended = self._draw(
+            rows, camera, np.asarray(world_from_camera)[None], nothing, centre_depth=weights.centre_depth
+        )
         targets = self._tensor(target_rgb), self._tensor(target_depth)
         loss = mapping_loss(color[0], depth[0], alpha[0], *targets, weights)
         assert blended is not None
@@ -131,6 +133,8 @@ class TorchRasterizer:
         camera: PinholeCamera,
         world_from_camera: np.ndarray,  # [C, 4, 4]
         channels: torch.Tensor | None = None,  # [N, D]
+        *,
+        centre_depth: bool = False,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
         """Colour [C, H, W, 3], accumulated depth [C, H, W], alpha [C, H, W], channels [C, H, W, D]."""
         poses = self._tensor(invert_rigid(np.asarray(world_from_camera, dtype=np.float64)))
@@ -138,11 +142,11 @@ class TorchRasterizer:
         if self.backend == "gsplat":
             return rasterize_gsplat(
                 means.contiguous(), quaternions.contiguous(), log_scales.contiguous(), logits.contiguous(),
-                colors.contiguous(), poses, camera, channels=channels,
+                colors.contiguous(), poses, camera, channels=channels, centre_depth=centre_depth,
             )  # fmt: skip
         picture = rasterize(
             means, quaternions, log_scales, logits, colors,
-            camera_from_world=poses, camera=camera, channels=channels, backend="reference",
+            camera_from_world=poses, camera=camera, channels=channels, centre_depth=centre_depth, backend="reference",
         )  # fmt: skip
         return picture.color, picture.depth, picture.alpha, picture.channels
 

@@ -18,11 +18,18 @@ _STRIP = 30  # vectors, about: a third of a million bytes in the second cache
 _MOST_KEPT, _BLOCKS_PER_ENTRY = 1 << 24, 8  # floats; a Gaussian of usual size reaches about 5 blocks of a tile
 
 
-def make_view(camera: PinholeCamera, camera_from_world: np.ndarray, max_alpha: float = MAX_ALPHA) -> np.ndarray:
-    """The floats of a camera as the kernels read them (``layout.POSE ...``); of the pose ``[4, 4]`` or ``[3, 4]``."""
+def make_view(
+    camera: PinholeCamera,
+    camera_from_world: np.ndarray,  # [4, 4] or [3, 4]
+    max_alpha: float = MAX_ALPHA,
+    *,
+    centre_depth: bool = False,
+) -> np.ndarray:
+    """The floats of a camera as the kernels read them (``layout.POSE ...``)."""
     view = _view_of(camera).copy()
     view[: layout.FX] = camera_from_world[:3].reshape(-1)
     view[layout.MAX_ALPHA] = max_alpha
+    view[layout.SLANT] = 0.0 if centre_depth else 1.0
     return view
 
 
@@ -116,16 +123,18 @@ class Workspace:
         camera_from_world: np.ndarray,  # [4, 4]
         *,
         max_alpha: float = MAX_ALPHA,
+        centre_depth: bool = False,
         threads: int | None = None,
         unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> None:
         """Everything before the tiles: records of the visible Gaussians and which tiles they reach.
 
-        ``unseen`` says of which chunks (1024 Gaussians) it is known that none is in view; they cost nothing.
+        ``centre_depth`` takes every Gaussian at the depth of its centre, not where the pixel's ray meets it. ``unseen``
+        says of which chunks (1024 Gaussians) it is known that none is in view; they cost nothing.
         """
         self.threads = threads or default_threads()
         self.parameters, self.camera = parameters, camera
-        self.view = make_view(camera, camera_from_world, max_alpha)
+        self.view = make_view(camera, camera_from_world, max_alpha, centre_depth=centre_depth)
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
         tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
         taken = np.arange(grid[layout.CHUNKS]) if unseen is None else np.flatnonzero(~unseen)
@@ -157,6 +166,7 @@ class Workspace:
         camera_from_world: np.ndarray,  # [4, 4]
         *,
         max_alpha: float = MAX_ALPHA,
+        centre_depth: bool = False,
         threads: int | None = None,
         keep: bool = True,
         unseen: np.ndarray | None = None,  # [chunks] bool, see `prepare`
@@ -165,7 +175,10 @@ class Workspace:
 
         ``keep`` also keeps what makes `backward` faster, up to 64 MiB of it.
         """
-        self.prepare(parameters, count, camera, camera_from_world, max_alpha=max_alpha, threads=threads, unseen=unseen)
+        self.prepare(
+            parameters, count, camera, camera_from_world, max_alpha=max_alpha, centre_depth=centre_depth,
+            threads=threads, unseen=unseen,
+        )  # fmt: skip
         pixels = camera.width * camera.height
         self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)
         self.color = self._image("color")

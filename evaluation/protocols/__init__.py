@@ -8,14 +8,19 @@ from typing import Any
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
 from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
-from activestructure_gym.evaluation.protocols.standard import StandardProtocol, StandardProtocol2, Truth
+from activestructure_gym.evaluation.protocols.standard import (
+    StandardProtocol,
+    StandardProtocol2,
+    StandardProtocol3,
+    Truth,
+)
 
 # By name; the first is the one every run is measured by, others come on top of it.
 PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
     protocol.name: protocol for protocol in (StandardProtocol, ActiveGamerProtocol)
 }
 # Versions that runs on disk may name and no new run is measured by.
-_EARLIER: tuple[type[StandardProtocol], ...] = (StandardProtocol2,)
+_EARLIER: tuple[type[StandardProtocol], ...] = (StandardProtocol3, StandardProtocol2)
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
@@ -39,7 +44,7 @@ def get_protocol(name: str) -> EvaluationProtocol:
     Examples
     --------
     >>> get_protocol("standard").version
-    3
+    4
     """
     if name not in PROTOCOLS:
         raise unknown_name("protocol", name, PROTOCOLS)

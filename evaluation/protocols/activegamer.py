@@ -168,7 +168,9 @@ class ActiveGamerProtocol:
         from activestructure_gym.splatting import cpu
 
         pose = truth.views.world_from_camera[index]
-        rendering = cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=1)
+        rendering = cpu.render(
+            gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=True, threads=1
+        )
         true_depth = truth.views.depth[index]
         # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
         shown, true, error = masked(rendering.color, truth.views.rgb[index], rendering.depth, true_depth)

@@ -70,7 +70,8 @@ class StandardProtocol:
     """Geometry of the solid Gaussians against the surface that can be seen; images from views nobody planned for."""
 
     name: ClassVar[str] = "standard"
-    version: ClassVar[int] = 3  # moves whenever the same map would get another number
+    version: ClassVar[int] = 4  # moves whenever the same map would get another number
+    _centre_depth: ClassVar[bool] = False
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
@@ -267,7 +268,10 @@ class StandardProtocol:
         from activestructure_gym.splatting import cpu
 
         pose = truth.views.world_from_camera[index]
-        return cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=threads)
+        return cpu.render(
+            gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=self._centre_depth,
+            threads=threads,
+        )  # fmt: skip
 
     def _view(
         self, gaussians: GaussianMap, truth: Truth, index: int, distance: Distance | None
@@ -291,7 +295,17 @@ class StandardProtocol:
         return None if error is None else 100.0 * error
 
 
-class StandardProtocol2(StandardProtocol):
+class StandardProtocol3(StandardProtocol):
+    """Version 3, so that what was measured by it can be read and measured again.
+
+    The depth of held-out views was drawn with every Gaussian at the depth of its centre.
+    """
+
+    version: ClassVar[int] = 3
+    _centre_depth: ClassVar[bool] = True
+
+
+class StandardProtocol2(StandardProtocol3):
     """Version 2, so that what was measured by it can be read and measured again.
 
     Without ``observed``, and with a coarser surface, fused of the mean depth along every ray.
@@ -316,7 +330,7 @@ class StandardProtocol2(StandardProtocol):
     def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
         from activestructure_gym.splatting import cpu
 
-        depth, alpha = cpu.render_depth_alpha(gaussians.parameters, gaussians.count, camera, poses)
+        depth, alpha = cpu.render_depth_alpha(gaussians.parameters, gaussians.count, camera, poses, centre_depth=True)
         covered = alpha > self.coverage_alpha
         np.divide(depth, alpha, out=depth, where=covered)
         depth[~covered] = 0.0

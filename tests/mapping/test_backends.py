@@ -1,5 +1,7 @@
 """A mapping event by the reference is the event of the kernels."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -35,12 +37,16 @@ def observed(frames, iterations, recipe="default", **changes):
 @pytest.mark.parametrize("recipe", ["default", "splatam"])
 def test_ten_iterations_agree(recipe, rolled_frames):
     """Adam divides by the gradient's own size, so where a derivative is 0 rounding alone decides where it goes: a round
-    disk may turn about its normal. Hence an epsilon above that noise.
+    disk may turn about its normal. Hence an epsilon above that noise; and a depth off by millimetres, since where the
+    map's is that of the picture the loss |ED - D| has a kink.
     """
-    kernels, reference = observed(rolled_frames[:1], 10, recipe, adam_epsilon=1e-7)
+    frame, rng = rolled_frames[0], np.random.default_rng(3)
+    noise = 5e-3 * rng.standard_normal(frame.depth.shape).astype(np.float32)
+    frames = [dataclasses.replace(frame, depth=frame.depth + noise)]
+    kernels, reference = observed(frames, 10, recipe, adam_epsilon=1e-7)
     count = kernels.count
     assert np.abs(kernels.parameters[:, :count] - reference.parameters[:, :count]).max() <= 1e-4
-    moved = np.abs(kernels.parameters[11:, :count] - observed(rolled_frames[:1], 0, recipe)[0].parameters[11:, :count])
+    moved = np.abs(kernels.parameters[11:, :count] - observed(frames, 0, recipe)[0].parameters[11:, :count])
     assert np.median(moved) > 10 * 1e-4  # there was something to agree on
 
 

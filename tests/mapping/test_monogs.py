@@ -134,7 +134,7 @@ def test_two_steps_are_torch_s(render_room, room_frames):
         for frame in frames:
             pose = torch.tensor(np.linalg.inv(frame.world_from_camera))
             color, depth, _ = rasterize_reference(
-                rows[:3].T, rows[3:7].T, rows[7:10].T, rows[10], rows[11:].T, pose, frame.camera
+                rows[:3].T, rows[3:7].T, rows[7:10].T, rows[10], rows[11:].T, pose, frame.camera, centre_depth=True
             )
             shown = SimpleNamespace(color=color, depth=depth)
             target = torch.tensor(frame.rgb / 255.0), torch.tensor(frame.depth, dtype=torch.float64)

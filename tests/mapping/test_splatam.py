@@ -88,7 +88,7 @@ def _event_in_torch(seeds, frame, iterations):
     pose = torch.tensor(invert_rigid(frame.world_from_camera))
     for _ in range(iterations):
         shown, shown_depth, _ = rasterize_reference(
-            mean, quaternion, scale.expand(-1, 3), logit, color, pose, frame.camera
+            mean, quaternion, scale.expand(-1, 3), logit, color, pose, frame.camera, centre_depth=True
         )
         image_loss = 0.8 * (shown - target).abs().mean() + 0.2 * (1 - _ssim(shown, target))
         loss = 0.5 * image_loss + (shown_depth - depth)[depth > 0].abs().mean()

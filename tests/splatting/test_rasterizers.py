@@ -26,14 +26,15 @@ def by_gsplat(monkeypatch):
 
     def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, **options):
         assert means.dtype == viewmats.dtype == Ks.dtype == torch.float32 and means.is_contiguous()
-        assert options == dict(near_plane=0.01, eps2d=0.3, sh_degree=None, packed=False, render_mode="RGB+D")
+        more = 1 if options["render_mode"] == "RGB+D" else 0
+        assert options == dict(near_plane=0.01, eps2d=0.3, packed=False, render_mode="RGB+D" if more else "RGB")
         calls.append(len(viewmats))
         shown = [
-            blend_reference(means, quats, scales.log(), opacities.logit(), colors, pose, _camera(matrix, width, height))
-            for pose, matrix in zip(viewmats, Ks)
+            blend_reference(means, quats, scales.log(), opacities.logit(), own, pose, of_camera, centre_depth=True)
+            for own, pose, of_camera in zip(colors, viewmats, (_camera(matrix, width, height) for matrix in Ks))
         ]
-        pictures = torch.stack([torch.cat([color, depth[..., None]], dim=-1) for color, depth, _, _ in shown])
-        return pictures, torch.stack([alpha[..., None] for _, _, alpha, _ in shown]), {}
+        pictures = [torch.cat([color, depth[..., None][..., :more]], dim=-1) for color, depth, _, _ in shown]
+        return torch.stack(pictures), torch.stack([alpha[..., None] for _, _, alpha, _ in shown]), {}
 
     module = types.ModuleType("gsplat")
     module.rasterization = rasterization
@@ -92,6 +93,7 @@ def assert_same_step(expected, found, before, count):
         ("flat", LossWeights(depth=0.4, alpha=0.3), {"beta1": 0.8, "beta2": 0.9}),
         ("behind", LossWeights(alpha=0.1), {"isotropic": True}),
         ("clamped", LossWeights(image=0.0, alpha=0.3), {}),
+        ("flat", LossWeights(depth=0.4, centre_depth=True), {}),
     ],
 )
 def test_a_step_by_the_reference_is_the_kernels(kind, weights, options, splats_of):
@@ -136,10 +138,12 @@ def test_the_way_through_gsplat_gives_the_same(by_gsplat, splats_of, monkeypatch
     gsplat, calls = by_gsplat
     splats = splats_of("random", seed=2)
     camera, pose, count = splats.camera, splats.world_from_camera, len(splats.means)
-    weights = LossWeights(image=0.7, l1_share=0.6, depth=0.4, alpha=0.3)
-    assert_same_step(
-        stepped(cpu, splats, weights=weights), stepped(gsplat, splats, weights=weights), state_of(splats), count
-    )
+    for weights in (
+        LossWeights(image=0.7, l1_share=0.6, depth=0.4, alpha=0.3), LossWeights(depth=0.4, centre_depth=True),
+    ):  # fmt: skip
+        assert_same_step(
+            stepped(cpu, splats, weights=weights), stepped(gsplat, splats, weights=weights), state_of(splats), count
+        )
     parameters = splats.parameters()
     expected = rasterizer("reference").render(parameters, count, camera, pose)
     assert np.quantile(np.abs(gsplat.render(parameters, count, camera, pose).color - expected.color), 0.999) <= 1e-4

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.splatting import rasterize
 from activestructure_gym.splatting.reference import rasterize_reference, rotation_matrices
 
 
@@ -31,6 +32,50 @@ def test_one_gaussian_by_hand():
     assert depth[10, 10].item() == pytest.approx(1.0, abs=1e-12)  # 0.5 * 2 m
     # 0.5 exp(-r^2 / 2.6) falls below 1/255 at r = 3.55 px.
     assert alpha[10, 13] > 0 and alpha[10, 14] == 0
+
+
+@pytest.mark.parametrize("dtype", (torch.float32, torch.float64))  # the kernels, the reference
+def test_depth_of_a_slanted_disk_by_hand(dtype):
+    # A disk of sigma 0.2 m at 2 m, turned by 45 degrees about y, f = 20 px: its axis is sqrt(2) px long, sqrt(0.02) m
+    # deep, so that z falls by 0.2 / (2 + 0.03) m per pixel to the right; that of its plane by 0.2 / 2.
+    half = math.radians(45.0) / 2
+    tensors = [
+        torch.tensor(values, dtype=dtype, requires_grad=True)
+        for values in (
+            [[0.0, 0.0, 2.0]], [[math.cos(half), 0.0, math.sin(half), 0.0]], [[math.log(0.2), math.log(0.2), -9.0]],
+            [2.0], [[1.0, 1.0, 1.0]],
+        )
+    ]  # fmt: skip
+    camera, pose = PinholeCamera(21, 21, 20.0, 20.0, 10.5, 10.5), torch.eye(4, dtype=dtype)
+    seen = rasterize(*tensors, camera_from_world=pose, camera=camera)
+    for column in (8, 10, 11, 12):
+        expected = 2.0 - (column - 10) * 0.2 / 2.03
+        assert seen.expected_depth[10, column].item() == pytest.approx(expected, abs=1e-5)
+    of_centre = rasterize(*tensors, camera_from_world=pose, camera=camera, centre_depth=True).expected_depth
+    assert of_centre[10, 8].item() == of_centre[10, 12].item() == pytest.approx(2.0, abs=1e-6)
+    # Moved to the right it is farther in every pixel; turned on, its right side comes nearer.
+    by_mean, by_turn = torch.autograd.grad(seen.expected_depth[10, 12], tensors[:2])
+    assert by_mean[0, 0] > 0.9 and by_turn[0, 2] < 0 < by_turn[0, 0]
+
+
+@pytest.mark.parametrize("dtype", (torch.float32, torch.float64))
+def test_no_depth_lies_before_the_near_plane(dtype):
+    # A needle of 1 m almost along the ray: at some pixels the first order would put it behind the camera.
+    half = math.radians(86.0) / 2
+    tensors = [
+        torch.tensor(values, dtype=dtype, requires_grad=True)
+        for values in (
+            [[0.0, 0.0, 1.0]], [[math.cos(half), 0.0, math.sin(half), 0.0]], [[0.0, -6.0, -6.0]], [3.0],
+            [[1.0, 1.0, 1.0]],
+        )
+    ]  # fmt: skip
+    camera, pose = PinholeCamera(21, 21, 20.0, 20.0, 10.5, 10.5), torch.eye(4, dtype=dtype)
+    seen = rasterize(*tensors, camera_from_world=pose, camera=camera, median_depth=True)
+    depth = torch.where(seen.alpha > 0, seen.expected_depth, 1.0)
+    assert depth.min().item() == pytest.approx(0.01, rel=1e-3) and seen.median_depth.min() >= 0
+    at = torch.nonzero(depth == depth.min())[0].tolist()
+    (by_mean,) = torch.autograd.grad(seen.expected_depth[at[0], at[1]], tensors[:1])
+    assert by_mean.abs().max() < 1e-4
 
 
 def test_pixel_stops_before_the_gaussian_that_would_empty_it():

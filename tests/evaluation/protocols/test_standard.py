@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import SurfaceSamples
@@ -17,7 +18,7 @@ def gaussians(means: np.ndarray, *, opacity: float, sigma: float = 0.04, grey: f
     block = np.zeros((14, len(means)), np.float32)
     block[0:3] = means.T
     block[3] = 1.0
-    block[7:10] = np.log(sigma)
+    block[7:10] = np.log([[sigma], [sigma], [0.001]])  # disks that face the cameras
     block[10] = np.log(opacity / (1 - opacity))
     block[11:14] = grey
     return block
@@ -100,7 +101,7 @@ def test_the_same_map_gives_the_same_bits(wall, rng):
 
 def test_every_parameter_is_written_down():
     parameters = PROTOCOL.parameters()
-    assert parameters["name"] == "standard" and parameters["version"] == 3
+    assert parameters["name"] == "standard" and parameters["version"] == 4
     assert {field.name for field in dataclasses.fields(PROTOCOL)} <= parameters.keys()
 
 
@@ -152,6 +153,20 @@ def test_a_checkpoint_says_how_many_means_lie_on_the_surface(wall):
     full = PROTOCOL.evaluate(astray, wall)
     assert found["precision"] == pytest.approx(full["precision"]) == pytest.approx(100 * 1875 / 2501)
     assert found["accuracy_cm"] == pytest.approx(full["accuracy_cm"]) and 5.0 < found["accuracy_cm"] < 6.0
+
+
+def test_version_3_draws_depth_at_the_centres(wall):
+    third = protocol_from(PROTOCOL.parameters() | {"version": 3})
+    assert isinstance(third, StandardProtocol) and third.parameters() == PROTOCOL.parameters() | {"version": 3}
+    turned = gaussians(wall.surface.points, opacity=0.95)
+    turned[3:7] = Rotation.from_euler("x", 60, degrees=True).as_quat(scalar_first=True)[:, None]
+    tilted = GaussianMap()
+    tilted.append(turned)
+    scores, before = PROTOCOL.evaluate(tilted, wall), third.evaluate(tilted, wall)
+    assert scores.pop("depth_l1_cm") != before.pop("depth_l1_cm")
+    for found in (scores, before):
+        del found["views"]
+    assert scores == before  # nothing else has moved
 
 
 def test_version_2_is_read_and_measures_as_it_did(wall):

@@ -223,7 +223,7 @@ def test_an_exported_map_scores_as_the_run_did(runs, tmp_path, capsys, monkeypat
         measured = json.loads(numbers.read_text())["protocols"]["standard"]["metrics"]
         # Colours are rounded on the way into a PLY; SplaTAM's file moves the map to another frame and back.
         for name in ("completion_ratio", "precision", "psnr", "tsdf_precision", "tsdf_completion_ratio"):
-            assert measured[name] == pytest.approx(stored[name], abs=0.1), (form, name)
+            assert measured[name] == pytest.approx(stored[name], abs=0.2), (form, name)
     without = tmp_path / "without.json"
     assert main(["evaluate", "--map", str(tmp_path / "map.ply"), "--scene", "box", "--out", str(without)]) == 0
     measured = json.loads(without.read_text())["protocols"]["standard"]["metrics"]

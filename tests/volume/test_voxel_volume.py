@@ -154,10 +154,10 @@ def test_lost_returns_do_not_close_the_space(cast_boxes):
 
 
 def test_what_is_behind_a_surface_or_out_of_range_stays_unknown(cast_boxes):
-    caster = cast_boxes(([-1, -1, 0], [9, 4, 2.5]), ([2.0, 1.0, 0.0], [2.2, 2.0, 2.5]))
+    caster = cast_boxes(([-1, -1, 0], [9, 4, 2.5]), ([2.04, 1.0, 0.0], [2.2, 2.0, 2.5]))
     volume = VoxelVolume(np.array([[-1.0, -1.0, 0.0], [9.0, 4.0, 2.5]]), VolumeConfig(max_range=4.0))
     volume.integrate(capture(caster, look_along(np.array([0.5, 1.5, 1.2]), np.array([1.0, 0.0, 0.0]))))
-    assert volume.state_at(np.array([[1.5, 1.5, 1.2], [2.05, 1.5, 1.2], [2.6, 1.5, 1.2]])).tolist() == [
+    assert volume.state_at(np.array([[1.5, 1.5, 1.2], [2.06, 1.5, 1.2], [2.6, 1.5, 1.2]])).tolist() == [
         FREE,
         OCCUPIED,
         UNKNOWN,

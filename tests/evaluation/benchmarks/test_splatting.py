@@ -133,7 +133,7 @@ def test_torch_tiles_and_the_kernel_agree_on_a_whole_workload():
     pose = torch.from_numpy(invert_rigid(work.poses[0]).astype(np.float32))
     with torch.no_grad():
         picture = rasterize_torch_tiles(live[:3].T, live[3:7].T, live[7:10].T, live[10], live[11:].T, pose, work.camera)
-    rendering = render(work.parameters, work.count, work.camera, work.poses[0])
+    rendering = render(work.parameters, work.count, work.camera, work.poses[0], centre_depth=True)
     # 20,000 Gaussians in several chunks and tiles; float32 on both sides, so a few pixels may cross a threshold, and on
     # a wall seen head-on neighbours at one depth may change places, which moves colour but neither alpha nor depth.
     difference = np.abs(picture[..., 4].numpy() - rendering.alpha)

@@ -140,8 +140,8 @@ def depth_slopes(
 ) -> torch.Tensor:  # [..., N, 2] metres per pixel
     """How the depth at which a pixel's ray meets a Gaussian changes with the pixel, around its mean.
 
-    There it is densest along the ray ([yu2024]), to the first order of the projection a linear function of the pixel: the
-    covariance of image and depth over that of the image ([zhang2024]). For a flat Gaussian it is its plane's.
+    There it is densest along the ray ([yu2024]), to the first order of the projection a linear function of the pixel:
+    the covariance of image and depth over that of the image ([zhang2024]). For a flat Gaussian it is its plane's.
     """
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     x, y, z = torch.unbind(factor, dim=-2)  # [..., N, axis]

@@ -46,6 +46,11 @@ def env_id(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def options(env_id: str, scene_files: dict[str, str]) -> dict[str, Any]:
     """Constructor keywords that make ``env_id`` small."""
+    return options_of(env_id, scene_files)
+
+
+def options_of(env_id: str, scene_files: dict[str, str]) -> dict[str, Any]:
+    """The same for any ID."""
     task = env_id.split("/")[1].split("-")[0]
     options = dict(SMALL)
     if task in scene_files:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
+import functools
 import inspect
 import multiprocessing
 import pickle
 import warnings
+from collections.abc import Iterator
+from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,7 @@ from activestructure_gym.envs.reconstruction_env import EnvOptions
 from activestructure_gym.envs.registration import TASKS
 from activestructure_gym.errors import InputError
 from activestructure_gym.planes import PLANE_FEATURES
+from tests.envs.conftest import options_of
 
 # SB3 tells that its default extractor would flatten two-dimensional boxes; ours are tables, not images.
 EXPECTED_WARNINGS = ("unconventional shape",)
@@ -64,12 +68,19 @@ def test_both_checkers_pass_without_unexpected_warnings(env_id: str, options: di
     assert [m for m in ours if not any(expected in m for expected in EXPECTED_WARNINGS)] == []
 
 
-@pytest.mark.parametrize("steps", [50])
-def test_same_seed_same_fifty_steps_in_two_processes(env_id: str, options: dict[str, Any], steps: int) -> None:
+@pytest.fixture(scope="module")
+def other_process() -> Iterator[Pool]:
+    """A process that shares nothing with this one but the files; the same for every environment."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        elsewhere = pool.apply_async(rollout, (env_id, options, steps))
-        here = rollout(env_id, options, steps)
-        there = elsewhere.get(timeout=240)
+        yield pool
+
+
+def test_same_seed_same_fifty_steps_in_two_processes(
+    env_id: str, options: dict[str, Any], other_process: Pool, steps: int = 50
+) -> None:
+    elsewhere = other_process.apply_async(rollout, (env_id, options, steps))
+    here = rollout(env_id, options, steps)
+    there = elsewhere.get(timeout=240)
     assert len(here) == len(there) == 2 * steps
     for index, (first, second) in enumerate(zip(here, there)):
         assert first == second, f"entry {index} differs"
@@ -132,22 +143,30 @@ def test_observations_lie_in_their_space_and_masks_agree(env_id: str, options: d
             observation, info = env.reset()
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vectorised(env_id: str, options: dict[str, Any], mode: str) -> None:
-    kwargs: dict[str, Any] = {"vector_kwargs": {"context": "spawn"}} if mode == "async" else {}
-    envs = gym.make_vec(env_id, num_envs=2, vectorization_mode=mode, **kwargs, **options)
+def assert_vectorised(envs: gym.vector.VectorEnv, count: int) -> None:
     try:
         observation, info = envs.reset(seed=4)
-        assert observation["rgb"].shape == (2, 36, 64, 3)
-        assert gain_names(envs) == ("pixel",) and info["gains"].tolist() == [("pixel",)] * 2
-        # Two seeds, two episodes.
-        assert not np.array_equal(observation["candidates"][0], observation["candidates"][1])
+        assert observation["rgb"].shape == (count, 36, 64, 3)
+        assert gain_names(envs) == ("pixel",) and info["gains"].tolist() == [("pixel",)] * count
+        # Other seeds, other episodes.
+        assert len({table.tobytes() for table in observation["candidates"]}) == count
         for _ in range(3):
             actions = np.array([np.flatnonzero(mask)[0] for mask in observation["action_mask"]])
             observation, reward, *_ = envs.step(actions)
-        assert reward.shape == (2,)
+        assert reward.shape == (count,)
     finally:
         envs.close()
+
+
+def test_vectorised(env_id: str, options: dict[str, Any]) -> None:
+    assert_vectorised(gym.make_vec(env_id, num_envs=2, vectorization_mode="sync", **options), 2)
+
+
+def test_vectorised_in_processes(scene_files: dict[str, str]) -> None:
+    makers = [
+        functools.partial(gym.make, f"activestructure_gym:{name}", **options_of(name, scene_files)) for name in ENV_IDS
+    ]
+    assert_vectorised(gym.vector.AsyncVectorEnv(makers, context="spawn"), len(ENV_IDS))
 
 
 def test_every_environment_has_a_page_in_gymnasium_s_format(env_id: str) -> None:

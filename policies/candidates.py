@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,15 @@ Observation = dict[str, np.ndarray]
 
 (_LENGTH,), (_FRAMES,), (_REVISIT,) = (candidate_columns(name) for name in ("path_length", "frames", "revisit"))
 _XYZ, _LOOK = candidate_columns("x", "y", "z"), candidate_columns("look_x", "look_y", "look_z")
+
+
+def check_observation(observation: Any, reader: str = "a policy") -> None:
+    """Raise `InputError` for the tuple that ``env.reset`` or ``env.step`` returns; its first part is an observation."""
+    if isinstance(observation, tuple):
+        raise InputError(
+            f"{reader} chooses from an observation, got a tuple of {len(observation)} things, as reset() and step() "
+            "return them; take it out first: observation, info = env.reset(seed=0)"
+        )
 
 
 class Candidates:
@@ -30,6 +40,11 @@ class Candidates:
     rows : sequence of str
         Names of the columns of ``candidates``: ``env.observation_space["candidates"].names``.
 
+    Raises
+    ------
+    InputError
+        A tuple, which ``env.reset`` and ``env.step`` return.
+
     Examples
     --------
     >>> import numpy as np
@@ -46,6 +61,7 @@ class Candidates:
         reader: str = "this policy",
         rows: Sequence[str] = CANDIDATE_FEATURES,
     ) -> None:
+        check_observation(observation, reader)
         self._observation, self._columns, self._reader, self._rows = observation, columns, reader, rows
 
     def __len__(self) -> int:

@@ -16,7 +16,7 @@ class Random(Policy):
 
     def act(self, observation: Observation) -> int:
         """A valid row, each equally likely."""
-        valid = np.flatnonzero(observation["action_mask"])
+        valid = np.flatnonzero(self.candidates(observation).valid)
         if not len(valid):
             raise ValueError("no candidate is valid: the episode has ended, call reset()")
         return int(self.rng.choice(valid))

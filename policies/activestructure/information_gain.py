@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.envs.observation import plane_columns
-from activestructure_gym.policies.base import Observation
+from activestructure_gym.policies.candidates import Observation, check_observation
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class PlaneView:
 
 def plane_view(observation: Observation) -> PlaneView:
     """The planes of an observation; rows without a plane are invisible and have no area."""
+    check_observation(observation)
     mask = observation["plane_mask"].astype(bool)
     columns = plane_columns("quality", "surprise", "deficit", "structural", "area")
     quality, surprise, deficit, structural, area = observation["plane_features"][:, columns].astype(np.float64).T

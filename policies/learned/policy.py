@@ -57,7 +57,7 @@ class Learned(Policy):
 
     def act(self, observation: Observation) -> int:
         """The valid row with the highest score; the first of equals."""
-        best_valid(np.zeros(len(observation["action_mask"])), observation)  # before torch is loaded for nothing
+        best_valid(np.zeros(len(self.candidates(observation))), observation)  # before torch is loaded for nothing
         scores = self.scores(observation)
         choice = best_valid(scores, observation)
         valid = scores[observation["action_mask"].astype(bool)]

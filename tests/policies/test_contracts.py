@@ -16,6 +16,7 @@ import trimesh
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES, FeatureContext, column_names, evaluate_features
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.mapper import PSNR_RENDERS
@@ -202,6 +203,12 @@ def test_a_masked_row_is_never_chosen_however_good_it_is(spec: str, episode: Epi
             choice = policy.act(closed)
             assert closed["action_mask"][choice] == 1
             closed["action_mask"][choice] = 0
+
+
+@pytest.mark.parametrize("spec", NAMES)
+def test_what_reset_returns_is_no_observation(spec: str, episode: Episode) -> None:
+    with pytest.raises(InputError, match=r"got a tuple of 2 things.* observation, info = env.reset"):
+        begun(spec).act((episode.observations[0], {}))
 
 
 class Replay(gym.Env):

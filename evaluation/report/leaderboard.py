@@ -14,7 +14,7 @@ import numpy as np
 from markupsafe import Markup
 
 from activestructure_gym.errors import counted
-from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, is_reference
+from activestructure_gym.evaluation.archive.jobs import REFERENCE, TRAJECTORY, Job, is_reference
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.archive.verified import GOOD, Verification
 from activestructure_gym.evaluation.report.columns import RATIOS, Column, value_of
@@ -45,6 +45,11 @@ class Row:
     def reference(self) -> bool:
         """Whether it sees the ground truth, and is no policy."""
         return is_reference(self.runs[0].job.policy)
+
+    @property
+    def plans(self) -> bool:
+        """Whether it chose its views itself, by what it had seen: neither a reference nor given poses."""
+        return not self.reference and not self.runs[0].job.policy.startswith(TRAJECTORY)
 
     @property
     def verified(self) -> int:
@@ -172,7 +177,7 @@ def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
             for index, row in enumerate(rows)
         ],
         caption="Means over scenes of means over seeds"
-        + ("" if all(ranks) else f"; a row of fewer than {wanted} runs, or of a reference, is not ranked"),
+        + ("" if all(ranks) else f"; of fewer than {wanted} runs, of a reference or of given poses, a row has no rank"),
     )  # fmt: skip
     scenes = sorted({without_places(run.job.scene) for row in rows for run in row.runs})
     facts = [
@@ -207,8 +212,8 @@ def _row(runs: Sequence[Run], known: Known) -> Row:
 
 
 def _is_ranked(row: Row, wanted: int) -> bool:
-    """Whether a policy played all of the task; a reference is none."""
-    return len(row.runs) == wanted and not row.reference
+    """Whether a policy played all of the task; a reference is none, nor are given poses."""
+    return len(row.runs) == wanted and row.plans
 
 
 def _place(run: Run) -> tuple[str, int]:

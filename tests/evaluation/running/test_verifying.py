@@ -220,7 +220,14 @@ def test_who_sees_the_ground_truth_leads_no_leaderboard(run: Run) -> None:
     assert (first.policy, last.reference) == ("random", True)
     assert "--references oracle" in last.command and "reference:" not in last.command
     page = leaderboard_page([oracle, run], lambda one: None, {})
-    assert "or of a reference, is not ranked" in page
+    assert "of a reference or of given poses, a row has no rank" in page
+
+
+def test_who_follows_given_poses_leads_no_leaderboard(run: Run) -> None:
+    metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": 99.0}}
+    given = replace(run, job=replace(run.job, policy="trajectory:sweep"), metrics=metrics)
+    (((first, last), _),) = rows_of([given, run], lambda one: None)
+    assert (first.policy, first.plans, last.plans) == ("random", True, False)
 
 
 def test_the_command_of_a_row_plays_its_own_jobs_to_the_last_digit(run: Run) -> None:

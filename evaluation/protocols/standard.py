@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
@@ -61,6 +62,7 @@ _RANGES = {
     "coverage_alpha": "[0, 1]",
     **dict.fromkeys(("tsdf_voxel_m", "tsdf_truncation_m"), "[0.001, 100]"),
     "tsdf_image_width": "[16, 4096]",
+    "tsdf_samples_per_m2": "[0, 100000]",
     "sight_margin_m": "[0, 1]",
 }
 
@@ -75,7 +77,7 @@ class StandardProtocol:
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
-    # On the whole mesh, where those that some free pose can see are the truth, about half; and on the TSDF surface.
+    # On the whole mesh, where those that some free pose can see are the truth, about half; on the TSDF surface at least
     surface_samples: int = 200_000
     views: int = 64  # held-out ones
     view_width: int = 320  # pixels, whatever the sensor's size: numbers of other sizes cannot be compared
@@ -88,6 +90,7 @@ class StandardProtocol:
     tsdf_voxel_m: float = 0.02  # metres
     tsdf_truncation_m: float = 0.06  # metres
     tsdf_image_width: int = 320  # pixels of the depth images that are fused, with the sensor's field of view
+    tsdf_samples_per_m2: float = 4000.0  # at least: at 400 every hundredth place has no sample within 6 cm by chance
     sight_margin_m: float = SIGHT_MARGIN  # metres before a sample that a keyframe's line of sight spares
 
     def __post_init__(self) -> None:
@@ -198,12 +201,16 @@ class StandardProtocol:
         self,
         surface: np.ndarray,  # [T, 3, 3] metres
         areas: np.ndarray | None = None,  # [T] m^2, if known
-    ) -> np.ndarray:  # [surface_samples, 3] metres, [0, 3] without triangles
-        """Points on triangles, uniform by area, the same ones for the same triangles."""
+    ) -> np.ndarray:  # [P, 3] metres, [0, 3] without triangles
+        """Points on triangles, uniform by area, the same ones for the same triangles.
+
+        As many as a distance to the nearest of them needs to be one to the surface: it decides about completion.
+        """
         areas = triangle_areas(surface) if areas is None else areas
         if areas.sum() == 0.0:
             return np.zeros((0, 3))
-        return samples_by_area(surface, areas, self.surface_samples, np.random.default_rng(0))[0]
+        count = max(self.surface_samples, math.ceil(self.tsdf_samples_per_m2 * float(areas.sum())))
+        return samples_by_area(surface, areas, count, np.random.default_rng(0))[0]
 
     def looks(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
         """The numbers of every held-out view."""
@@ -295,14 +302,22 @@ class StandardProtocol:
         return None if error is None else 100.0 * error
 
 
+@dataclass(frozen=True)
 class StandardProtocol3(StandardProtocol):
     """Version 3, so that what was measured by it can be read and measured again.
 
-    The depth of held-out views was drawn with every Gaussian at the depth of its centre.
+    The depth of held-out views was drawn with every Gaussian at the depth of its centre, and the TSDF surface had as
+    many samples whatever its area: in a large scene some of it lay further from all of them than the threshold.
     """
 
     version: ClassVar[int] = 3
     _centre_depth: ClassVar[bool] = True
+
+    tsdf_samples_per_m2: float = 0.0
+
+    def parameters(self) -> dict[str, Any]:
+        """Name, version and every constant that version had."""
+        return {name: value for name, value in super().parameters().items() if name != "tsdf_samples_per_m2"}
 
 
 class StandardProtocol2(StandardProtocol3):

@@ -6,12 +6,15 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import SurfaceSamples
+from activestructure_gym.evaluation.metrics.geometry import completion_distances
 from activestructure_gym.evaluation.protocols import CameraPath, StandardProtocol, Truth, protocol_from
 from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
+from activestructure_gym.evaluation.protocols.standard import StandardProtocol3
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.mapping import GaussianMap
 
 PROTOCOL = StandardProtocol(views=2, view_width=32, view_height=18)
+LATER = ("sight_margin_m", "tsdf_samples_per_m2")  # constants that version 2 had not
 
 
 def gaussians(means: np.ndarray, *, opacity: float, sigma: float = 0.04, grey: float = 0.5) -> np.ndarray:  # [14, n]
@@ -155,9 +158,26 @@ def test_a_checkpoint_says_how_many_means_lie_on_the_surface(wall):
     assert found["accuracy_cm"] == pytest.approx(full["accuracy_cm"]) and 5.0 < found["accuracy_cm"] < 6.0
 
 
+def test_no_part_of_a_large_surface_lies_far_from_its_samples_by_chance():
+    side = 3.0  # metres: of 2,000 samples, as of 200,000 on 900 m^2, 1.7 lie within 5 cm of a place on average
+    corners = np.array([[0.0, 0.0, 0.0], [side, 0.0, 0.0], [side, side, 0.0], [0.0, side, 0.0]])
+    floor = corners[[[0, 1, 2], [0, 2, 3]]]
+    truth = np.column_stack([np.random.default_rng(1).uniform(0.1, side - 0.1, (20_000, 2)), np.zeros(20_000)])
+    surface = SurfaceSamples(truth, np.tile([0.0, 0.0, 1.0], (len(truth), 1)), side * side)
+    ratios = []
+    for protocol in (StandardProtocol(surface_samples=2000), StandardProtocol3(surface_samples=2000)):
+        points = protocol.on_surface(floor)
+        assert (points[:, 2] == 0).all() and np.array_equal(points, protocol.on_surface(floor))
+        ratios.append((completion_distances(surface, points) < protocol.threshold_m).mean())
+    assert ratios[0] == 1.0 and ratios[1] == pytest.approx(1 - np.exp(-2000 / side**2 * np.pi * 0.05**2), abs=0.02)
+    assert len(StandardProtocol().on_surface(floor)) == 200_000  # enough for 9 m^2
+
+
 def test_version_3_draws_depth_at_the_centres(wall):
-    third = protocol_from(PROTOCOL.parameters() | {"version": 3})
-    assert isinstance(third, StandardProtocol) and third.parameters() == PROTOCOL.parameters() | {"version": 3}
+    known = {key: value for key, value in PROTOCOL.parameters().items() if key != "tsdf_samples_per_m2"}
+    third = protocol_from(known | {"version": 3})
+    assert isinstance(third, StandardProtocol) and third.parameters() == known | {"version": 3}
+    assert third.tsdf_samples_per_m2 == 0.0  # as many on every surface
     turned = gaussians(wall.surface.points, opacity=0.95)
     turned[3:7] = Rotation.from_euler("x", 60, degrees=True).as_quat(scalar_first=True)[:, None]
     tilted = GaussianMap()
@@ -170,7 +190,7 @@ def test_version_3_draws_depth_at_the_centres(wall):
 
 
 def test_version_2_is_read_and_measures_as_it_did(wall):
-    known = {key: value for key, value in PROTOCOL.parameters().items() if key != "sight_margin_m"}
+    known = {key: value for key, value in PROTOCOL.parameters().items() if key not in LATER}
     second = protocol_from(known | {"version": 2})
     assert isinstance(second, StandardProtocol) and second.version == 2
     assert second.parameters() == known | {"version": 2} and second != PROTOCOL

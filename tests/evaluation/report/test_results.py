@@ -90,7 +90,8 @@ def test_like_is_compared_with_like(make_run):
 def test_runs_of_two_versions_of_the_protocol_are_not_mixed_and_each_is_reported(make_run):
     new = make_run(policy="b", tsdf_completion_ratio=85.0, observed=91.25)
     old = make_run()
-    second = {k: v for k, v in old.job.protocol.parameters().items() if k != "sight_margin_m"} | {"version": 2}
+    later = ("sight_margin_m", "tsdf_samples_per_m2")
+    second = {k: v for k, v in old.job.protocol.parameters().items() if k not in later} | {"version": 2}
     old.__dict__["job"] = dataclasses.replace(old.job, protocol=protocol_from(second))
     with pytest.raises(InputError, match="protocol version: 4, 2"):
         Results([new, old], [])

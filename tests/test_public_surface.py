@@ -27,20 +27,10 @@ def surface() -> list[tuple[str, str]]:
     return [(name, public) for name in ROOMS for public in room(name).__all__]
 
 
-def test_importing_is_quick_and_loads_nothing_heavy() -> None:
-    code = (
-        "import sys, time; began = time.process_time(); import activestructure_gym;"
-        f"print(time.process_time() - began, [m for m in {HEAVY} if m in sys.modules])"
-    )
-    quickest = float("inf")
-    for _ in range(5):  # a machine that others use, too, has its slow moments
-        out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-        seconds, _, loaded = out.stdout.strip().partition(" ")
-        assert loaded == "[]"
-        quickest = min(quickest, float(seconds))
-        if quickest < 0.2:
-            break
-    assert quickest < 0.2
+def test_importing_loads_nothing_heavy() -> None:
+    code = f"import sys, activestructure_gym; print([m for m in {HEAVY} if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert out.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize("name", ["", ".envs", ".evaluation"])

@@ -86,7 +86,7 @@ def fused_surface(
 def triangle_areas(triangles: np.ndarray) -> np.ndarray:  # [T] m^2
     """Area of each of the triangles [T, 3, 3]."""
     areas = np.empty(len(triangles))
-    _areas(np.ascontiguousarray(triangles, np.float64), areas)
+    _areas(np.ascontiguousarray(triangles), areas)
     return areas
 
 
@@ -94,8 +94,9 @@ def triangle_areas(triangles: np.ndarray) -> np.ndarray:  # [T] m^2
 def _areas(triangles: np.ndarray, areas: np.ndarray) -> None:
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
+        bx, by, bz = b[0] - ax, b[1] - ay, b[2] - az
+        cx, cy, cz = c[0] - ax, c[1] - ay, c[2] - az
         x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
         areas[t] = 0.5 * np.sqrt(x * x + y * y + z * z)
 
@@ -280,26 +281,29 @@ def _triangles(
     """Marching tetrahedra over the cells between voxel centres; returns how many triangles there are."""
     value, place = np.empty(8), np.empty((8, 3))
     crossing = np.empty((4, 3))
+    near, unseen = np.empty((9, 9, 9), np.float32), np.empty((9, 9, 9), np.bool_)
     count = 0
     for b in range(len(blocks)):
+        if not _with_neighbours(distance, weight, slots, blocks[b], near, unseen):
+            continue
         for cell in range(512):
             i, j, k = cell >> 6, (cell >> 3) & 7, cell & 7
             inside = 0
             known = True
             for corner in range(8):
                 gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
-                slot = slots[blocks[b, 0] + (gi >> 3), blocks[b, 1] + (gj >> 3), blocks[b, 2] + (gk >> 3)]
-                if slot < 0 or weight[slot, gi & 7, gj & 7, gk & 7] == 0.0:
+                if unseen[gi, gj, gk]:
                     known = False
                     break
-                value[corner] = distance[slot, gi & 7, gj & 7, gk & 7]
-                if value[corner] < 0.0:
-                    inside += 1
+                value[corner] = near[gi, gj, gk]
+                inside += value[corner] < 0.0
+            if not known or inside == 0 or inside == 8:
+                continue
+            for corner in range(8):
+                gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
                 place[corner, 0] = origin[0] + (blocks[b, 0] * 8 + gi + 0.5) * voxel
                 place[corner, 1] = origin[1] + (blocks[b, 1] * 8 + gj + 0.5) * voxel
                 place[corner, 2] = origin[2] + (blocks[b, 2] * 8 + gk + 0.5) * voxel
-            if not known or inside == 0 or inside == 8:
-                continue
             for tetrahedron in _TETRAHEDRA:
                 found = 0
                 behind = 0
@@ -309,18 +313,18 @@ def _triangles(
                     continue
                 # Cut edges in an order that goes round: from each corner of the smaller side to the others.
                 if behind == 2:
-                    low, high = np.empty(2, np.int64), np.empty(2, np.int64)
-                    nl, nh = 0, 0
+                    low, other_low, high, other_high = -1, -1, -1, -1
                     for a in range(4):
-                        if value[tetrahedron[a]] < 0.0:
-                            low[nl] = tetrahedron[a]
-                            nl += 1
+                        corner = tetrahedron[a]
+                        if value[corner] < 0.0:
+                            low, other_low = (corner, -1) if low < 0 else (low, corner)
                         else:
-                            high[nh] = tetrahedron[a]
-                            nh += 1
-                    for a, c in ((low[0], high[0]), (low[0], high[1]), (low[1], high[1]), (low[1], high[0])):
-                        _cut(value, place, a, c, crossing[found])
-                        found += 1
+                            high, other_high = (corner, -1) if high < 0 else (high, corner)
+                    _cut(value, place, low, high, crossing[0])
+                    _cut(value, place, low, other_high, crossing[1])
+                    _cut(value, place, other_low, other_high, crossing[2])
+                    _cut(value, place, other_low, high, crossing[3])
+                    found = 4
                 else:
                     lonely = behind == 1
                     tip = 0
@@ -333,11 +337,36 @@ def _triangles(
                             found += 1
                 for third in range(2, found):
                     if count < len(corners):
-                        corners[count, 0] = crossing[0]
-                        corners[count, 1] = crossing[third - 1]
-                        corners[count, 2] = crossing[third]
+                        for axis in range(3):
+                            corners[count, 0, axis] = crossing[0, axis]
+                            corners[count, 1, axis] = crossing[third - 1, axis]
+                            corners[count, 2, axis] = crossing[third, axis]
                     count += 1
     return count
+
+
+@kernel
+def _with_neighbours(
+    distance: np.ndarray,
+    weight: np.ndarray,
+    slots: np.ndarray,
+    block: np.ndarray,  # [3]
+    near: np.ndarray,  # [9, 9, 9] out
+    unseen: np.ndarray,  # [9, 9, 9] out
+) -> bool:
+    """A block and the next voxels of its neighbours; returns whether a surface may run through them."""
+    before, behind = False, False
+    for gi in range(9):
+        for gj in range(9):
+            for gk in range(9):
+                slot = slots[block[0] + (gi >> 3), block[1] + (gj >> 3), block[2] + (gk >> 3)]
+                lost = slot < 0 or weight[slot, gi & 7, gj & 7, gk & 7] == 0.0
+                unseen[gi, gj, gk] = lost
+                if not lost:
+                    here = distance[slot, gi & 7, gj & 7, gk & 7]
+                    near[gi, gj, gk] = here
+                    before, behind = before or here >= 0.0, behind or here < 0.0
+    return before and behind
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 # Before torch or numba load: spinning OpenMP threads of two test workers cost each other a factor of 35.
@@ -14,6 +15,25 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("ASG_SHARED", ROOT.parent / "shared"))
+BEGAN = time.monotonic()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin at file number ASG_TEST_TURN and go round: what CI has no time for in one turn it has in another."""
+    turn = os.environ.get("ASG_TEST_TURN")
+    if turn is not None:
+        files = sorted({item.path for item in items})
+        begin = int(turn) % max(len(files), 1)
+        place = {path: n for n, path in enumerate(files[begin:] + files[:begin])}
+        items.sort(key=lambda item: place[item.path])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip the slow tests that would begin later than ASG_TEST_SECONDS after their worker did."""
+    seconds = os.environ.get("ASG_TEST_SECONDS")
+    if seconds is not None and item.get_closest_marker("slow") and time.monotonic() - BEGAN > float(seconds):
+        pytest.skip(f"the {seconds} s of ASG_TEST_SECONDS are over")
 
 
 @pytest.fixture

@@ -50,13 +50,24 @@ def words(path: Path) -> str:
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".md":
         return re.sub(r"`[^`\n]*`", "", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
-    read = [ast.get_docstring(node) or "" for node in ast.walk(ast.parse(text)) if isinstance(
-        node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-    )]  # fmt: skip
+    read = [ast.get_docstring(node) or "" for node in with_docstrings(ast.parse(text))]
     if any("#" in line and any(sought.search(line) for sought in (KEY, PAGE, ELSEWHERE)) for line in text.splitlines()):
         tokens = tokenize.generate_tokens(io.StringIO(text).readline)
         read += [token.string for token in tokens if token.type == tokenize.COMMENT]
     return "\n".join(read)
+
+
+Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def with_docstrings(node: ast.AST) -> Iterator[Documented]:
+    """A module and what stands in it, however deep; statements only, since an expression holds no docstring."""
+    if isinstance(node, Documented):
+        yield node
+    for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+        inner = getattr(node, part, ())
+        for child in inner if isinstance(inner, list) else ():
+            yield from with_docstrings(child)
 
 
 def keys() -> list[str]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -17,7 +19,15 @@ def blocks(page: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (GUIDE / page).read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
-@pytest.mark.parametrize(("page", "number"), [(page, i) for page in SHOWN for i in range(len(blocks(page)))])
+def shown() -> Iterator[Any]:
+    """Every block of the pages above; one of them measures the whole of a run twice."""
+    for page in SHOWN:
+        for number in range(len(blocks(page))):
+            slow = (page, number) == ("own_parts.md", 2)
+            yield pytest.param(page, number, marks=[pytest.mark.slow] if slow else [])
+
+
+@pytest.mark.parametrize(("page", "number"), shown())
 def test_what_a_page_shows_runs(page: str, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from activestructure_gym.evaluation.protocols import PROTOCOLS
     from activestructure_gym.evaluation.running.engines import ENGINES

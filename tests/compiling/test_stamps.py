@@ -206,6 +206,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_collision_check_follows_the_distance_field(run, tmp_path):
     folder = tmp_path / "copy"
     for package in ("activestructure_gym", "envs"):

@@ -67,6 +67,7 @@ def test_a_record_without_its_axis_is_measured_as_it_was_made(rooms, name):
     np.testing.assert_array_equal(scene.mesh.vertices, expected.mesh.vertices)
 
 
+@pytest.mark.slow
 def test_a_comparison_without_its_axis_is_gone_on_with(rooms):
     spec = f"{rooms}/box.glb"
     job = Job(spec, "random", 0, scene_hash=load_scene(spec, up="z").content_hash, preset="fast")

@@ -9,7 +9,7 @@ from tests.fuzz.harness import _tried, generator, kind_module, kinds, run
 @pytest.mark.parametrize("kind", kinds())
 def test_every_input_is_used_or_refused_in_one_sentence(kind, rest):
     cases = kind_module(kind).CI_CASES
-    tally = run(kind, range(cases // 5, cases) if rest else range(cases // 5))
+    tally = run(kind, range(cases // 10, cases) if rest else range(cases // 10))
     shown = [f"python -m tests.fuzz --only {kind}:{o.number}: {o.message}" for o in tally.failures]
     assert not shown, "\n".join(shown)
 

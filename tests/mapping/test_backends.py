@@ -50,6 +50,7 @@ def test_ten_iterations_agree(recipe, rolled_frames):
     assert np.median(moved) > 10 * 1e-4  # there was something to agree on
 
 
+@pytest.mark.slow
 def test_the_recipe_as_it_is_agrees_in_what_shows(rolled_frames):
     kernels, reference = observed(rolled_frames, 5)
     rows = np.r_[0:3, 10:14]

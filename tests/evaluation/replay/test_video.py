@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.replay import video
 
 
-@pytest.mark.parametrize("ending", ["mp4", "webm"])
+@pytest.mark.parametrize("ending", [pytest.param("mp4", marks=pytest.mark.slow), "webm"])
 def test_a_video_has_a_picture_for_every_keyframe(
     finished: list[Run],
     tmp_path: Path,

@@ -20,6 +20,7 @@ PROTOCOL = replace(StandardProtocol(), views=1, view_width=64, view_height=36, s
 USUAL: dict[str, Any] = {"preset": "fast", "frame_budget": 25, "engine": "inline", "protocol": PROTOCOL}
 
 
+@pytest.mark.slow
 def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path) -> None:
     result = compare(["box"], [BRINGER, "random"], tmp_path / "runs", terms="native", **USUAL)
     assert not result.failed

@@ -35,16 +35,18 @@ class FeatureContext:
 
     @cached_property
     def _rendered(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.mapper.render_depth_alpha(self.camera, self.world_from_camera)
+        depth, alpha = (image.view() for image in self.mapper.render_depth_alpha(self.camera, self.world_from_camera))
+        depth.flags.writeable = alpha.flags.writeable = False  # one feature must not change what the next one reads
+        return depth, alpha
 
     @property
     def depth(self) -> np.ndarray:  # [K, h, w] metres, accumulated (sum of weight x depth)
-        """The map's depth from every candidate; rendered once, shared by all features."""
+        """The map's depth from every candidate; rendered once, shared by all features, and read only."""
         return self._rendered[0]
 
     @property
     def alpha(self) -> np.ndarray:  # [K, h, w] in 0..1
-        """The map's accumulated opacity from every candidate."""
+        """The map's accumulated opacity from every candidate, read only."""
         return self._rendered[1]
 
     @cached_property

@@ -43,6 +43,18 @@ def test_pixel_gain_is_the_share_of_uncovered_pixels() -> None:
     np.testing.assert_allclose(evaluate_features(("pixel",), context(alpha))[:, 0], [0.0, 0.25, 1.0])
 
 
+@pytest.mark.parametrize("picture", ["depth", "alpha"])
+def test_a_feature_cannot_change_what_the_next_one_reads(picture: str) -> None:
+    def greedy(context: FeatureContext) -> np.ndarray:
+        getattr(context, picture)[:] = 0.5
+        return np.zeros(3)
+
+    shown = context(np.ones((3, 24, 40), np.float32))
+    with pytest.raises(ValueError, match="read-only"):
+        greedy(shown)
+    assert (shown.alpha == 1.0).all()
+
+
 def test_a_covered_view_hides_no_area_and_a_wall_nearer_by_hides_less() -> None:
     empty = np.zeros((1, 24, 40), np.float32)
     covered = np.ones((1, 24, 40), np.float32)

@@ -24,7 +24,14 @@ from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.archive.jobs import TRAJECTORY, Job, is_trajectory
 from activestructure_gym.evaluation.trajectories.axes import USUAL, begun_at, in_our_axes
 from activestructure_gym.evaluation.trajectories.fit import checked
-from activestructure_gym.evaluation.trajectories.formats import arrays_of, find_file, pose_files, read_poses, scan_text
+from activestructure_gym.evaluation.trajectories.formats import (
+    QUATERNIONS,
+    arrays_of,
+    find_file,
+    pose_files,
+    read_poses,
+    scan_text,
+)
 from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.motion import Leg, recorded_legs, regular_legs
@@ -136,7 +143,8 @@ class Given:
         if self.start is not None:
             poses = begun_at(poses, as_pose(self.start))
         name = f"{file.name}' in '{truth.scene.name}"
-        fit = checked(truth.free_space.clearance_at, written, poses, axes, self.inverted, name)
+        clearance_at, quaternions = truth.free_space.clearance_at, kind in QUATERNIONS
+        fit = checked(clearance_at, written, poses, axes, self.inverted, name, quaternions=quaternions)
         return Course(poses, _legs(file, kind, poses, keyframe_every), fit.outside)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.trajectories.axes import AXES, in_our_axes
@@ -27,6 +28,7 @@ class Fit:
     outside: int  # poses in walls, in furniture or outside of the rooms
     poses: int  # of all
     upright: float  # -1..1, median cosine between the image's up and the world's
+    lowest: float  # the same where a tenth of the poses is below
 
     @property
     def inside(self) -> bool:
@@ -47,7 +49,8 @@ def fit_of(clearance_at: Callable[[np.ndarray], np.ndarray], poses: np.ndarray, 
 
 def _measured(clearance_at: Callable[[np.ndarray], np.ndarray], ours: np.ndarray, axes: str, inverted: bool) -> Fit:
     outside = int(np.count_nonzero(~(clearance_at(ours[:, :3, 3]) > 0)))
-    return Fit(axes, inverted, outside, len(ours), float(np.median(-ours[:, 2, 1])))
+    lowest, upright = np.quantile(-ours[:, 2, 1], [0.1, 0.5])
+    return Fit(axes, inverted, outside, len(ours), float(upright), float(lowest))
 
 
 def likeliest(
@@ -61,6 +64,14 @@ def likeliest(
     return max(good, key=lambda fit: (not fit.inverted, fit.upright), default=None)
 
 
+def with_w_first(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T, 4, 4]
+    """What the poses would be if their file had quaternions in the order w x y z, read as x y z w."""
+    turned = poses.copy()
+    read = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    turned[:, :3, :3] = Rotation.from_quat(np.roll(read, -1, axis=1)).as_matrix()
+    return turned
+
+
 def checked(
     clearance_at: Callable[[np.ndarray], np.ndarray],
     poses: np.ndarray,  # [T, 4, 4] as the file has them
@@ -68,25 +79,34 @@ def checked(
     axes: str,
     inverted: bool,
     name: str,  # of the trajectory, for people
+    *,
+    quaternions: bool = False,  # whether the file has them
 ) -> Fit:
     """How the trajectory lies in the scene; raises `InputError` where it leaves the free space or hangs upside down.
 
-    The message names the convention that fits, where one does. Tilted cameras alone are refused only if another
-    convention makes them upright.
+    The message names the convention that fits, where one does, or else the other order of quaternions. Tilted cameras
+    alone are refused only if one of these makes them upright.
     """
     found = _measured(clearance_at, placed, axes, inverted)
-    if found.inside and found.upright >= _TILTED:
+    steady = found.upright >= _TILTED and (found.lowest >= 0 or not quaternions)
+    if found.inside and steady:
         return found
     other = likeliest(clearance_at, poses)
-    if other is not None and (other.axes, other.inverted) == (axes, inverted):  # moved by --start
+    if other is not None and (other.axes, other.inverted) == (axes, inverted):  # moved by --start, or the order
         other = None
-    if found.inside and other is None:
+    reordered = fit_of(clearance_at, with_w_first(poses), axes, inverted) if quaternions else None
+    w_first = (
+        reordered is not None and reordered.inside and reordered.lowest > max(_TILTED, other.lowest if other else -1)
+    )
+    if found.inside and not w_first and (other is None or found.upright >= _TILTED):
         return found
     wrong = (
         f"{found.outside} of the {found.poses} poses of '{name}' lie in walls, in furniture or outside of the rooms"
         if not found.inside
         else f"read with axes {axes}, the camera of '{name}' hangs upside down or lies on its side"
     )
+    if w_first:
+        raise InputError(f"{wrong}; with quaternions as w x y z it is upright: write them as x y z w")
     if other is not None:
         raise InputError(f"{wrong}; the most likely convention is {other.words}")
     raise InputError(

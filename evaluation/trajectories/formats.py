@@ -33,6 +33,7 @@ from activestructure_gym.scenes.loaders.scannet import axis_alignment
 
 Format = Literal["auto", "tum", "nice_slam", "kitti", "replica", "habitat", "scannet", "scannetpp", "npz"]
 FORMATS: tuple[str, ...] = get_args(Format)
+QUATERNIONS = frozenset({"tum", "habitat"})  # formats that write them, x y z w
 MOST_POSES = 200_000  # of a file
 _LARGEST = 64 << 20  # bytes of a text
 _BY_WIDTH = {8: "tum", 12: "kitti", 16: "nice_slam"}  # numbers per line

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.trajectories.axes import AXES, in_our_axes
-from activestructure_gym.evaluation.trajectories.fit import checked, fit_of, likeliest
+from activestructure_gym.evaluation.trajectories.fit import checked, fit_of, likeliest, with_w_first
 from activestructure_gym.geometry import look_along
 from tests.evaluation.trajectories.test_axes import in_habitat
 
@@ -67,3 +68,32 @@ def test_a_camera_that_looks_straight_down_is_no_wrong_convention() -> None:
     poses = np.stack([look_along(place, np.array([0.0, 0.0, -1.0])) for place in flown()[:, :3, 3]])
     kept = checked(clearance_at, poses, poses, "opencv", False, "poses.txt")
     assert kept.upright == pytest.approx(0.0)
+
+
+def mistaken(poses: np.ndarray) -> np.ndarray:
+    """The poses as they are read from a file that has its quaternions as w x y z."""
+    read = poses.copy()
+    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    read[:, :3, :3] = Rotation.from_quat(np.roll(xyzw, 1, axis=1)).as_matrix()
+    return read
+
+
+@pytest.mark.parametrize("turned", [0.0, -90.0, 360.0])
+def test_quaternions_in_the_other_order_are_told(turned: float) -> None:
+    poses = flown()
+    for pose, yaw in zip(poses, np.radians(np.linspace(0.0, turned, len(poses)))):
+        pose[:3, :3] = look_along(np.zeros(3), np.array([np.sin(yaw), np.cos(yaw), -0.2]))[:3, :3]
+    read = mistaken(poses)
+    np.testing.assert_allclose(with_w_first(read), poses, atol=1e-12)
+    with pytest.raises(InputError, match="hangs upside down or lies on its side; with quaternions as w x y z it is up"):
+        checked(clearance_at, read, read, "opencv", False, "poses.txt", quaternions=True)
+    assert checked(clearance_at, poses, poses, "opencv", False, "poses.txt", quaternions=True).outside == 0
+
+
+def test_a_file_of_matrices_has_no_order_of_quaternions() -> None:
+    poses = mistaken(flown())
+    poses[:, :3, :3] = poses[0, :3, :3]
+    kept = checked(clearance_at, poses, poses, "opencv", False, "poses.txt")
+    with pytest.raises(InputError, match="w x y z"):
+        checked(clearance_at, poses, poses, "opencv", False, "poses.txt", quaternions=True)
+    assert kept.upright < 0.5

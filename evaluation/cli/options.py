@@ -15,6 +15,7 @@ from activestructure_gym.registry import TRUST
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?\d*\.?\d+")
+_POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a point; JSON has neither .9 nor 1.
 
 
 def split_list(words: Sequence[str]) -> tuple[str, ...]:
@@ -106,7 +107,7 @@ def start_of(text: str | None, scenes: Sequence[str]) -> tuple[float, float, flo
 
 
 def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
-    """``key=value`` pairs; a value is read as JSON where it is JSON, else as text."""
+    """``key=value`` pairs; a value is read as JSON where it is JSON, ``.9`` as a number too, all else as text."""
     overrides = {}
     for word in words:
         key, equals, value = word.partition("=")
@@ -122,7 +123,8 @@ def parse_overrides(words: Sequence[str]) -> dict[str, Any]:
                     f'--set {shown(key)}: lists and tables are JSON, as in \'views.stages=[["pool", "turns"]]\' with '
                     f"all its quotes, got {shown(value)}"
                 ) from None
-            overrides[key] = {"True": True, "False": False, "None": None}.get(value, value)
+            number = float(value) if _POINT.fullmatch(value) else value
+            overrides[key] = {"True": True, "False": False, "None": None}.get(value, number)
     return overrides
 
 

@@ -61,6 +61,9 @@ def test_overrides():
     assert parse_overrides(words) == {
         "sensor.width": 96, "sensor.depth_noise": "kinect", "a": True, "b": [0.0, 0.3], "c": "x=y"
     }  # fmt: skip
+    assert parse_overrides(["a=.9", "b=-.5", "c=1.", "d=1.2.3", "e=."]) == {
+        "a": 0.9, "b": -0.5, "c": 1.0, "d": "1.2.3", "e": "."
+    }  # fmt: skip
     for value in ("[" * 100_000, '{"a":' * 10_000, "9" * 5000):
         with pytest.raises(InputError, match="--set 'a' takes no such value"):
             parse_overrides([f"a={value}"])

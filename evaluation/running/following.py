@@ -110,7 +110,7 @@ class Given:
     def file(self) -> tuple[Path, str]:
         """The file and its format, checked against the digits."""
         file, kind = find_file(self.place, self.kind)
-        file = file.resolve()
+        file = Path(os.path.abspath(file)) if file.is_dir() else file.resolve()  # a linked folder keeps its scan
         if any(letter in str(file) for letter in "?@,&"):
             raise InputError(f"'{file}' has one of ? @ , & in its name, which separate options: rename it")
         if self.digits and _digits(file) != self.digits:

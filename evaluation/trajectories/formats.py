@@ -218,7 +218,7 @@ def pose_files(folder: Path) -> list[Path]:
 
 def scan_text(folder: Path) -> Path:
     """The text file of the ScanNet scan whose poses are in this folder, by which they are turned."""
-    scan = folder.resolve().parent
+    scan = Path(os.path.abspath(folder)).parent  # of a link where the link is: the scan's other files are there
     return scan / f"{scan.name}.txt"
 
 

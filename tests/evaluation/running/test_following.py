@@ -113,8 +113,12 @@ def test_damaged_legs_are_refused(played: Run, tmp_path: Path) -> None:
         Comparison(["box"], [f"trajectory:{tmp_path}"], preset="fast").prepare()
 
 
-def test_the_poses_of_a_scan_are_known_by_what_turns_them_too(tmp_path: Path) -> None:
-    (tmp_path / "scene0000_00" / "pose").mkdir(parents=True)
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_the_poses_of_a_scan_are_known_by_what_turns_them_too(tmp_path: Path, elsewhere: bool) -> None:
+    (tmp_path / "scene0000_00").mkdir()
+    (tmp_path / "disk").mkdir()
+    pose = tmp_path / "scene0000_00" / "pose"
+    pose.symlink_to(tmp_path / "disk") if elsewhere else pose.mkdir()
     np.savetxt(tmp_path / "scene0000_00" / "pose" / "0.txt", np.eye(4))
     text, line = tmp_path / "scene0000_00" / "scene0000_00.txt", " ".join(map(str, np.eye(4).ravel()))
     text.write_text(f"axisAlignment = {line}\n")

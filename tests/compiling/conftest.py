@@ -46,6 +46,7 @@ def start() -> Callable[..., subprocess.Popen[str]]:
 
     def call(folder: Path, code: str, *arguments: str, prefix=(), cache: Path | None = None, **options):
         environment = {**os.environ, "PYTHONPATH": f"{folder}:{ROOT}", "XDG_CACHE_HOME": str(folder.parent / "user")}
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # bytecode takes an edit of the same length and second for none
         environment.pop("NUMBA_CACHE_DIR", None)
         if cache is not None:
             environment["NUMBA_CACHE_DIR"] = str(cache)

@@ -14,7 +14,7 @@ from activestructure_gym.evaluation.statistics import estimate
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-_AT_A_GLANCE = (f"{LEAST}frames_to_85", f"{LEAST}frames_to_90", "observed_area")  # what a terminal has room for
+_LEVELS = [column.key for column in PROGRESS if column.key.startswith(LEAST)]  # the lowest first
 
 
 @once
@@ -49,7 +49,8 @@ def rich_planning_table(results: Results) -> RichTable | None:
     """
     from rich.markup import escape
 
-    columns = measured([column for column in PROGRESS if column.key in _AT_A_GLANCE], results.runs)
+    shown = {*_telling(results), "observed_area"}
+    columns = measured([column for column in PROGRESS if column.key in shown], results.runs)
     if not columns:
         return None
     table = empty_rich_table("how soon the surface was observed, and the area under that curve")
@@ -64,6 +65,13 @@ def rich_planning_table(results: Results) -> RichTable | None:
         texts = [styled(cell.text, cell.rank == 1) for cell in cells]
         table.add_row(escape(policy), *texts)
     return table
+
+
+def _telling(results: Results) -> list[str]:
+    """The two levels that a terminal has room for: the highest that half of the runs reached, and the one below."""
+    reached = [sum(not exceeded(run, key) for run in results.runs) for key in _LEVELS]
+    highest = max((at for at, count in enumerate(reached) if 2 * count >= len(results.runs)), default=0)
+    return _LEVELS[max(highest - 1, 0) :][:2]
 
 
 def _short_cell(results: Results, policy: str, column: Column) -> Cell:

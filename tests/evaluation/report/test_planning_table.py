@@ -60,6 +60,13 @@ def test_a_terminal_has_means_of_runs_that_all_reached_it_and_else_a_dash_and_ho
     assert b.split() == ["b", "50", *"– (1 of 2 runs)".split(), "60.0"]
 
 
+def test_where_half_of_the_runs_reach_no_level_a_terminal_shows_the_lowest(make_run):
+    late = {"frames_to_80": None, "frames_to_85": None, "frames_to_90": None, "frames_to_95": None}
+    runs = [make_run(policy=policy, **late, observed_area=50.0) for policy in "ab"]
+    runs.append(measured(make_run, "c", 0, 60.0))
+    assert "80 %" in (text := printed(Results(runs, [], None))) and "85 %" in text and "90 %" not in text
+
+
 def test_a_reference_has_no_rank_and_takes_none(make_run):
     runs = [measured(make_run, policy, 0, frames) for policy, frames in (("a", 70.0), ("b", 60.0))]
     best = measured(make_run, "reference:oracle", 0, 40.0, 99.0)

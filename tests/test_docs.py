@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -176,3 +177,11 @@ def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
     names = {name.removesuffix("_cov") for name in ours if name not in (*LADDER[:-1], "random")}
     assert len(names) > 3
     assert [name for name in sorted(names) if f"`{name}`" not in told] == []
+
+
+def test_the_table_of_the_benchmark_is_that_of_its_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    runs = script["read"](script["PLACE"])
+    assert script["markdown"](runs) in (ROOT / "docs" / "notebook" / "benchmark.md").read_text(), (
+        "docs/notebook/benchmark.md is out of date: paste what `python docs/notebook/benchmark_table.py` prints"
+    )

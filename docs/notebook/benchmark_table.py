@@ -1,0 +1,117 @@
+"""Prints the table of benchmark.md from benchmark.csv, which has a line per run.
+
+    python docs/notebook/benchmark_table.py                          # the table
+    python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
+
+Means over scenes of means over seeds; differences are those of pairs with ``BASELINE`` on the same scene and seed, with
+bootstrap intervals of 95 % over the seeds within the scenes (`paired_difference`). Only policies that played every
+scene and seed of the baseline are in the table.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.report.results import gather
+from activestructure_gym.evaluation.statistics.aggregates import mean
+from activestructure_gym.evaluation.statistics.paired import Cell, paired_difference
+
+PLACE = Path(__file__).with_name("benchmark.csv")
+BASELINE = "hole_area"
+SHOWN = {  # key: heading, digits, best
+    "completion_ratio": ("C.R. (%) ↑", 1, max),
+    "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1, max),
+    "observed": ("observed (%) ↑", 1, max),
+    "observed_area": ("observed, area (%) ↑", 1, max),
+    "psnr": ("PSNR (dB) ↑", 2, max),
+    "ssim": ("SSIM ↑", 3, max),
+    "depth_l1_cm": ("Depth (cm) ↓", 2, min),
+    "completion_cm": ("Com. (cm) ↓", 2, min),
+    "accuracy_cm": ("Acc (cm) ↓", 2, min),
+}
+DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}
+OTHERS = ("precision", "frames_to_80", "frames_to_85", "frames_to_90", "metres", "decisions", "gaussians", "collisions")
+KEPT = (*SHOWN, *OTHERS)
+Table = dict[str, dict[Cell, dict[str, float]]]  # of a policy, of a scene and seed
+
+
+def added(place: Path, directories: Sequence[Path]) -> None:
+    """Put the runs of comparisons into the file; one that is there already is replaced."""
+    rows = {(r["policy"], r["scene"], r["seed"]): r for r in _rows(place)}
+    for run in gather(directories).runs:
+        values = {key: value_of(run, key) for key in KEPT}
+        row = {"policy": run.policy, "scene": run.scene, "seed": str(run.job.seed)}
+        rows[row["policy"], row["scene"], row["seed"]] = row | {
+            key: "" if value is None else f"{value:.6g}" for key, value in values.items()
+        }
+    with place.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, ["policy", "scene", "seed", *KEPT], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[key] for key in sorted(rows))
+
+
+def read(place: Path) -> Table:
+    """The numbers of every run."""
+    table: Table = {}
+    for row in _rows(place):
+        numbers = {key: float(row[key]) for key in KEPT if row[key]}
+        table.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = numbers
+    return table
+
+
+def markdown(table: Table) -> str:
+    """The table, the highest C.R. first."""
+    whole = {policy: runs for policy, runs in table.items() if runs.keys() == table[BASELINE].keys()}
+    means = {
+        policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in SHOWN}
+        for policy, runs in whole.items()
+    }
+    best = {
+        key: choose(round(numbers[key], digits) for numbers in means.values())
+        for key, (_, digits, choose) in SHOWN.items()
+    }
+    heads = [heading for heading, _, _ in SHOWN.values()]
+    heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
+    lines = ["| policy | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
+    for policy in sorted(means, key=lambda name: (-means[name]["completion_ratio"], name)):
+        cells = [f"`{policy}`"]
+        for key, (_, digits, _) in SHOWN.items():
+            text = f"{means[policy][key]:.{digits}f}"
+            cells.append(f"**{text}**" if round(means[policy][key], digits) == best[key] else text)
+        cells += [_difference(table, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _rows(place: Path) -> list[dict[str, str]]:
+    if not place.exists():
+        return []
+    with place.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def _mean(values: dict[Cell, float]) -> float:
+    scenes = sorted({scene for scene, _ in values})
+    by_scene = [[value for (place, _), value in values.items() if place == scene] for scene in scenes]
+    return float(mean([value for part in by_scene for value in part], [len(part) for part in by_scene]))
+
+
+def _difference(table: Table, policy: str, key: str, digits: int) -> str:
+    if policy == BASELINE:
+        return ""
+    ours, theirs = ({cell: run[key] for cell, run in table[name].items()} for name in (policy, BASELINE))
+    found = paired_difference(ours, theirs)
+    assert found is not None
+    value = found.difference
+    text = f"{value.value:+.{digits}f}"
+    return f"{text} [{value.low:.{digits}f}, {value.high:.{digits}f}]" if value.has_interval else text
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        added(PLACE, [Path(word) for word in sys.argv[1:]])
+    print(markdown(read(PLACE)), end="")

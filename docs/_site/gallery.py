@@ -32,8 +32,7 @@ def pages() -> dict[str, str]:
         f"Every policy that ships, first those that observed most of the surface in the benchmark ({told['runs']} runs "
         f"each on {told['scenes']} scenes, 300 frames; [benchmark.md](../../notebook/benchmark.md)). A curve is the "
         "share of the observable surface that was observed, over frames; the other policies stand behind it in grey. "
-        "Those at the end came after that benchmark; what their runs showed is in "
-        "[the notebook](../../notebook/planners.md).\n\n"
+        "What the runs of the published planners showed is in [the notebook](../../notebook/planners.md).\n\n"
         f'```{{raw}} html\n{_behind(told)}\n<div class="gallery">\n{cards}\n</div>\n```\n\n'
         "```{toctree}\n:hidden:\n\n" + "\n".join(names) + "\n```\n"
     )

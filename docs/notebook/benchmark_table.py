@@ -4,8 +4,8 @@
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
 
 Means over scenes of means over seeds; differences are those of pairs with ``BASELINE`` on the same scene and seed, with
-bootstrap intervals of 95 % over the seeds within the scenes (`paired_difference`). Only policies that played every
-scene and seed of the baseline are in the table.
+bootstrap intervals of 95 % over the seeds within the scenes (`paired_difference`). The table is of the scenes
+and seeds that every policy played.
 """
 
 from __future__ import annotations
@@ -65,10 +65,11 @@ def read(place: Path) -> Table:
 
 def markdown(table: Table) -> str:
     """The table, the highest C.R. first."""
-    whole = {policy: runs for policy, runs in table.items() if runs.keys() == table[BASELINE].keys()}
+    cells = set.intersection(*map(set, table.values()))
+    table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
     means = {
         policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in SHOWN}
-        for policy, runs in whole.items()
+        for policy, runs in table.items()
     }
     best = {
         key: choose(round(numbers[key], digits) for numbers in means.values())

@@ -93,7 +93,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
     "paper": {
         "frame_budget": 2000,
         "sensor": {"width": 1200, "height": 680, "supersample": 1},
-        "mapper": {"iterations": 15, "keyframe_reduction": 4, "seed_pixels": 6.0},
+        "mapper": {"iterations": 15, "keyframe_reduction": 4, "seed_pixels": 4.8},
         "views": {"scoring_scale": 0.0625},
     },
 }

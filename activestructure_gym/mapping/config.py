@@ -94,6 +94,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "in_front_floor": 0.0,
         "coarse_ratio": None,
         "iterations": 15,
+        "depth_weight": 1.0,
         "alpha_weight": 0.0,
         "adam_reset": True,
         "refine_shapes": True,
@@ -125,14 +126,14 @@ class MapperConfig:
 
     # Seeding
     seed_spacing: float | None = 0.045  # metres from seen surface to a mean, at most; None: SplaTAM's rule (measured)
-    seed_pixels: float = 1.5  # the same in pixels where there is texture or an edge (measured)
+    seed_pixels: float = 1.2  # the same in pixels where there is texture or an edge (measured)
     texture_contrast: float = 0.02  # 0..1, between neighbouring pixels, above which is texture (measured)
-    seed_footprint: float = 0.9  # in-plane sigma / spacing; by SplaTAM's rule / (stride * z / f) (measured)
+    seed_footprint: float = 1.05  # in-plane sigma / spacing; by SplaTAM's rule / (stride * z / f) (measured)
     border_sigmas: float | None = 1.0  # sigmas between a mean and where its surface ends; None = any (measured)
     seed_thickness: float = 0.1  # sigma along the normal / in-plane sigma (rows B18, B19: irrelevant in .02 .. .3)
     seed_opacity: float = 0.99  # 0..1 (measured: .9 lets 3 % of every wall through, which gains of holes add up)
     min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)
-    coarse_ratio: float | None = 1.3  # Gaussians larger than so many seeds make way for those; None = never (measured)
+    coarse_ratio: float | None = 1.6  # Gaussians larger than so many seeds make way for those; None = never (measured)
 
     # Seeding by SplaTAM's rule: where the rendering lacks something
     seed_stride: int = 2  # pixels between seeds
@@ -146,13 +147,14 @@ class MapperConfig:
     l1_share: float = 0.8  # of L1 in the image term; the rest is 1 - SSIM (3DGS)
     normalised_depth: bool = True  # depth divided by alpha, where alpha > .5; False = as accumulated (False: SplaTAM)
     centre_depth: bool = False  # depth of Gaussians' centres, not of where pixels' rays meet them (True: SplaTAM)
-    depth_weight: float = 1.0  # of the depth term; .3 favours appearance (rows C8, C9)
-    alpha_weight: float = 0.1  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
-    # A seed is where it was measured and has the colour that was measured: what is left to learn is little, and at
-    # SplaTAM's rates training views are fitted at the cost of all others (measured). Opacity is not learnt at all.
-    mean_rate: float = 1e-4  # metres per step
-    quaternion_rate: float = 2e-4  # per step
-    log_scale_rate: float = 1.5e-3  # per step
+    depth_weight: float = 0.5  # of the depth term, per metre (measured; SplaTAM: 1)
+    alpha_weight: float = 0.5  # of the missing opacity where there is a depth: keeps black walls opaque (measured)
+    # A seed is where it was measured and has the colour that was measured: what is left to learn is how wide it is, and
+    # colours that move as fast as SplaTAM's fit training views at the cost of all others (measured). Opacity is not
+    # learnt at all.
+    mean_rate: float = 1.5e-4  # metres per step
+    quaternion_rate: float = 1e-3  # per step
+    log_scale_rate: float = 8e-3  # per step
     opacity_rate: float = 0.0  # logit per step
     color_rate: float = 3e-4  # of the 0..1 range per step
     refine_shapes: bool = False  # refining learns more than colours (measured: held-out views of scans get worse)

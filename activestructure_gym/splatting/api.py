@@ -12,7 +12,7 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting.autograd import CpuOptions, CpuRasterization
 from activestructure_gym.splatting.backends import BACKENDS, Backend, backend_status
 from activestructure_gym.splatting.packing import parameter_rows
-from activestructure_gym.splatting.reference import blend_reference, camera_centre
+from activestructure_gym.splatting.reference import BLUR_VARIANCE, blend_reference, camera_centre
 from activestructure_gym.splatting.spherical_harmonics import TERMS, evaluate_sh
 
 __all__ = ["Rasterization", "camera_twist_gradient", "parameter_rows", "rasterize"]
@@ -49,6 +49,7 @@ class _Request:
     camera: PinholeCamera
     max_alpha: float
     centre_depth: bool
+    blur_variance: float
     median_depth: bool
     threads: int | None
 
@@ -65,6 +66,7 @@ def rasterize(
     sh: torch.Tensor | None = None,  # [N, K, 3] harmonics of degree 0 to 3 in place of colours, K = 1, 4, 9 or 16
     channels: torch.Tensor | None = None,  # [N, D] anything else to blend
     centre_depth: bool = False,
+    blur_variance: float = BLUR_VARIANCE,
     median_depth: bool = False,
     backend: Backend | Literal["auto"] = "auto",
     max_alpha: float = 0.999,
@@ -97,6 +99,9 @@ def rasterize(
     centre_depth
         Take every Gaussian at the depth of its centre, as 3D Gaussian splatting does. Otherwise a pixel takes it where
         its ray meets it (see Notes), which for a disk seen at a slant is on the disk.
+    blur_variance
+        px^2 that a Gaussian's covariance in the image is wider than its projection; 3D Gaussian splatting and gsplat
+        take 0.3, which is much for pictures of few pixels.
     median_depth
         Also give the depth of the Gaussian with which the transmittance, front to back, first falls to 0.5 or below; 0
         where alpha stays under 0.5; it has no gradient.
@@ -140,7 +145,7 @@ def rasterize(
         raise unknown_name("splatting backend", backend, BACKENDS)
     request = _Request(
         means, quaternions, log_scales, opacity_logits, colors, sh, channels, camera_from_world, camera, max_alpha,
-        centre_depth, median_depth, threads,
+        centre_depth, blur_variance, median_depth, threads,
     )  # fmt: skip
     _check(request)
     if backend == "auto":
@@ -208,6 +213,8 @@ def _check(request: _Request) -> None:
         raise InputError(f"camera must be a PinholeCamera, got {type(request.camera).__name__}.")
     if not 0.0 < request.max_alpha < 1.0:
         raise InputError(f"max_alpha must lie in (0, 1), got {request.max_alpha}.")
+    if not 0.0 < request.blur_variance <= 100.0:
+        raise InputError(f"blur_variance must lie in (0, 100] px^2, got {request.blur_variance}.")
     if request.threads is not None and request.threads < 1:
         raise InputError(f"threads must be at least 1, got {request.threads}; leave it out for a good default.")
 
@@ -235,7 +242,7 @@ def _reference_of_one(request: _Request, pose: torch.Tensor) -> Rasterization:
     features = colors if channels is None else torch.cat([colors, channels], dim=1)
     picture, depth, alpha, median = blend_reference(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, features, pose, request.camera,
-        max_alpha=request.max_alpha, centre_depth=request.centre_depth,
+        max_alpha=request.max_alpha, centre_depth=request.centre_depth, blur_variance=request.blur_variance,
     )  # fmt: skip
     extra = None if channels is None else picture[..., 3:]
     return Rasterization(picture[..., :3], depth, alpha, extra, median if request.median_depth else None)
@@ -263,7 +270,7 @@ def _render_gsplat(request: _Request) -> Rasterization:
     color, depth, alpha, extra = rasterize_gsplat(
         request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,
         pose.reshape(-1, 4, 4), request.camera, sh=request.sh, channels=request.channels,
-        centre_depth=request.centre_depth,
+        centre_depth=request.centre_depth, blur_variance=request.blur_variance,
     )  # fmt: skip
     if pose.dim() == 2:
         return Rasterization(color[0], depth[0], alpha[0], None if extra is None else extra[0])
@@ -276,7 +283,10 @@ def _render_cpu(request: _Request) -> Rasterization:
             f"splatting backend 'cpu' takes float32 tensors on the CPU, got {request.means.dtype} on "
             f"{request.means.device}; use backend='reference' or convert them."
         )
-    options = CpuOptions(request.camera, request.max_alpha, request.centre_depth, request.median_depth, request.threads)
+    options = CpuOptions(
+        request.camera, request.max_alpha, request.centre_depth, request.blur_variance, request.median_depth,
+        request.threads,
+    )  # fmt: skip
     return Rasterization(
         *CpuRasterization.apply(
             options, request.means, request.quaternions, request.log_scales, request.opacity_logits, request.colors,

@@ -29,6 +29,7 @@ class CpuOptions:
     camera: PinholeCamera
     max_alpha: float
     centre_depth: bool
+    blur_variance: float  # px^2
     median_depth: bool
     threads: int | None
 
@@ -67,11 +68,12 @@ class CpuRasterization(torch.autograd.Function):
             pooled = PooledWorkspace()
             workspace = pooled.workspace
             if coefficients is not None:
-                view, grid = make_view(camera, pose), make_grid(count, ctx.parameters.shape[1], camera)
+                view = make_view(camera, pose, blur_variance=options.blur_variance)
+                grid = make_grid(count, ctx.parameters.shape[1], camera)
                 shade(ctx.parameters, coefficients, pose, view, grid, ctx.threads)
             workspace.render(
                 ctx.parameters, count, camera, pose, max_alpha=options.max_alpha, centre_depth=options.centre_depth,
-                threads=ctx.threads, keep=goes_back,
+                blur_variance=options.blur_variance, threads=ctx.threads, keep=goes_back,
             )  # fmt: skip
             own = list(workspace.pictures())
             kept: list[np.ndarray] = []

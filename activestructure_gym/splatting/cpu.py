@@ -103,19 +103,21 @@ def render(
     *,
     max_alpha: float = MAX_ALPHA,
     centre_depth: bool = False,
+    blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
     threads: int | None = None,
     unseen: np.ndarray | None = None,  # [chunks of 1024 Gaussians] bool
 ) -> Rendering:
     """Colour, accumulated depth and alpha of one camera.
 
-    A pixel takes a Gaussian at the depth where its ray meets it, with ``centre_depth`` at that of its centre.
+    A pixel takes a Gaussian at the depth where its ray meets it, with ``centre_depth`` at that of its centre, and its
+    covariance in the image is wider by ``blur_variance``, for which [gsplat, code] has 0.3.
     ``unseen`` names the chunks that are known to be out of view: in a large map they then cost nothing.
     """
     check_map(parameters, count)
     pooled = PooledWorkspace()
     pooled.workspace.render(
         fitted(parameters), count, camera, inverse_of_pose(world_from_camera), max_alpha=max_alpha,
-        centre_depth=centre_depth, threads=threads, keep=False, unseen=unseen,
+        centre_depth=centre_depth, blur_variance=blur_variance, threads=threads, keep=False, unseen=unseen,
     )  # fmt: skip
     return Rendering(*pooled.workspace.pictures())
 
@@ -127,13 +129,15 @@ def render_depth_alpha(
     world_from_camera: np.ndarray,  # [C, 4, 4]
     *,
     centre_depth: bool = False,
+    blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # accumulated depth [C, H, W], alpha [C, H, W]
     """Depth and alpha of many cameras, for scoring candidates."""
     check_map(parameters, count)
     poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
     parameters = fitted(parameters)
-    views = np.repeat(make_view(camera, np.eye(4), centre_depth=centre_depth)[None], len(poses), axis=0)
+    view = make_view(camera, np.eye(4), centre_depth=centre_depth, blur_variance=blur_variance)
+    views = np.repeat(view[None], len(poses), axis=0)
     views[:, : layout.FX] = poses[:, :3].reshape(-1, layout.FX)
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     tickets = np.zeros(1, np.int64)

@@ -8,7 +8,7 @@ import importlib.metadata
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
-from activestructure_gym.splatting.reference import camera_centre, depth_slopes, project_means
+from activestructure_gym.splatting.reference import BLUR_VARIANCE, camera_centre, depth_slopes, project_means
 from activestructure_gym.splatting.spherical_harmonics import evaluate_sh
 
 _ALPHA_LIMITS = ((1, 6), 0.999, 0.99)  # from this version on the second
@@ -35,6 +35,7 @@ def rasterize_gsplat(
     sh: torch.Tensor | None = None,  # [N, K, 3] in place of colours
     channels: torch.Tensor | None = None,  # [N, D]
     centre_depth: bool = False,
+    blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor | None]:
     """Colour ``[C, H, W, 3]``, accumulated depth ``[C, H, W]``, alpha ``[C, H, W]`` and channels ``[C, H, W, D]``.
 
@@ -57,7 +58,7 @@ def rasterize_gsplat(
     output, alpha, _ = rasterization(
         means, quaternions, torch.exp(log_scales), torch.sigmoid(opacity_logits), features, camera_from_world,
         intrinsics.expand(cameras, 3, 3).contiguous(), camera.width, camera.height,
-        near_plane=0.01, eps2d=0.3, packed=False, render_mode="RGB+D" if centre_depth else "RGB",
+        near_plane=0.01, eps2d=blur_variance, packed=False, render_mode="RGB+D" if centre_depth else "RGB",
     )  # fmt: skip
     extra = None if channels is None else output[..., 3 : 3 + channels.shape[1]]
     depth = output[..., -1] if centre_depth else depth_of_planes(output[..., -3:])

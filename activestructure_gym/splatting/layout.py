@@ -19,7 +19,7 @@ POSE_ONLY, TO_GRADIENT, TO_ADAM = -1.0, 0.0, 1.0
 PLACES = 258  # integers behind the tiles in ``tile_order``: room for ordering them
 
 NEAR_PLANE = F(0.01)
-BLUR_VARIANCE = F(0.3)  # px^2
+BLUR_VARIANCE = F(0.02)  # px^2; gsplat's own is 0.3, at which disks of a pixel blur the picture (docs/notebook/map.md)
 SLANT_VARIANCE = F(0.03)  # px^2, where depth is concerned: a disk seen from its edge has no slope that could be drawn
 MIN_TRANSMITTANCE = F(1e-4)
 CLAMP_MARGIN = 0.3  # of half the image
@@ -30,7 +30,7 @@ LN_4 = F(1.3862943611198906)  # 1 / ROOT^2
 SLACK = F(0.01)  # px around every ellipse, far above the rounding of its border
 
 # view: floats of a camera
-POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, SLANT, CONSTANTS, VIEW_SIZE = 0, *range(12, 23), 32
+POSE, FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, MAX_ALPHA, SLANT, BLUR, CONSTANTS, VIEW_SIZE = 0, *range(12, 24), 48
 # grid: integers of a rendering
 COUNT, CAPACITY, WIDTH, HEIGHT, TILES_X, TILES_Y, CHUNKS, BLOCKS_X, BLOCKS_Y, STRIDE, MARGIN = range(11)
 TILE_BLOCKS, GRID_SIZE = 11, 12  # 64, as a number that the compiler does not know: it would unroll the loops

@@ -11,7 +11,7 @@ from activestructure_gym.splatting.elementary import clamped, dot3, exp2, larger
 from activestructure_gym.splatting.layout import (
     BLOCKS_X,
     BLOCKS_Y,
-    BLUR_VARIANCE,
+    BLUR,
     CAPACITY,
     COUNT,
     CX,
@@ -142,7 +142,7 @@ def project_block(parameters, i, view, grid, records):
     live = live & (log0 < F(40.0)) & (log1 < F(40.0)) & (log2 < F(40.0))  # not so for what is not a number
     largest = exp2(clamped(larger(log0, larger(log1, log2)) * LOG2_E, spread(F(-60.0)), spread(F(60.0))))
     norm = dot3(j00, j02, j11, j00, j02, j11) + j12 * j12
-    reach = sqrt(fma(norm * largest, largest, BLUR_VARIANCE)) * F(3.34)
+    reach = sqrt(fma(norm * largest, largest, view[BLUR])) * F(3.34)
     width, height = F(grid[WIDTH]), F(grid[HEIGHT])
     live = live & (u + reach > F(0.0)) & (u - reach < width) & (v + reach > F(0.0)) & (v - reach < height)
     if bits(live) == 0:
@@ -168,8 +168,8 @@ def project_block(parameters, i, view, grid, records):
     xy = dot3(p0, p1, p2, n0, n1, n2)
     # |p x n|^2 instead of xx yy - xy^2: no cancellation for needles.
     c0, c1, c2 = fma(p1, n2, neg(p2 * n1)), fma(p2, n0, neg(p0 * n2)), fma(p0, n1, neg(p1 * n0))
-    determinant = fma(xx + yy, BLUR_VARIANCE, dot3(c0, c1, c2, c0, c1, c2)) + BLUR_VARIANCE * BLUR_VARIANCE
-    xx, yy = xx + BLUR_VARIANCE, yy + BLUR_VARIANCE
+    determinant = fma(xx + yy, view[BLUR], dot3(c0, c1, c2, c0, c1, c2)) + view[BLUR] * view[BLUR]
+    xx, yy = xx + view[BLUR], yy + view[BLUR]
     _, _, log_opacity = opacity_of(parameters, capacity, i)
     inside = log_opacity + LOG2_255  # t^2 + s^2 up to here is seen
     live = live & (inside >= F(0.0)) & (determinant > F(0.0))
@@ -188,7 +188,7 @@ def project_block(parameters, i, view, grid, records):
     live = live & (l00 > F(0.0)) & (l11 > F(0.0))  # not so where a covariance overflows
     # The same per t and s. In y alone the slope is that of the blurred covariance, and what the other has less of it.
     zy = dot3(z0, z1, z2, n0, n1, n2) * view[SLANT]
-    slope_t, slope_s = slope_x / l00, fma(slope_y, BLUR_VARIANCE - SLANT_VARIANCE, zy) / (root_yy * ROOT)
+    slope_t, slope_s = slope_x / l00, fma(slope_y, view[BLUR] - SLANT_VARIANCE, zy) / (root_yy * ROOT)
 
     # The box of the ellipse in blocks whose pixel centres it can contain.
     root = sqrt(inside) * (one / ROOT)

@@ -1,8 +1,8 @@
 """The rasteriser in plain torch: every pixel against every Gaussian. Slow, any dtype, the oracle of the tests.
 
-Formulas and numerics follow [gsplat, code] 1.5.3: near plane 0.01 m, 0.3 px^2
-added to the projected covariance, contributions below 1/255 skipped, a pixel stops *before* the Gaussian that would
-take its transmittance to 1e-4 or below.
+Formulas and numerics follow [gsplat, code] 1.5.3: near plane 0.01 m, a blur
+added to the projected covariance (there 0.3 px^2), contributions below 1/255 skipped, a pixel stops *before* the
+Gaussian that would take its transmittance to 1e-4 or below.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import torch
 from activestructure_gym.geometry import PinholeCamera
 
 NEAR_PLANE = 0.01  # metres
-BLUR_VARIANCE = 0.3  # px^2, the low-pass filter of EWA splatting
+BLUR_VARIANCE = 0.02  # px^2, the low-pass filter of EWA splatting
 SLANT_VARIANCE = 0.03  # px^2, added where the depth at a pixel is concerned
 MIN_ALPHA = 1.0 / 255.0
 MIN_TRANSMITTANCE = 1e-4
@@ -31,11 +31,12 @@ def rasterize_reference(
     *,
     max_alpha: float = 0.999,
     centre_depth: bool = False,
+    blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # colour [H, W, 3], accumulated depth [H, W], alpha [H, W]
     """Render one camera; gradients of everything by autograd."""
     color, depth, alpha, _ = blend_reference(
         means, quaternions, log_scales, opacity_logits, colors, camera_from_world, camera,
-        max_alpha=max_alpha, centre_depth=centre_depth,
+        max_alpha=max_alpha, centre_depth=centre_depth, blur_variance=blur_variance,
     )  # fmt: skip
     return color, depth, alpha
 
@@ -51,13 +52,16 @@ def blend_reference(
     *,
     max_alpha: float = 0.999,
     centre_depth: bool = False,
+    blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Pictures of one camera: features ``[H, W, F]``, accumulated depth, alpha and median depth (each ``[H, W]``).
 
     The median depth is that of the Gaussian with which the transmittance first falls to 0.5 or below, 0 where none
     does; it has no gradient.
     """
-    position, inverse_covariance, depth = project_gaussians(means, quaternions, log_scales, camera_from_world, camera)
+    position, inverse_covariance, depth = project_gaussians(
+        means, quaternions, log_scales, camera_from_world, camera, blur_variance
+    )
     slope = depth_slopes(means, quaternions, log_scales, camera_from_world, camera)
     slope = torch.zeros_like(slope) if centre_depth else slope
     opacity = torch.sigmoid(opacity_logits)
@@ -109,12 +113,13 @@ def project_gaussians(
     log_scales: torch.Tensor,  # [N, 3]
     camera_from_world: torch.Tensor,  # [4, 4]
     camera: PinholeCamera,
+    blur_variance: float = BLUR_VARIANCE,  # px^2
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # [N, 2] px, [N, 3] inverse covariance xx xy yy, depth [N]
     """EWA projection with the Jacobian taken at the mean, clamped near the image border."""
     position, depth = project_means(means, camera_from_world, camera)
     factor = _projected_axes(means, quaternions, log_scales, camera_from_world, camera)
     covariance = factor[:, :2] @ factor[:, :2].transpose(1, 2)
-    xx, xy, yy = covariance[:, 0, 0] + BLUR_VARIANCE, covariance[:, 0, 1], covariance[:, 1, 1] + BLUR_VARIANCE
+    xx, xy, yy = covariance[:, 0, 0] + blur_variance, covariance[:, 0, 1], covariance[:, 1, 1] + blur_variance
     determinant = xx * yy - xy**2
     inverse = torch.stack([yy, -xy, xx], dim=1) / determinant[:, None]
     return position, inverse, depth

@@ -154,7 +154,7 @@ def _may_be_seen(parameters, i, view, grid):
     slope_y = min(max(y, view[layout.LOW_Y]), view[layout.HIGH_Y])
     across, down = largest * view[layout.FX] / z, largest * view[layout.FY] / z
     size = across * across * (np.float32(1.0) + slope_x * slope_x) + down * down * (np.float32(1.0) + slope_y * slope_y)
-    reach = np.float32(3.4) * np.sqrt(size + layout.BLUR_VARIANCE) + np.float32(1.0)
+    reach = np.float32(3.4) * np.sqrt(size + view[layout.BLUR]) + np.float32(1.0)
     return u + reach > 0 and u - reach < grid[layout.WIDTH] and v + reach > 0 and v - reach < grid[layout.HEIGHT]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from activestructure_gym.compiling import kernel
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.rotations import matrix_rows
+from activestructure_gym.splatting.layout import BLUR_VARIANCE
 from activestructure_gym.splatting.passes import median_gaussian
 from activestructure_gym.splatting.workspace import PooledWorkspace, fitted, inverse_of_pose
 
@@ -23,6 +24,7 @@ def surface_depth(
     camera: PinholeCamera,
     world_from_camera: np.ndarray,  # [C, 4, 4]
     *,
+    blur_variance: float = float(BLUR_VARIANCE),  # px^2
     threads: int | None = None,
 ) -> np.ndarray:  # [C, H, W] float32 metres along the optical axis, 0 where the map stays more than half transparent
     """Depth of the surface that the map shows to each of some cameras."""
@@ -30,7 +32,9 @@ def surface_depth(
     depth = np.empty((len(world_from_camera), camera.height, camera.width), np.float32)
     intrinsics, whitening = np.array([camera.fx, camera.fy, camera.cx, camera.cy]), _whitening(used[:, :count])
     for picture, pose in zip(depth, np.asarray(world_from_camera, np.float64)):
-        pooled.workspace.render(used, count, camera, inverse_of_pose(pose), threads=threads, keep=False)
+        pooled.workspace.render(
+            used, count, camera, inverse_of_pose(pose), blur_variance=blur_variance, threads=threads, keep=False
+        )
         _densest(used, whitening, median_gaussian(pooled.workspace), pose, intrinsics, picture)
     return depth
 

@@ -24,12 +24,14 @@ def make_view(
     max_alpha: float = MAX_ALPHA,
     *,
     centre_depth: bool = False,
+    blur_variance: float = float(layout.BLUR_VARIANCE),  # px^2
 ) -> np.ndarray:
     """The floats of a camera as the kernels read them (``layout.POSE ...``)."""
     view = _view_of(camera).copy()
     view[: layout.FX] = camera_from_world[:3].reshape(-1)
     view[layout.MAX_ALPHA] = max_alpha
     view[layout.SLANT] = 0.0 if centre_depth else 1.0
+    view[layout.BLUR] = blur_variance
     return view
 
 
@@ -124,17 +126,21 @@ class Workspace:
         *,
         max_alpha: float = MAX_ALPHA,
         centre_depth: bool = False,
+        blur_variance: float = float(layout.BLUR_VARIANCE),
         threads: int | None = None,
         unseen: np.ndarray | None = None,  # [chunks] bool
     ) -> None:
         """Everything before the tiles: records of the visible Gaussians and which tiles they reach.
 
-        ``centre_depth`` takes every Gaussian at the depth of its centre, not where the pixel's ray meets it. ``unseen``
-        says of which chunks (1024 Gaussians) it is known that none is in view; they cost nothing.
+        ``centre_depth`` takes every Gaussian at the depth of its centre, not where the pixel's ray meets it;
+        ``blur_variance``, px^2, is added to its covariance in the image. ``unseen`` says of which chunks (1024
+        Gaussians) it is known that none is in view; they cost nothing.
         """
         self.threads = threads or default_threads()
         self.parameters, self.camera = parameters, camera
-        self.view = make_view(camera, camera_from_world, max_alpha, centre_depth=centre_depth)
+        self.view = make_view(
+            camera, camera_from_world, max_alpha, centre_depth=centre_depth, blur_variance=blur_variance
+        )
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
         tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
         taken = np.arange(grid[layout.CHUNKS]) if unseen is None else np.flatnonzero(~unseen)
@@ -167,6 +173,7 @@ class Workspace:
         *,
         max_alpha: float = MAX_ALPHA,
         centre_depth: bool = False,
+        blur_variance: float = float(layout.BLUR_VARIANCE),
         threads: int | None = None,
         keep: bool = True,
         unseen: np.ndarray | None = None,  # [chunks] bool, see `prepare`
@@ -177,7 +184,7 @@ class Workspace:
         """
         self.prepare(
             parameters, count, camera, camera_from_world, max_alpha=max_alpha, centre_depth=centre_depth,
-            threads=threads, unseen=unseen,
+            blur_variance=blur_variance, threads=threads, unseen=unseen,
         )  # fmt: skip
         pixels = camera.width * camera.height
         self.depth, self.alpha = self._buffer("depth", pixels), self._buffer("alpha", pixels)

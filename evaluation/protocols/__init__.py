@@ -12,6 +12,7 @@ from activestructure_gym.evaluation.protocols.standard import (
     StandardProtocol,
     StandardProtocol2,
     StandardProtocol3,
+    StandardProtocol4,
     Truth,
 )
 
@@ -20,7 +21,7 @@ PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
     protocol.name: protocol for protocol in (StandardProtocol, ActiveGamerProtocol)
 }
 # Versions that runs on disk may name and no new run is measured by.
-_EARLIER: tuple[type[StandardProtocol], ...] = (StandardProtocol3, StandardProtocol2)
+_EARLIER: tuple[type[StandardProtocol], ...] = (StandardProtocol4, StandardProtocol3, StandardProtocol2)
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
@@ -44,7 +45,7 @@ def get_protocol(name: str) -> EvaluationProtocol:
     Examples
     --------
     >>> get_protocol("standard").version
-    4
+    5
     """
     if name not in PROTOCOLS:
         raise unknown_name("protocol", name, PROTOCOLS)

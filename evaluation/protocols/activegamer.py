@@ -169,8 +169,9 @@ class ActiveGamerProtocol:
 
         pose = truth.views.world_from_camera[index]
         rendering = cpu.render(
-            gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=True, threads=1
-        )
+            gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=True,
+            blur_variance=0.3, threads=1,  # px^2, of its rasteriser
+        )  # fmt: skip
         true_depth = truth.views.depth[index]
         # The depth as it is accumulated, not divided by alpha: where the map is thin it comes out too near.
         shown, true, error = masked(rendering.color, truth.views.rgb[index], rendering.depth, true_depth)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
@@ -72,8 +73,9 @@ class StandardProtocol:
     """Geometry of the solid Gaussians against the surface that can be seen; images from views nobody planned for."""
 
     name: ClassVar[str] = "standard"
-    version: ClassVar[int] = 4  # moves whenever the same map would get another number
+    version: ClassVar[int] = 5  # moves whenever the same map would get another number
     _centre_depth: ClassVar[bool] = False
+    _blur: ClassVar[Mapping[str, float]] = {}  # of the rasteriser, if not its own
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
@@ -195,7 +197,7 @@ class StandardProtocol:
         """Depth of what the map shows, 0 where it shows nothing: [K, H, W] metres."""
         from activestructure_gym.splatting.surface_depth import surface_depth
 
-        return surface_depth(gaussians.parameters, gaussians.count, camera, poses)
+        return surface_depth(gaussians.parameters, gaussians.count, camera, poses, **self._blur)
 
     def on_surface(
         self,
@@ -277,7 +279,7 @@ class StandardProtocol:
         pose = truth.views.world_from_camera[index]
         return cpu.render(
             gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=self._centre_depth,
-            threads=threads,
+            **self._blur, threads=threads,
         )  # fmt: skip
 
     def _view(
@@ -302,8 +304,18 @@ class StandardProtocol:
         return None if error is None else 100.0 * error
 
 
+class StandardProtocol4(StandardProtocol):
+    """Version 4, so that what was measured by it can be read and measured again.
+
+    Pictures and depth were blurred as by 3D Gaussian splatting.
+    """
+
+    version: ClassVar[int] = 4
+    _blur: ClassVar[Mapping[str, float]] = {"blur_variance": 0.3}  # px^2
+
+
 @dataclass(frozen=True)
-class StandardProtocol3(StandardProtocol):
+class StandardProtocol3(StandardProtocol4):
     """Version 3, so that what was measured by it can be read and measured again.
 
     The depth of held-out views was drawn with every Gaussian at the depth of its centre, and the TSDF surface had as
@@ -345,7 +357,9 @@ class StandardProtocol2(StandardProtocol3):
     def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
         from activestructure_gym.splatting import cpu
 
-        depth, alpha = cpu.render_depth_alpha(gaussians.parameters, gaussians.count, camera, poses, centre_depth=True)
+        depth, alpha = cpu.render_depth_alpha(
+            gaussians.parameters, gaussians.count, camera, poses, centre_depth=True, **self._blur
+        )
         covered = alpha > self.coverage_alpha
         np.divide(depth, alpha, out=depth, where=covered)
         depth[~covered] = 0.0

@@ -43,7 +43,7 @@ def test_ten_iterations_agree(recipe, rolled_frames):
     frame, rng = rolled_frames[0], np.random.default_rng(3)
     noise = 5e-3 * rng.standard_normal(frame.depth.shape).astype(np.float32)
     frames = [dataclasses.replace(frame, depth=frame.depth + noise)]
-    kernels, reference = observed(frames, 10, recipe, adam_epsilon=1e-7)
+    kernels, reference = observed(frames, 10, recipe, adam_epsilon=1e-5)
     count = kernels.count
     assert np.abs(kernels.parameters[:, :count] - reference.parameters[:, :count]).max() <= 1e-4
     moved = np.abs(kernels.parameters[11:, :count] - observed(frames, 0, recipe)[0].parameters[11:, :count])

@@ -181,7 +181,7 @@ def test_a_second_look_adds_nothing_whatever_is_seen(room_frames: list[Frame]) -
 
 
 def test_a_plain_wall_gets_what_the_spacing_needs_and_a_painted_one_more() -> None:
-    """At .5 m pixels are 1.25 cm apart, 1.5 of them 1.9: nearer than the 4.5 of a plain wall."""
+    """At .5 m pixels are 1.25 cm apart, 1.2 of them 1.5: nearer than the 4.5 of a plain wall."""
     wall = [plane([0.5, 0, 0], [1, 0, 0])]
     plain, painted = mapped(picture(wall)), mapped(picture(wall, paint=checkers))
     width, height = 79 * 0.0125, 44 * 0.0125
@@ -191,17 +191,17 @@ def test_a_plain_wall_gets_what_the_spacing_needs_and_a_painted_one_more() -> No
     assert width * height / (np.pi * SPACING**2) < plain.map.count < packed
     assert 1.05 * plain.map.count < painted.map.count < 79 * 44 / 4
     sizes = painted.map.scales.max(axis=1)
-    assert sizes.max() == pytest.approx(0.9 * SPACING) and sizes.min() == pytest.approx(0.9 * 0.01875)
+    assert sizes.max() == pytest.approx(1.05 * SPACING) and sizes.min() == pytest.approx(1.05 * 0.015)
 
 
 def test_the_wall_is_denser_where_it_is_painted() -> None:
-    """Half a wall at 50 cm is painted in squares of 3 cm: pixels are 1.25 cm apart, 1.5 of them 1.9."""
+    """Half a wall at 50 cm is painted in squares of 3 cm: pixels are 1.25 cm apart, 1.2 of them 1.5."""
     fine = lambda p: (p[:, 1] > 0) & ((np.floor(p[:, 1] / 0.03) + np.floor(p[:, 2] / 0.03)) % 2 == 0)  # noqa: E731
     wall = mapped(picture([plane([0.5, 0, 0], [1, 0, 0])], paint=fine))
     painted = wall.map.means[:, 1] > 0
     assert 2.5 * (~painted).sum() < painted.sum()
-    assert np.median(wall.map.scales[painted].max(axis=1)) == pytest.approx(0.9 * 1.5 * 0.0125)
-    assert np.median(wall.map.scales[~painted].max(axis=1)) == pytest.approx(0.9 * SPACING)
+    assert np.median(wall.map.scales[painted].max(axis=1)) == pytest.approx(1.05 * 1.2 * 0.0125)
+    assert np.median(wall.map.scales[~painted].max(axis=1)) == pytest.approx(1.05 * SPACING)
 
 
 # Where nothing may stand
@@ -275,12 +275,12 @@ def test_coming_closer_to_paint_refines_and_to_plain_wall_adds_nothing() -> None
     assert report.replaced == 0 and report.added == 0 and plain.map.count == before
     painted = mapped(picture(wall, far, paint=fine))
     seen = lambda: np.abs(painted.map.means[:, 1:]).max(axis=1) < 0.15  # noqa: E731
-    assert np.median(painted.map.scales[seen()].max(axis=1)) == pytest.approx(0.9 * SPACING)
-    # From .4 m pixels are 1 cm wide: 1.5 cm between means.
+    assert np.median(painted.map.scales[seen()].max(axis=1)) == pytest.approx(1.05 * SPACING)
+    # From .4 m pixels are 1 cm wide: 1.2 cm between means.
     report = painted.observe(picture(wall, near, paint=fine), iterations=0)
     assert report.replaced > 50 and report.added > 5 * report.replaced and report.new_share > 0.3
-    assert np.median(painted.map.scales[seen()].max(axis=1)) == pytest.approx(0.9 * 0.015)
-    assert painted.map.scales[seen()].max() < 1.3 * 0.9 * SPACING
+    assert np.median(painted.map.scales[seen()].max(axis=1)) == pytest.approx(1.05 * 0.012)
+    assert painted.map.scales[seen()].max() < 1.3 * 1.05 * SPACING
     # Going back changes nothing.
     report = painted.observe(picture(wall, far, paint=fine), iterations=0)
     assert (report.replaced, report.added) == (0, 0)

@@ -149,8 +149,8 @@ def test_coarse_seeds_survive_pruning(room_frames):
 
 
 def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
-    """From 2.6 m pixels of the far wall are 6.5 cm wide: seeds of .9 * 4.5 cm. From .4 m, where its painted tiles end,
-    .9 * 1.5 cm."""
+    """From 2.6 m pixels of the far wall are 6.5 cm wide: seeds of 1.05 * 4.5 cm. From .4 m, where its painted tiles end,
+    1.05 * 1.2 cm."""
     far, near = (render_room(look_along(np.array([x, 1.5, 1.2]), np.array([1.0, 0, 0]))) for x in (1.4, 3.6))
     mapper = _mapper()
     mapper.observe(far)
@@ -158,7 +158,7 @@ def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
     assert report.replaced > 0 and report.added > 2 * report.replaced
     means, scales = mapper.map.means, mapper.map.scales
     seen = (means[:, 0] > 3.9) & (np.abs(means[:, 1] - 1.5) < 0.02) & (np.abs(means[:, 2] - 1.2) < 0.15)  # a tile's end
-    assert seen.sum() > 10 and np.median(scales[seen].max(axis=1)) == pytest.approx(0.9 * 0.015, rel=0.05)
+    assert seen.sum() > 10 and np.median(scales[seen].max(axis=1)) == pytest.approx(1.05 * 0.012, rel=0.05)
     assert mapper.observe(far).replaced == 0  # going back replaces nothing
 
     kept = _mapper(coarse_ratio=None)

@@ -27,7 +27,7 @@ def by_gsplat(monkeypatch):
     def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, **options):
         assert means.dtype == viewmats.dtype == Ks.dtype == torch.float32 and means.is_contiguous()
         more = 1 if options["render_mode"] == "RGB+D" else 0
-        assert options == dict(near_plane=0.01, eps2d=0.3, packed=False, render_mode="RGB+D" if more else "RGB")
+        assert options == dict(near_plane=0.01, eps2d=BLUR_VARIANCE, packed=False, render_mode="RGB+D" if more else "RGB")
         calls.append(len(viewmats))
         shown = [
             blend_reference(means, quats, scales.log(), opacities.logit(), own, pose, of_camera, centre_depth=True)

@@ -21,11 +21,11 @@ def _single(logit=0.0, depth=2.0):
 
 
 def test_one_gaussian_by_hand():
-    # f = 20 px, z = 2 m, sigma = 0.1 m -> 1 px; with the 0.3 px^2 low-pass the variance is 1.3 px^2.
+    # f = 20 px, z = 2 m, sigma = 0.1 m -> 1 px; with a blur of 0.3 px^2 the variance is 1.3 px^2.
     # Centre pixel (10, 10) has its centre at (10.5, 10.5) = the principal point: alpha = sigmoid(0) = 0.5.
     tensors, pose = _single()
     camera = PinholeCamera(21, 21, 20.0, 20.0, 10.5, 10.5)
-    color, depth, alpha = rasterize_reference(*tensors, pose, camera)
+    color, depth, alpha = rasterize_reference(*tensors, pose, camera, blur_variance=0.3)
     assert alpha[10, 10].item() == pytest.approx(0.5, abs=1e-12)
     assert alpha[10, 12].item() == pytest.approx(0.5 * math.exp(-0.5 * 4 / 1.3), abs=1e-12)
     assert color[10, 10].tolist() == pytest.approx([0.5, 0.25, 0.125], abs=1e-12)

@@ -149,12 +149,12 @@ def test_coarse_seeds_survive_pruning(room_frames):
 
 
 def test_coming_closer_replaces_coarse_gaussians_by_fine_ones(render_room):
-    """From 2.6 m pixels of the far wall are 6.5 cm wide: seeds of 1.05 * 4.5 cm. From .4 m, where its painted tiles end,
+    """From 2.6 m pixels of the far wall are 6.5 cm wide: seeds of 1.05 * 4.5 cm. From .4 m, where painted tiles end,
     1.05 * 1.2 cm."""
     far, near = (render_room(look_along(np.array([x, 1.5, 1.2]), np.array([1.0, 0, 0]))) for x in (1.4, 3.6))
     mapper = _mapper()
-    mapper.observe(far)
-    report = mapper.observe(near)
+    mapper.observe(far, iterations=0)
+    report = mapper.observe(near, iterations=0)  # which would learn how wide they are
     assert report.replaced > 0 and report.added > 2 * report.replaced
     means, scales = mapper.map.means, mapper.map.scales
     seen = (means[:, 0] > 3.9) & (np.abs(means[:, 1] - 1.5) < 0.02) & (np.abs(means[:, 2] - 1.2) < 0.15)  # a tile's end

@@ -8,7 +8,12 @@ import pytest
 import torch
 
 from activestructure_gym.geometry import PinholeCamera, se3_exp
-from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, project_gaussians
+from activestructure_gym.splatting.reference import (
+    BLUR_VARIANCE,
+    MIN_ALPHA,
+    MIN_TRANSMITTANCE,
+    project_gaussians,
+)
 
 
 @dataclass
@@ -94,11 +99,15 @@ def make_splats(kind: str, seed: int = 0) -> Splats:
     )
 
 
-def settled_pixels(splats: Splats, max_alpha: float = 0.999, slack: float = 1e-4) -> torch.Tensor:  # [H, W] bool
+def settled_pixels(
+    splats: Splats, max_alpha: float = 0.999, slack: float = 1e-4, blur_variance: float = BLUR_VARIANCE
+) -> torch.Tensor:  # [H, W] bool
     """Pixels where no Gaussian is so close to a threshold that float32 and float64 may decide differently."""
     camera = splats.camera
     with torch.no_grad():
-        position, inverse, depth = project_gaussians(*splats.tensors[:3], splats.camera_from_world, camera)
+        position, inverse, depth = project_gaussians(
+            *splats.tensors[:3], splats.camera_from_world, camera, blur_variance
+        )
         order = torch.argsort(depth)
         order = order[depth[order] >= 0.01]
         position, inverse = position[order], inverse[order]

@@ -10,6 +10,7 @@ from activestructure_gym.geometry import PinholeCamera, se3_exp
 from activestructure_gym.splatting import camera_twist_gradient, parameter_rows, rasterize
 from activestructure_gym.splatting.backends import BACKENDS, backend_status
 from activestructure_gym.splatting.packing import packed
+from activestructure_gym.splatting.reference import BLUR_VARIANCE
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "pixel")
 
@@ -18,10 +19,12 @@ def _single(splats):
     return [tensor.detach().float().requires_grad_() for tensor in (*splats.tensors, splats.camera_from_world)]
 
 
+@pytest.mark.parametrize("blur_variance", (BLUR_VARIANCE, 0.3))
 @pytest.mark.parametrize("kind", KINDS)
-def test_cpu_gradients_agree_with_the_reference(kind, splats_of, settled):
+def test_cpu_gradients_agree_with_the_reference(kind, blur_variance, splats_of, settled):
     splats = splats_of(kind, seed=1)
-    sure = settled(splats)
+    sure = settled(splats, blur_variance=blur_variance)
+    close = 1e-3 if kind == "needle" and blur_variance < 0.3 else 1e-4  # float32's rounding in what is so sharp
     assert sure.double().mean() > 0.8
     generator = torch.Generator().manual_seed(0)
     height, width = sure.shape
@@ -30,7 +33,9 @@ def test_cpu_gradients_agree_with_the_reference(kind, splats_of, settled):
 
     def gradients(inputs, backend):
         *tensors, pose = inputs
-        out = rasterize(*tensors, camera_from_world=pose, camera=splats.camera, backend=backend)
+        out = rasterize(
+            *tensors, camera_from_world=pose, camera=splats.camera, blur_variance=blur_variance, backend=backend
+        )
         loss = (out.color * by_color).sum() + (out.depth * by_depth).sum() + (out.alpha * by_alpha).sum()
         return torch.autograd.grad(loss, inputs)
 
@@ -38,7 +43,7 @@ def test_cpu_gradients_agree_with_the_reference(kind, splats_of, settled):
     found = gradients(_single(splats), "cpu")
     for name, a, b in zip(("mean", "quaternion", "log-scale", "opacity", "color", "pose"), expected, found):
         assert a.norm() > 1e-6, name
-        assert (a - b).norm() <= 1e-4 * a.norm(), name
+        assert (a - b).norm() <= close * a.norm(), name
 
 
 def _everything(splats, seed=0):

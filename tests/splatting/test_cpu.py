@@ -12,26 +12,31 @@ from activestructure_gym.splatting import (
     render_depth_alpha,
     workspace,
 )
-from activestructure_gym.splatting.reference import rasterize_reference
+from activestructure_gym.splatting.reference import BLUR_VARIANCE, rasterize_reference
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "empty", "pixel")
 RATES = np.array([2e-4] * 3 + [2e-3] * 4 + [2e-3] * 3 + [0.1] + [5e-3] * 3, np.float32)
 
 
+@pytest.mark.parametrize("blur_variance", (BLUR_VARIANCE, 0.3))
 @pytest.mark.parametrize("kind", KINDS)
-def test_image_agrees_with_the_reference(kind, splats_of, settled):
+def test_image_agrees_with_the_reference(kind, blur_variance, splats_of, settled):
     splats = splats_of(kind)
-    sure = settled(splats).numpy()
+    sure = settled(splats, blur_variance=blur_variance).numpy()
+    # Hardly blurred, a needle that nothing but its blur makes wide is as much sharper, and float32's rounding in it.
+    close = 4e-5 if kind == "needle" and blur_variance < 0.3 else 1e-5
     assert sure.mean() > 0.8  # the comparison must not be about nothing
     color, depth, alpha = (t.detach().numpy() for t in rasterize_reference(
-        *splats.tensors, splats.camera_from_world, splats.camera))  # fmt: skip
+        *splats.tensors, splats.camera_from_world, splats.camera, blur_variance=blur_variance))  # fmt: skip
     parameters = splats.parameters(capacity=splats.means.shape[0] + 5)
     parameters[:, splats.means.shape[0] :] = np.nan  # what lies beyond count is never read
-    rendering = render(parameters, splats.means.shape[0], splats.camera, splats.world_from_camera)
+    rendering = render(
+        parameters, splats.means.shape[0], splats.camera, splats.world_from_camera, blur_variance=blur_variance
+    )
     assert rendering.color.dtype == np.float32 and rendering.color.shape == color.shape
-    assert np.abs(rendering.color - color)[sure].max() <= 1e-5
-    assert np.abs(rendering.alpha - alpha)[sure].max() <= 1e-5
-    assert np.abs(rendering.depth - depth)[sure].max() <= 1e-5 * max(1.0, depth.max())
+    assert np.abs(rendering.color - color)[sure].max() <= close
+    assert np.abs(rendering.alpha - alpha)[sure].max() <= close
+    assert np.abs(rendering.depth - depth)[sure].max() <= close * max(1.0, depth.max())
     if kind != "empty":
         assert alpha.max() > 0.3
 

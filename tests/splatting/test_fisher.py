@@ -14,6 +14,10 @@ from activestructure_gym.splatting.simd import LANES
 KINDS = ("random", "behind", "border", "clamped", "needle", "flat", "large", "pixel", "empty")
 
 
+# Of float32 in squares of what a Gaussian shows that is hardly blurred: 1e-5 at a blur of .3 px^2.
+ROUNDING = 4e-5
+
+
 def few(splats_of, kind, count=40):
     """A small picture of few Gaussians: every Jacobian is made."""
     splats = splats_of(kind, seed=3)
@@ -86,11 +90,11 @@ def test_blocks_are_those_of_autograd(kind, splats_of, settled):
         return sizes[0] / sizes[1]
 
     # Of every single block; and the mean and the log-scale alone, which have other units.
-    assert share(slice(6)).max() <= 1e-5
+    assert share(slice(6)).max() <= ROUNDING
     for part in (slice(3), slice(3, 6)):
-        assert share(part).max() <= 3e-5 and np.median(share(part)) <= 5e-6
+        assert share(part).max() <= 3 * ROUNDING and np.median(share(part)) <= 0.5 * ROUNDING
     logits = np.abs(found.logits[sure] / exact[:, 6, 6] - 1.0)
-    assert logits.max() <= 3e-5 and np.median(logits) <= 5e-6
+    assert logits.max() <= 3 * ROUNDING and np.median(logits) <= 0.5 * ROUNDING
 
 
 def depth_jacobians(splats):
@@ -144,13 +148,13 @@ def test_sums_are_those_over_all_pixels(kind, splats_of, settled):
     assert np.array_equal(found.indices[sure[found.indices]], np.flatnonzero(sure))
     here, counts = np.flatnonzero(sure), (weight > 0) & (before > 0.3)
     mine = np.flatnonzero(sure[found.indices])
-    assert found.weights[mine] == pytest.approx(weight.sum(axis=0)[here], rel=1e-5)
-    assert found.colors[mine] == pytest.approx((weight**2).sum(axis=0)[here], rel=3e-5)
+    assert found.weights[mine] == pytest.approx(weight.sum(axis=0)[here], rel=ROUNDING)
+    assert found.colors[mine] == pytest.approx((weight**2).sum(axis=0)[here], rel=3 * ROUNDING)
     near = (np.abs(before - 0.3) < 1e-5).any(axis=0)[here]
     assert near.sum() < 3
     assert np.array_equal(found.touches[mine][~near], counts.sum(axis=0)[here][~near])
     gathered = (weight * counts * values.reshape(-1, 1)).sum(axis=0)[here]
-    assert found.gathered[mine][~near] == pytest.approx(gathered[~near], rel=1e-5)
+    assert found.gathered[mine][~near] == pytest.approx(gathered[~near], rel=ROUNDING)
     picture = (weight @ channels).reshape(found.channels.shape)
     certain = settled(splats).numpy()
     assert np.abs(found.channels - picture)[certain].max() < 1e-5

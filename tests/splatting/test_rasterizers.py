@@ -12,7 +12,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import LossWeights, backends, cpu, ssim_and_gradient
 from activestructure_gym.splatting.rasterizers import rasterizer
-from activestructure_gym.splatting.reference import blend_reference
+from activestructure_gym.splatting.reference import BLUR_VARIANCE, blend_reference
 from activestructure_gym.splatting.torch_losses import ssim
 from activestructure_gym.splatting.torch_rasterizer import TorchRasterizer
 
@@ -27,7 +27,8 @@ def by_gsplat(monkeypatch):
     def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, **options):
         assert means.dtype == viewmats.dtype == Ks.dtype == torch.float32 and means.is_contiguous()
         more = 1 if options["render_mode"] == "RGB+D" else 0
-        assert options == dict(near_plane=0.01, eps2d=BLUR_VARIANCE, packed=False, render_mode="RGB+D" if more else "RGB")
+        mode = "RGB+D" if more else "RGB"
+        assert options == dict(near_plane=0.01, eps2d=BLUR_VARIANCE, packed=False, render_mode=mode)
         calls.append(len(viewmats))
         shown = [
             blend_reference(means, quats, scales.log(), opacities.logit(), own, pose, of_camera, centre_depth=True)

@@ -104,7 +104,7 @@ def test_the_same_map_gives_the_same_bits(wall, rng):
 
 def test_every_parameter_is_written_down():
     parameters = PROTOCOL.parameters()
-    assert parameters["name"] == "standard" and parameters["version"] == 4
+    assert parameters["name"] == "standard" and parameters["version"] == 5
     assert {field.name for field in dataclasses.fields(PROTOCOL)} <= parameters.keys()
 
 
@@ -182,11 +182,25 @@ def test_version_3_draws_depth_at_the_centres(wall):
     turned[3:7] = Rotation.from_euler("x", 60, degrees=True).as_quat(scalar_first=True)[:, None]
     tilted = GaussianMap()
     tilted.append(turned)
-    scores, before = PROTOCOL.evaluate(tilted, wall), third.evaluate(tilted, wall)
+    fourth = protocol_from(PROTOCOL.parameters() | {"version": 4})
+    scores, before = fourth.evaluate(tilted, wall), third.evaluate(tilted, wall)
     assert scores.pop("depth_l1_cm") != before.pop("depth_l1_cm")
     for found in (scores, before):
         del found["views"]
     assert scores == before  # nothing else has moved
+
+
+def test_version_4_blurs_pictures_and_depth(wall):
+    fourth = protocol_from(PROTOCOL.parameters() | {"version": 4})
+    assert fourth.version == 4 and fourth.parameters() == PROTOCOL.parameters() | {"version": 4}
+    painted = gaussians(wall.surface.points, opacity=0.95)
+    painted[11] = np.arange(painted.shape[1]) % 2  # every other one red: a picture with something to blur
+    dotted = GaussianMap()
+    dotted.append(painted)
+    sharp, blurred = PROTOCOL.picture(dotted, wall, 0), fourth.picture(dotted, wall, 0)
+    assert sharp[..., 0].std() > 1.01 * blurred[..., 0].std()
+    now, before = PROTOCOL.evaluate(dotted, wall), fourth.evaluate(dotted, wall)
+    assert now["psnr"] != before["psnr"] and now["completion_ratio"] == before["completion_ratio"]
 
 
 def test_version_2_is_read_and_measures_as_it_did(wall):

@@ -71,7 +71,7 @@ def grid(low: float, high: float, step: float) -> np.ndarray:  # [n, 3] on the w
 
 
 def test_one_gaussian_is_as_uncertain_as_its_offsets_along_the_view() -> None:
-    surface = by_perturbing_means(context(wall(np.array([[3.05, 2.0, 1.5]]), 0.2)))
+    surface = by_perturbing_means(context(wall(np.array([[3.05, 2.0, 1.5]]), 0.25)))
     rng = np.random.default_rng(0)
     along = [STEP * rng.standard_normal((3, 1), np.float32)[0, 0] for _ in range(PERTURBATIONS)]
     assert len(surface.uncertainty) > 4

@@ -115,7 +115,7 @@ def test_two_steps_are_torch_s(render_room, room_frames):
     for frame in frames:
         mapper.observe(frame)
     # No balls, whose turns change nothing.
-    mapper.map.parameters[7:10, : mapper.map.count] += np.random.default_rng(1).normal(0, 0.3, (3, mapper.map.count))
+    mapper.map.parameters[7:10, : mapper.map.count] += np.random.default_rng(1).normal(0.5, 0.5, (3, mapper.map.count))
     seeds = mapper.map.parameters[:, : mapper.map.count].astype(np.float64)
     mapper._window = [0]
     mapper._event(1, 2)

@@ -93,7 +93,7 @@ def test_runs_of_two_versions_of_the_protocol_are_not_mixed_and_each_is_reported
     later = ("sight_margin_m", "tsdf_samples_per_m2")
     second = {k: v for k, v in old.job.protocol.parameters().items() if k not in later} | {"version": 2}
     old.__dict__["job"] = dataclasses.replace(old.job, protocol=protocol_from(second))
-    with pytest.raises(InputError, match="protocol version: 4, 2"):
+    with pytest.raises(InputError, match="protocol version: 5, 2"):
         Results([new, old], [])
     assert ratios_text(new) == "C.R. 80.0 %, of the surface 85.0 %, observed 91.2 %"
     assert ratios_text(old) == "C.R. 80.0 %, of the surface –, observed –"

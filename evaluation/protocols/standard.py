@@ -75,7 +75,7 @@ class StandardProtocol:
     name: ClassVar[str] = "standard"
     version: ClassVar[int] = 5  # moves whenever the same map would get another number
     _centre_depth: ClassVar[bool] = False
-    _blur: ClassVar[Mapping[str, float]] = {}  # of the rasteriser, if not its own
+    _blur: ClassVar[Mapping[str, Any]] = {}  # of the rasteriser, if not its own
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
@@ -311,7 +311,7 @@ class StandardProtocol4(StandardProtocol):
     """
 
     version: ClassVar[int] = 4
-    _blur: ClassVar[Mapping[str, float]] = {"blur_variance": 0.3}  # px^2
+    _blur: ClassVar[Mapping[str, Any]] = {"blur_variance": 0.3}  # px^2
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, shows_i
 # Two neighbouring pixels show one surface if the plane through one of them and its neighbour on the other side misses
 # the second by less than this share of its depth: 8 cm at 4 m, about three sigmas of a Kinect's noise there.
 _SAME_SURFACE = 0.02
+_OTHER_SURFACE = 0.04  # and two if such a plane misses by more; between, where walls meet floors, one will do (measured)
 _LONGEST_GAP = 0.5  # metres between neighbouring pixels that are filled
 _MOST_PARTS = 32  # of a gap, so that no frame asks for more than a thousand samples per pixel
 _LEVELS = 255.0
@@ -73,23 +74,42 @@ def _textured(
 
 @kernel
 def joined(depth: np.ndarray, row: int, column: int, down: int, right: int) -> bool:
-    """Whether a pixel and the one below or to the right of it show one surface: 1 / z is linear along a plane."""
-    height, width = depth.shape
-    here, there = depth[row, column], depth[row + down, column + right]
-    if not (here > 0.0 and there > 0.0):
-        return False
+    """Whether a pixel and the one below or to the right of it show one surface: 1 / z is linear along a plane.
+
+    The plane of one side has to meet the other pixel, and no plane that the other side shows may miss the first one by
+    far: two surfaces one of which points at the other's rim would be joined by Gaussians in mid-air.
+    """
+    agrees = False
+    here, there = _seen(depth, row, column), _seen(depth, row + down, column + right)
     for side in range(2):
+        near, target = (here, there) if side == 0 else (there, here)
         i, j = (row - down, column - right) if side == 0 else (row + 2 * down, column + 2 * right)
-        if not (i >= 0 and j >= 0 and i < height and j < width):
+        beyond = _seen(depth, i, j)
+        if _on_the_plane(near, beyond, target, _SAME_SURFACE):
+            agrees = True
+        if _on_the_plane(near, beyond, target, _OTHER_SURFACE):
             continue
-        beyond = depth[i, j]
-        if not beyond > 0.0:
-            continue
-        from_near, target = (here, there) if side == 0 else (there, here)
-        inverse = 2.0 / from_near - 1.0 / beyond
-        if inverse > 0.0 and abs(1.0 / inverse - target) < _SAME_SURFACE * target:
-            return True
-    return False
+        i, j = (i - down, j - right) if side == 0 else (i + down, j + right)
+        if _on_the_plane(beyond, _seen(depth, i, j), near, _SAME_SURFACE):
+            return False
+    return agrees
+
+
+@kernel
+def _seen(depth: np.ndarray, row: int, column: int) -> float:
+    """The depth of a pixel; 0 outside the image."""
+    height, width = depth.shape
+    inside = row >= 0 and column >= 0 and row < height and column < width
+    return float(depth[row, column]) if inside else 0.0
+
+
+@kernel
+def _on_the_plane(near: float, beyond: float, target: float, share: float) -> bool:
+    """Whether the plane through a pixel and the one beyond it meets the pixel on its other side, all three seen."""
+    if not (near > 0.0 and beyond > 0.0 and target > 0.0):
+        return False
+    inverse = 2.0 / near - 1.0 / beyond
+    return inverse > 0.0 and abs(1.0 / inverse - target) < share * target
 
 
 def surface_samples(frame: Frame, spacing: np.ndarray) -> SurfaceSamples:

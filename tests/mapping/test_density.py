@@ -17,6 +17,7 @@ from activestructure_gym.mapping.density import (
     HELD,
     SPARED,
     WANTED,
+    joined,
     states_of_samples,
     surface_samples,
     wanted_spacing,
@@ -137,6 +138,23 @@ def test_a_slanted_plane_has_no_edges_and_a_step_of_three_percent_has() -> None:
 def fine(frame: Frame) -> np.ndarray:  # [H, W] bool
     """Where more is wanted than on plain surface: a thousandth of a pixel apart instead of a metre."""
     return wanted_spacing(frame, plain=1.0, pixels=1e-3, contrast=0.04) < 0.5
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(
+    "depths, expected",
+    [
+        ((3.0, 3.0, 3.0, 2.92, 2.82, 2.727), True),  # a floor in front of a wall: the crease is filled
+        # A floor whose slope points at the rim of a box before it (1 / z = .2, .25, .3, then .35 is 2.857 m).
+        ((5.0, 4.0, 1 / 0.3, 2.86, 2.86, 2.86), False),
+        ((5.0, 4.0, 1 / 0.3, 2.86, 1.9, 1.9), True),  # no plane of the other side is seen
+        ((5.0, 4.0, 1 / 0.3, 2.86, 0.0, 2.86), True),
+        ((0.0, 4.0, 1 / 0.3, 2.86, 2.86, 2.86), False),  # nor of this one
+    ],
+)
+def test_a_plane_joins_two_pixels_unless_the_other_side_shows_one_that_does_not(depths, expected, turned) -> None:
+    column = np.array(depths[::-1] if turned else depths, np.float32)[:, None]
+    assert joined(column, 2, 0, 1, 0) == joined(np.ascontiguousarray(column.T), 0, 2, 0, 1) == expected
 
 
 # Coverage

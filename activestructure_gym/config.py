@@ -61,6 +61,11 @@ class ReconstructionConfig:
 
 
 Preset = Literal["fast", "default", "full", "paper"]
+
+# Where 2000 frames are taken there is time for what the default's pool cannot see, under and behind things
+# (docs/notebook/exploration.md, "What the pool can see at all").
+_FINE_POOL = {"lattice_step_m": 0.25, "heights_m": (-1.0, -0.5, 0.0, 0.5, 0.8)}
+
 # Overrides of the defaults above, by field.
 PRESETS: dict[Preset, dict[str, Any]] = {
     # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
@@ -85,8 +90,9 @@ PRESETS: dict[Preset, dict[str, Any]] = {
     "full": {
         "frame_budget": 2000,
         "sensor": {"width": 320, "height": 180},
-        "mapper": {"iterations": 12},
-        "views": {"scoring_scale": 0.25},
+        "mapper": {"iterations": 10, "seed_pixels": 2.4},
+        "views": {"scoring_scale": 0.25, **_FINE_POOL},
+        "motion": {"candidate_clearance": 0.2},
     },
     # The paper's sensor, budget and iterations (Sec. 4.1). Seeds come of every pixel; the optimiser sees 300 x 170, and
     # seeds stand no closer than that resolves (docs/notebook/performance.md, "The paper's sizes on a CPU").
@@ -94,7 +100,8 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "frame_budget": 2000,
         "sensor": {"width": 1200, "height": 680, "supersample": 1},
         "mapper": {"iterations": 15, "keyframe_reduction": 4, "seed_pixels": 4.8},
-        "views": {"scoring_scale": 0.0625},
+        "views": {"scoring_scale": 0.0625, **_FINE_POOL},
+        "motion": {"candidate_clearance": 0.2},
     },
 }
 

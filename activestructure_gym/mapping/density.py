@@ -19,7 +19,9 @@ from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, shows_i
 # Two neighbouring pixels show one surface if the plane through one of them and its neighbour on the other side misses
 # the second by less than this share of its depth: 8 cm at 4 m, about three sigmas of a Kinect's noise there.
 _SAME_SURFACE = 0.02
-_OTHER_SURFACE = 0.04  # and two if such a plane misses by more; between, where walls meet floors, one will do (measured)
+_OTHER_SURFACE = (
+    0.04  # and two if such a plane misses by more; between, where walls meet floors, one will do (measured)
+)
 _LONGEST_GAP = 0.5  # metres between neighbouring pixels that are filled
 _MOST_PARTS = 32  # of a gap, so that no frame asks for more than a thousand samples per pixel
 _LEVELS = 255.0

@@ -17,11 +17,9 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.map_passes import CHUNK, MeasuredDepth, shows_its_back
 
 # Two neighbouring pixels show one surface if the plane through one of them and its neighbour on the other side misses
-# the second by less than this share of its depth: 8 cm at 4 m, about three sigmas of a Kinect's noise there.
-_SAME_SURFACE = 0.02
-_OTHER_SURFACE = (
-    0.04  # and two if such a plane misses by more; between, where walls meet floors, one will do (measured)
-)
+# the second by less than the first share of its depth (8 cm at 4 m, about three sigmas of a Kinect's noise there), and
+# two if such a plane misses by more than the second. In between, where walls meet floors, one plane will do (measured).
+_SAME_SURFACE, _OTHER_SURFACE = 0.02, 0.04
 _LONGEST_GAP = 0.5  # metres between neighbouring pixels that are filled
 _MOST_PARTS = 32  # of a gap, so that no frame asks for more than a thousand samples per pixel
 _LEVELS = 255.0

@@ -13,14 +13,18 @@ from activestructure_gym.splatting.packing import packed
 from activestructure_gym.splatting.reference import BLUR_VARIANCE
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "pixel")
+# At both blurs, of which that of the crowd takes its time.
+BLURRED = [
+    *((kind, BLUR_VARIANCE) for kind in KINDS),
+    *(pytest.param(kind, 0.3, marks=[pytest.mark.slow] if kind == "crowd" else []) for kind in KINDS),
+]
 
 
 def _single(splats):
     return [tensor.detach().float().requires_grad_() for tensor in (*splats.tensors, splats.camera_from_world)]
 
 
-@pytest.mark.parametrize("blur_variance", (BLUR_VARIANCE, 0.3))
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind, blur_variance", BLURRED)
 def test_cpu_gradients_agree_with_the_reference(kind, blur_variance, splats_of, settled):
     splats = splats_of(kind, seed=1)
     sure = settled(splats, blur_variance=blur_variance)

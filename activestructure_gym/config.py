@@ -65,6 +65,7 @@ Preset = Literal["fast", "default", "full", "paper"]
 # Where 2000 frames are taken there is time for what the default's pool cannot see, under and behind things
 # (docs/notebook/exploration.md, "What the pool can see at all").
 _FINE_POOL = {"lattice_step_m": 0.25, "heights_m": (-1.0, -0.5, 0.0, 0.5, 0.8)}
+_CLOSE_BY = {"candidate_clearance": 0.2}
 
 # Overrides of the defaults above, by field.
 PRESETS: dict[Preset, dict[str, Any]] = {
@@ -86,13 +87,14 @@ PRESETS: dict[Preset, dict[str, Any]] = {
     },
     # What comparisons on a CPU use.
     "default": {},
-    # The paper's budget with an image that a CPU maps in minutes; candidates are scored at the default's size.
+    # The paper's budget with an image that a CPU maps in minutes; candidates are scored, and Gaussians seeded, at the
+    # default's size.
     "full": {
         "frame_budget": 2000,
         "sensor": {"width": 320, "height": 180},
         "mapper": {"iterations": 10, "seed_pixels": 2.4},
         "views": {"scoring_scale": 0.25, **_FINE_POOL},
-        "motion": {"candidate_clearance": 0.2},
+        "motion": _CLOSE_BY,
     },
     # The paper's sensor, budget and iterations (Sec. 4.1). Seeds come of every pixel; the optimiser sees 300 x 170, and
     # seeds stand no closer than that resolves (docs/notebook/performance.md, "The paper's sizes on a CPU").
@@ -101,7 +103,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "sensor": {"width": 1200, "height": 680, "supersample": 1},
         "mapper": {"iterations": 15, "keyframe_reduction": 4, "seed_pixels": 4.8},
         "views": {"scoring_scale": 0.0625, **_FINE_POOL},
-        "motion": {"candidate_clearance": 0.2},
+        "motion": _CLOSE_BY,
     },
 }
 

@@ -134,3 +134,12 @@ def splats_of():
 @pytest.fixture
 def settled():
     return settled_pixels
+
+
+def at_both_blurs(kinds: tuple[str, ...]) -> list:
+    """Cases of (kind, blur): ours and gsplat's, of which the second of the crowd takes its time."""
+    slow = [pytest.mark.slow]
+    return [
+        *((kind, BLUR_VARIANCE) for kind in kinds),
+        *(pytest.param(kind, 0.3, marks=slow if kind == "crowd" else []) for kind in kinds),
+    ]

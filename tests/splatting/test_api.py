@@ -10,21 +10,16 @@ from activestructure_gym.geometry import PinholeCamera, se3_exp
 from activestructure_gym.splatting import camera_twist_gradient, parameter_rows, rasterize
 from activestructure_gym.splatting.backends import BACKENDS, backend_status
 from activestructure_gym.splatting.packing import packed
-from activestructure_gym.splatting.reference import BLUR_VARIANCE
+from tests.splatting.conftest import at_both_blurs
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "pixel")
-# At both blurs, of which that of the crowd takes its time.
-BLURRED = [
-    *((kind, BLUR_VARIANCE) for kind in KINDS),
-    *(pytest.param(kind, 0.3, marks=[pytest.mark.slow] if kind == "crowd" else []) for kind in KINDS),
-]
 
 
 def _single(splats):
     return [tensor.detach().float().requires_grad_() for tensor in (*splats.tensors, splats.camera_from_world)]
 
 
-@pytest.mark.parametrize("kind, blur_variance", BLURRED)
+@pytest.mark.parametrize("kind, blur_variance", at_both_blurs(KINDS))
 def test_cpu_gradients_agree_with_the_reference(kind, blur_variance, splats_of, settled):
     splats = splats_of(kind, seed=1)
     sure = settled(splats, blur_variance=blur_variance)

@@ -12,18 +12,14 @@ from activestructure_gym.splatting import (
     render_depth_alpha,
     workspace,
 )
-from activestructure_gym.splatting.reference import BLUR_VARIANCE, rasterize_reference
+from activestructure_gym.splatting.reference import rasterize_reference
+from tests.splatting.conftest import at_both_blurs
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "empty", "pixel")
-# At both blurs, of which that of the crowd takes its time.
-BLURRED = [
-    *((kind, BLUR_VARIANCE) for kind in KINDS),
-    *(pytest.param(kind, 0.3, marks=[pytest.mark.slow] if kind == "crowd" else []) for kind in KINDS),
-]
 RATES = np.array([2e-4] * 3 + [2e-3] * 4 + [2e-3] * 3 + [0.1] + [5e-3] * 3, np.float32)
 
 
-@pytest.mark.parametrize("kind, blur_variance", BLURRED)
+@pytest.mark.parametrize("kind, blur_variance", at_both_blurs(KINDS))
 def test_image_agrees_with_the_reference(kind, blur_variance, splats_of, settled):
     splats = splats_of(kind)
     sure = settled(splats, blur_variance=blur_variance).numpy()

@@ -267,6 +267,7 @@ class Reconstruction:
         return frames
 
     def _step_to(self, pose: np.ndarray) -> None:
+        pose = np.array(pose, dtype=np.float64)  # a copy: the caller may use its array again
         step = pose[:3, 3] - self.pose[:3, 3]
         self.metres += math.sqrt(step @ step)
         self.pose = pose
@@ -322,7 +323,7 @@ class Reconstruction:
         pose would tilt that world by its own error.
         """
         if not self.mapper.keyframes:
-            return self.pose
+            return self.pose.copy()
         sensor = self.config.sensor
         return track_pose(
             frame,
@@ -387,6 +388,7 @@ class Reconstruction:
                 max_range=config.sensor.max_range,
                 world_from_camera=self.candidates.world_from_camera[: self.candidates.views].copy(),
                 agent=agent,
+                revisit=self.candidates.revisit[: self.candidates.views].copy(),
             )
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
             self.gains = np.pad(evaluate_features(config.gains, context), asks)

@@ -342,3 +342,35 @@ def test_no_path_of_fifty_episodes_crosses_the_mesh(request: pytest.FixtureReque
     scenes = [load_scene(spec) for spec in specs]
     for index in range(50):
         check_safety(scenes[index % len(scenes)], seed=index, frames=100)
+
+
+def test_the_episode_keeps_its_own_poses(box: Scene) -> None:
+    """Neither a leg's array nor a frame that was returned is the agent's pose."""
+    run = episode(box, **{"sensor.pose_noise_m": 0.02, "mapper.tracking.iterations": 5})
+    before = run.pose.copy()
+    run.mapper.keyframes[0].world_from_camera[:] = 7.0
+    assert np.array_equal(run.pose, before)
+    poses = np.stack([before, before])
+    run.follow(Leg(poses, (1,)))
+    poses[:] = 0.0
+    assert np.array_equal(run.trajectory[-1], before) and np.array_equal(run.pose, before)
+
+
+def test_a_camera_with_roll_is_followed_whatever_gains_are_told(box: Scene) -> None:
+    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 20, "gains": ("unknown_volume",)}))
+    run.start(ground_truth_of(box), 0)
+    angle = np.radians(5.0)
+    rolled = run.pose.copy()
+    rolled[:3, :2] = rolled[:3, :2] @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    assert run.gains[:, 1].any()
+    run.follow(Leg(rolled[None], (1,)))
+    assert run.gains[:, 0].any() and not run.gains[:, 1].any()  # nobody knows a way from a tilted camera
+
+
+def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:
+    run = episode(box, **{"views.max_revisits": 8, "sensor.pose_noise_m": 0.01, "gains": ("unknown_volume",)})
+    for _ in range(3):
+        run.visit(0)
+    again = run.candidates.revisit
+    assert again.sum() >= 3 and run.gains[: len(again), 0][again].any()
+    assert not run.gains[: len(again), 1][again].any() and run.gains[:, 1].any()

@@ -32,6 +32,7 @@ class FeatureContext:
     max_range: float  # metres, the sensor's
     world_from_camera: np.ndarray  # [K, 4, 4] the candidates
     agent: Agent | None = None  # how it would get to them; None: nobody stands anywhere
+    revisit: np.ndarray | None = None  # [K] bool, as the table says; None: whose pose is a keyframe's as reported
 
     @cached_property
     def _rendered(self) -> tuple[np.ndarray, np.ndarray]:
@@ -57,6 +58,8 @@ class FeatureContext:
     @cached_property
     def revisits(self) -> np.ndarray:  # [K] bool
         """Which candidates are a stored keyframe's pose."""
+        if self.revisit is not None:
+            return self.revisit
         known = np.array([frame.world_from_camera for frame in self.mapper.keyframes]).reshape(-1, 1, 4, 4)
         return (np.abs(known - self.world_from_camera) < 1e-6).all(axis=(2, 3)).any(axis=0)
 

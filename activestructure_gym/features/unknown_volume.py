@@ -11,6 +11,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.compiling.thread_team import TEAM, default_threads
 from activestructure_gym.features.context import FeatureContext, grid_rays
 from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.motion import is_level
 from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.volume import OCCUPIED, UNKNOWN
 
@@ -33,7 +34,7 @@ def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
     a chance per metre; that what is seen on the way counts is [bircher2016]'s.
 
     The way goes through known free space, and its views are the keyframes that the episode would take. The second
-    column is that of the 24 views with the largest first one by frames, 1 / (1 + frames / 5); of the others it is 0.
+    column is that of the 24 views with the largest first one by frames, 1 / (1 + frames / 5), without revisits; else 0.
     Nothing of the Gaussian map is rendered. What was tried beside it: docs/notebook/exploration.md.
     """
     poses, agent = context.world_from_camera, context.agent
@@ -41,10 +42,10 @@ def unknown_volume(context: FeatureContext) -> np.ndarray:  # [K, 2]
     if not len(poses):
         return found
     found[:, 0] = opened_volume(context, poses, np.arange(len(poses) + 1))
-    if agent is not None:
+    if agent is not None and is_level(agent.pose):  # ways turn by yaw and pitch alone
         discount = 1.0 / (1.0 + agent.least_frames(poses) / _HALF_TIME)
-        worth = np.where(context.revisits, 0.0, found[:, 0]) * discount
-        first = np.argsort(-worth, kind="stable")[:SHORTLIST]
+        order = np.argsort(-found[:, 0] * discount, kind="stable")
+        first = order[~context.revisits[order]][:SHORTLIST]
         taken = [(row, way) for row, way in zip(first, agent.ways(context.volume, poses[first])) if way is not None]
         if taken:
             starts = np.cumsum([0, *(len(way.keyframes) for _, way in taken)])

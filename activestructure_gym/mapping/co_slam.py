@@ -24,7 +24,7 @@ from activestructure_gym.mapping.config import CoSLAMConfig
 from activestructure_gym.mapping.dense import one_thread
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.joint_encoding import JointField, distance_losses, ray_weights
-from activestructure_gym.mapping.mapper import Mapper, MappingReport, check_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.mapper import Mapper, MappingReport, checked_frame, summed_up, unit_rgb
 from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.mapping.zero_level import VertexGrid, disks
 from activestructure_gym.splatting import Rendering
@@ -87,7 +87,7 @@ class CoSLAMMapper(Mapper):
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
         """Make ``frame`` a keyframe, keep some of its rays and learn (default: ``config.iterations``)."""
-        check_frame(frame)
+        frame = checked_frame(frame)
         config = self.config
         iterations = config.iterations if iterations is None else iterations
         self._events += 1
@@ -262,8 +262,9 @@ class CoSLAMMapper(Mapper):
     def _measure_psnr(self, indices: Sequence[int]) -> None:
         for index in indices:
             frame = self.keyframes[index]
-            rays = frame.camera.rays()[_JUDGED // 2 :: _JUDGED, _JUDGED // 2 :: _JUDGED].reshape(-1, 3)
-            true = unit_rgb(frame)[_JUDGED // 2 :: _JUDGED, _JUDGED // 2 :: _JUDGED].reshape(-1, 3)
+            down, right = (slice(min(_JUDGED // 2, size - 1), None, _JUDGED) for size in frame.depth.shape)
+            rays = frame.camera.rays()[down, right].reshape(-1, 3)
+            true = unit_rgb(frame)[down, right].reshape(-1, 3)
             directions = (rays @ frame.world_from_camera[:3, :3].T).astype(np.float32)
             color, _, met = self._integrated(frame.world_from_camera[:3, 3], directions)
             error = float(np.mean(np.square(color * met[:, None] - true), dtype=np.float64))

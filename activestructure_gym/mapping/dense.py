@@ -17,7 +17,7 @@ from activestructure_gym.geometry import invert_rigid
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT, ROWS
-from activestructure_gym.mapping.mapper import Mapper, MappingReport, check_frame, summed_up, unit_rgb
+from activestructure_gym.mapping.mapper import Mapper, MappingReport, checked_frame, summed_up, unit_rgb
 from activestructure_gym.mapping.reduced import reduced
 from activestructure_gym.splatting import LossWeights
 from activestructure_gym.splatting.api import Rasterization, rasterize
@@ -44,7 +44,7 @@ class DenseMapper(Mapper):
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
         """Make ``frame`` a keyframe, seed by the system's own rule and optimise (default: ``config.iterations``)."""
-        check_frame(frame)
+        frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))

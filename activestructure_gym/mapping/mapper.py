@@ -8,7 +8,7 @@ numbers behind them: docs/notebook/groundwork.md. Rendering and the optimisation
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -128,7 +128,7 @@ class Mapper:
 
     def observe(self, frame: Frame, *, iterations: int | None = None) -> MappingReport:
         """Make ``frame`` a keyframe, seed what the map lacks there and optimise (default: ``config.iterations``)."""
-        check_frame(frame)
+        frame = checked_frame(frame)
         iterations = self.config.iterations if iterations is None else iterations
         self._events += 1
         self._largest_depth = max(self._largest_depth, float(frame.depth.max()))
@@ -436,13 +436,18 @@ class Mapper:
             self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
 
 
-def check_frame(frame: Frame) -> None:
-    """Raise `ValueError` where pictures and camera of a frame have different sizes."""
+def checked_frame(frame: Frame) -> Frame:
+    """The frame, with every depth that is not a finite number as a pixel without a return (as some cameras mark it).
+
+    Raises `ValueError` where pictures and camera have different sizes.
+    """
     shape = (frame.camera.height, frame.camera.width)
     if frame.depth.shape != shape or frame.rgb.shape != (*shape, 3):
         raise ValueError(
             f"the frame's camera has {shape} pixels, but rgb is {frame.rgb.shape} and depth {frame.depth.shape}"
         )
+    known = np.isfinite(frame.depth)
+    return frame if known.all() else replace(frame, depth=np.where(known, frame.depth, np.float32(0.0)))
 
 
 def largest_adam_step(beta1: float, beta2: float) -> float:

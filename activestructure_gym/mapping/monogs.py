@@ -19,6 +19,7 @@ from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.mapping.config import MonoGSConfig
 from activestructure_gym.mapping.dense import DenseMapper, leaf, roundness, spacing_squared
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, ROWS
+from activestructure_gym.mapping.mapper import MappingReport
 from activestructure_gym.mapping.seeding import pixel_samples, seed_balls
 from activestructure_gym.splatting.api import Rasterization
 from activestructure_gym.splatting.torch_losses import MappingLoss
@@ -38,6 +39,7 @@ class MonoGSMapper(DenseMapper):
         super().__init__(config, rng)
         self._window: list[int] = []  # keyframes, newest first
         self._steps = 0
+        self._reset_at = 0  # of these, when the moments were 0 last
         self._ids_of_step: list[int] = []  # ids there were when each step was taken
 
     def _seeds(self, frame: Frame) -> tuple[np.ndarray, float]:
@@ -72,10 +74,17 @@ class MonoGSMapper(DenseMapper):
             self._steps += 1
             rates = config.learning_rates()
             rates[MEAN] = mean_rate(config, self._steps)
-            self._step(rows, slice(0, self.map.count), rates, self._steps)
+            self._step(rows, slice(0, self.map.count), rates, self._steps - self._reset_at)
             if self._steps % config.prune_every == config.prune_after % config.prune_every:
                 pruned += self._prune_opaque()
         return views, np.array(losses).reshape(-1, 3), pruned
+
+    def refine(self, iterations: int, *, keyframe_indices: Sequence[int] | None = None) -> MappingReport:
+        """Optimise the whole map over all keyframes (or the given ones) by their colours; the moments begin anew."""
+        report = super().refine(iterations, keyframe_indices=keyframe_indices)
+        self.map.reset_moments()
+        self._reset_at = self._steps
+        return report
 
     def _loss(self, shown: Rasterization, rgb: torch.Tensor, depth: torch.Tensor) -> MappingLoss:
         return window_loss(shown, rgb, depth, self.config.color_share)

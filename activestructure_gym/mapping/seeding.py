@@ -56,13 +56,13 @@ def grid_pixels(
     mask: np.ndarray,  # [H, W] bool
     stride: int,
 ) -> tuple[np.ndarray, np.ndarray]:  # rows [n], columns [n]
-    """The pixels of the seed grid (one per ``stride`` x ``stride`` cell, nearest to its middle) inside the mask.
+    """The pixels of the seed grid (one per whole ``stride`` x ``stride`` cell, nearest to its middle) inside the mask.
 
     Row by row: neighbours in the image stay neighbours in the map, which the rasteriser's caches like.
     """
-    phase = stride // 2
-    rows, columns = np.nonzero(mask[phase::stride, phase::stride])
-    return rows * stride + phase, columns * stride + phase
+    down, right = (min(stride // 2, size - 1) for size in mask.shape)  # of a smaller image its last pixels
+    rows, columns = np.nonzero(mask[down::stride, right::stride])
+    return rows * stride + down, columns * stride + right
 
 
 def surface_steps(

@@ -163,3 +163,18 @@ def test_only_old_ones_are_judged(room_frames):
     mapper.map.parameters[10, : mapper.map.count] = -3.0
     count = mapper.map.count
     assert mapper._prune_opaque() == np.count_nonzero(old) < count
+
+
+def test_adam_counts_its_steps_from_where_the_moments_were_forgotten(room_frames, monkeypatch):
+    mapper, numbers, step = _mapper(iterations=1, first_rounds=3), [], MonoGSMapper._step
+
+    def noted(self, rows, columns, rates, number):
+        numbers.append((number, bool(self.map.first_moment[:, : self.map.count].any())))
+        step(self, rows, columns, rates, number)
+
+    monkeypatch.setattr(MonoGSMapper, "_step", noted)
+    mapper.observe(room_frames[0])
+    mapper.observe(room_frames[1])
+    mapper.refine(2)
+    mapper.observe(room_frames[2])
+    assert numbers == [(1, False), (2, True), (3, True), (4, True), (1, False), (2, True), (1, False)]

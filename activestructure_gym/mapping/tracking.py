@@ -94,15 +94,14 @@ def track_pose(
     unchanged = TrackedPose(frame.world_from_camera, 0, 0, believed=False)
     if not chosen:
         return unchanged
-    sigmas = [blur * np.pi / 180.0 * camera.fx for blur in config.blurs_deg]  # pixels
-    references = _collect([keyframes[k] for k in chosen], sigmas, config.pixels)
-    levels = [_with_slopes(_smoothed(frame, sigma)) for sigma in sigmas]
+    references = _collect([keyframes[k] for k in chosen], config.blurs_deg, config.pixels)
+    levels = [_with_slopes(_smoothed(frame, blur)) for blur in config.blurs_deg]
     rays = camera.rays().astype(np.float64)
     spread = np.maximum(np.repeat([sigma_m, np.radians(sigma_deg)], 3), 1e-6)
 
     pose, points, steps = reported, 0, 0
     for step in range(config.iterations):
-        level = min(step, len(sigmas) - 1)
+        level = min(step, len(levels) - 1)
         reach = config.reaches[min(step, len(config.reaches) - 1)]
         index, place, pixel, by_depth = _seen(pose, references, frame, rays, reach)
         points, steps = len(index), step + 1
@@ -119,7 +118,7 @@ def track_pose(
             vector += rows.T @ (weights * residuals)
         xi = np.linalg.solve(matrix, vector)
         pose = se3_exp(xi) @ pose
-        final = step >= max(len(sigmas), len(config.reaches)) - 1
+        final = step >= max(len(levels), len(config.reaches)) - 1
         if final and max(np.linalg.norm(xi[:3]), np.linalg.norm(xi[3:])) < config.converged:
             break
     away = _tangent(pose @ invert_rigid(reported)) / spread
@@ -157,7 +156,7 @@ def _pixels(points: np.ndarray, camera: PinholeCamera) -> tuple[np.ndarray, np.n
     return np.where(inside, row, 0).astype(int), np.where(inside, column, 0).astype(int), inside
 
 
-def _collect(keyframes: Sequence[Frame], sigmas: Sequence[float], pixels: int) -> _References:
+def _collect(keyframes: Sequence[Frame], blurs_deg: Sequence[float], pixels: int) -> _References:
     points, normals, colors = [], [], []
     for keyframe in keyframes:
         own_points, own_normals, defined = surface_normals(keyframe.depth, keyframe.camera)
@@ -168,7 +167,7 @@ def _collect(keyframes: Sequence[Frame], sigmas: Sequence[float], pixels: int) -
         pose = keyframe.world_from_camera
         points.append(transform_points(pose, own_points[used].astype(np.float64)))
         normals.append(own_normals[used].astype(np.float64) @ pose[:3, :3].T)
-        colors.append(np.stack([_smoothed(keyframe, sigma)[used] for sigma in sigmas]))
+        colors.append(np.stack([_smoothed(keyframe, blur)[used] for blur in blurs_deg]))
     return _References(np.concatenate(points), np.concatenate(normals), np.concatenate(colors, axis=1))
 
 
@@ -245,9 +244,11 @@ def _robust_weights(residuals: np.ndarray, least: float, huber: float) -> np.nda
     return np.minimum(1.0, huber * scale / np.maximum(np.abs(residuals), 1e-12)) / scale**2
 
 
-def _smoothed(frame: Frame, sigma: float) -> np.ndarray:  # [H, W, 3] float32 0..1
+def _smoothed(frame: Frame, blur_deg: float) -> np.ndarray:  # [H, W, 3] float32 0..1
+    """Blurred by an angle: a keyframe with fewer pixels than the frame it is compared with shows as much detail."""
     import cv2
 
+    sigma = blur_deg * np.pi / 180.0 * frame.camera.fx  # pixels
     return cv2.GaussianBlur(frame.rgb.astype(np.float32) / 255.0, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
 
 

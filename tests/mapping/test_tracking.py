@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along, rotation_angle, se3_exp
-from activestructure_gym.mapping.tracking import TrackingConfig, shared_keyframes, surface_normals, track_pose
+from activestructure_gym.mapping.reduced import reduced
+from activestructure_gym.mapping.tracking import TrackingConfig, _smoothed, shared_keyframes, surface_normals, track_pose
 
 CAMERA = PinholeCamera.from_size(80, 45)
 CONFIG = TrackingConfig(iterations=20)
@@ -144,3 +145,14 @@ def test_tracking_changes_neither_frame_nor_keyframes(render_room):
 def test_wrong_values_are_refused_by_name(change):
     with pytest.raises(ValueError, match=f"tracking {next(iter(change))}"):
         TrackingConfig(**change)
+
+
+@pytest.mark.parametrize("factor", [2, 5])
+def test_a_keyframe_with_fewer_pixels_is_blurred_by_the_same_angle(render_room, factor):
+    """So that it looks like the frame it is compared with: blurred by as many pixels it is off by up to .14."""
+    pose = look_along(np.array([1.4, 1.3, 1.2]), np.array([1.0, 0.3, -0.1]))
+    frame = render_room(pose, PinholeCamera.from_size(160, 90))
+    whole, small = _smoothed(frame, 1.4), _smoothed(reduced(frame, factor), 1.4)
+    blocks = whole.reshape(90 // factor, factor, 160 // factor, factor, 3).mean(axis=(1, 3))
+    inside = slice(2, -2)  # beside the border the picture ends
+    assert np.abs(small - blocks)[inside, inside].max() < 0.03

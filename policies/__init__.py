@@ -50,6 +50,7 @@ from activestructure_gym.policies.random import Random
 from activestructure_gym.policies.rt_guide import RTGuide
 from activestructure_gym.policies.schedule import Schedule, Terms
 from activestructure_gym.policies.unknown_volume import UnknownVolume
+from activestructure_gym.policies.unseen import Unseen
 from activestructure_gym.policies.view_angle import ViewAngle
 
 __all__ = [
@@ -105,6 +106,7 @@ __all__ = [
     "Schedule",
     "Terms",
     "UnknownVolume",
+    "Unseen",
     "ViewAngle",
     "canonical_policy",
     "make_env_and_policy",

@@ -39,6 +39,7 @@ from activestructure_gym.features.structure import structure
 from activestructure_gym.features.uncovered import uncovered
 from activestructure_gym.features.unexplored import unexplored
 from activestructure_gym.features.unknown_volume import unknown_volume
+from activestructure_gym.features.unseen_sides import unseen_sides
 from activestructure_gym.features.view_angle import view_angle
 from activestructure_gym.features.visited_distance import visited_distance
 from activestructure_gym.features.voronoi_node import floor_graph, voronoi_node
@@ -86,6 +87,7 @@ __all__ = [
     "uncovered",
     "unexplored",
     "unknown_volume",
+    "unseen_sides",
     "view_angle",
     "visited_distance",
     "voronoi_node",

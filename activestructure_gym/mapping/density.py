@@ -265,7 +265,7 @@ def _choose(points, reach, parameters, count, leaving, around):  # type: ignore[
     known = len(at_hand)
     for k in range(known):
         i = at_hand[k]
-        place = _bucket(
+        place = bucket(
             int(np.floor(parameters[0, i] / cell)), int(np.floor(parameters[1, i] / cell)),
             int(np.floor(parameters[2, i] / cell)), size,
         )  # fmt: skip
@@ -279,7 +279,7 @@ def _choose(points, reach, parameters, count, leaving, around):  # type: ignore[
         for a in range(int(np.floor((x - farthest) / cell)), int(np.floor((x + farthest) / cell)) + 1):
             for b in range(int(np.floor((y - farthest) / cell)), int(np.floor((y + farthest) / cell)) + 1):
                 for c in range(int(np.floor((z - farthest) / cell)), int(np.floor((z + farthest) / cell)) + 1):
-                    k = heads[_bucket(a, b, c, size)]
+                    k = heads[bucket(a, b, c, size)]
                     while k >= 0 and state[s] != HELD:
                         if k < known:
                             i = at_hand[k]
@@ -298,13 +298,14 @@ def _choose(points, reach, parameters, count, leaving, around):  # type: ignore[
             if state[s] == HELD:
                 break
         if state[s] == WANTED:
-            place = _bucket(cx, cy, cz, size)
+            place = bucket(cx, cy, cz, size)
             following[known + s], heads[place] = heads[place], known + s
     return state
 
 
 @kernel
-def _bucket(a: int, b: int, c: int, size: int) -> int:
+def bucket(a: int, b: int, c: int, size: int) -> int:
+    """Place of a cell in a table with a power of two of them."""
     return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & (size - 1)
 
 

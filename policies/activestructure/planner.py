@@ -19,15 +19,17 @@ from activestructure_gym.policies.base import POLICIES, Observation, Policy, bes
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
 from activestructure_gym.policies.schedule import SPLATAM
+from activestructure_gym.policies.unseen import SIDE_DEPTH
 
-Discovery = Literal["pixel", "hole_area", "unknown_volume"]
-# The column that stands for IG_px and what of it counts 1: a whole image, the largest hole area, and the volume (m^3)
+Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
+# The columns that stand for IG_px and what of each counts 1: a whole image, the largest hole area, and the volume (m^3)
 # that a view into nothing but unknown space opens: its solid angle, 1.42 sr at 90 x 59 degrees, times the integral of
 # r^2 exp(-r) from 0 to 6 m. On a grid, where rays leave voxels out, such a view has 2.2.
-_DISCOVERY: dict[Discovery, tuple[str, float]] = {
-    "pixel": ("pixel", 1.0),
-    "hole_area": ("hole_area", 1.0),
-    "unknown_volume": ("unknown_volume_way", 2.7),
+_DISCOVERY: dict[Discovery, dict[str, float]] = {
+    "pixel": {"pixel": 1.0},
+    "hole_area": {"hole_area": 1.0},
+    "unknown_volume": {"unknown_volume_way": 2.7},
+    "unseen": {"unknown_volume_way": 2.7, "unseen_sides": 2.7 / SIDE_DEPTH},
 }
 
 
@@ -43,8 +45,8 @@ class StructurePolicy(Policy):
     ----------
     discovery
         What stands for IG_px, the gain of what is not known yet: ``"pixel"`` (the paper's uncovered pixels),
-        ``"hole_area"`` or ``"unknown_volume"``. With one of the others the rungs differ from that gain's own policy in
-        the terms of the planes alone.
+        ``"hole_area"``, ``"unknown_volume"`` or ``"unseen"``. With one of the others the rungs differ from the policy
+        of that name in the terms of the planes alone.
     """
 
     brings = SPLATAM
@@ -55,8 +57,8 @@ class StructurePolicy(Policy):
         super().__init__()
         if discovery not in get_args(Discovery):
             raise InputError(f"option discovery must be {', '.join(get_args(Discovery))}, got '{discovery}'")
-        self._column, self._unit = _DISCOVERY[discovery]
-        self.required_gains = (self._column, *(("deficiency",) if self.deficiencies else ()))
+        self._discovers = _DISCOVERY[discovery]
+        self.required_gains = (*self._discovers, *(("deficiency",) if self.deficiencies else ()))
         self._trace: dict[str, Any] = {}
 
     def act(self, observation: Observation) -> int:
@@ -67,7 +69,8 @@ class StructurePolicy(Policy):
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
         """The terms of Eqs. 12 to 14; a feature the rung does not ask for counts as 0."""
         candidates = self.candidates(observation)
-        unseen = candidates[self._column].astype(np.float64) / self._unit
+        shares = [candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()]
+        unseen = np.sum(shares, axis=0)
         deficiency = candidates["deficiency"].astype(np.float64) if self.deficiencies else np.zeros(len(candidates))
         return information_gain(unseen, deficiency, planes, weights)
 

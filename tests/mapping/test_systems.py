@@ -59,7 +59,8 @@ def test_a_report_says_what_happened(name, room_frames):
 
 
 def _quick(name):
-    return {"iterations": 1, **QUICK.get(name, {}), **({"first_rounds": 1} if hasattr(MAPPERS[name], "first_rounds") else {})}
+    rounds = {"first_rounds": 1} if hasattr(MAPPERS[name], "first_rounds") else {}
+    return {"iterations": 1, **QUICK.get(name, {}), **rounds}
 
 
 @pytest.mark.parametrize("name", MAPPERS)

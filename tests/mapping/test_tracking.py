@@ -7,7 +7,13 @@ import pytest
 
 from activestructure_gym.geometry import PinholeCamera, look_along, rotation_angle, se3_exp
 from activestructure_gym.mapping.reduced import reduced
-from activestructure_gym.mapping.tracking import TrackingConfig, _smoothed, shared_keyframes, surface_normals, track_pose
+from activestructure_gym.mapping.tracking import (
+    TrackingConfig,
+    _smoothed,
+    shared_keyframes,
+    surface_normals,
+    track_pose,
+)
 
 CAMERA = PinholeCamera.from_size(80, 45)
 CONFIG = TrackingConfig(iterations=20)

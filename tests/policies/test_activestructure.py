@@ -272,7 +272,7 @@ def test_a_view_into_nothing_but_unknown_space_counts_as_one_whole_image() -> No
 
 
 def test_an_unknown_gain_of_discovery_is_refused() -> None:
-    with pytest.raises(InputError, match="discovery must be pixel, hole_area, unknown_volume, got 'holes'"):
+    with pytest.raises(InputError, match="discovery must be pixel, hole_area, unknown_volume, unseen, got 'holes'"):
         make_policy("activestructure-b?discovery=holes")
 
 

@@ -1,0 +1,130 @@
+"""The area of surfaces of which a view would see the side that nobody has seen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+from activestructure_gym.compiling.thread_team import TEAM, default_threads
+from activestructure_gym.features.context import FeatureContext
+from activestructure_gym.features.hole_area import REACH, solid_angles, taken_before
+from activestructure_gym.features.registry import FEATURES
+from activestructure_gym.mapping.density import bucket
+from activestructure_gym.mapping.map_passes import shows_its_back
+from activestructure_gym.splatting.counters import take_ticket
+
+NEAR = 0.06  # metres around a pixel's point within which a disk belongs to its surface; plain ones stand 4.5 cm apart
+_STRIDE = 2  # pixels in both directions between those that are looked at
+_SOLID = 0.5  # alpha from which a pixel has a depth
+
+
+@FEATURES.register("unseen_sides", unit="m^2", low=0.0)
+def unseen_sides(context: FeatureContext) -> np.ndarray:  # [K]
+    """Sum over pixels that show the back of the map of alpha x solid angle x min(d, 4 m)^2: the area across the ray.
+
+    A disk's normal points to where it was seen from. Where disks stand around the point that the map shows at a pixel
+    and all of them show their back, the far side of something thin, the inside of what was seen from outside or what
+    stands behind it is looked at, and no keyframe has seen it from there: the map has no hole, and what is there is not
+    what it shows. A view that was a keyframe counts nothing. Balls face everybody.
+
+    This project's; that a cell seen from one side is not known from the other is [gavis]'s. What it is worth in
+    episodes: docs/notebook/exploration.md, "The other side of things".
+    """
+    camera = context.camera
+    alpha, depth = context.alpha[:, ::_STRIDE, ::_STRIDE], context.depth[:, ::_STRIDE, ::_STRIDE]
+    rays = camera.rays()[::_STRIDE, ::_STRIDE].astype(np.float64)
+    along = np.where(alpha > _SOLID, depth / np.maximum(alpha, 1e-6), 0.0).astype(np.float32)
+    backs = shown_from_behind(context, rays, along)
+    distance = along * np.linalg.norm(rays, axis=-1)
+    angle = solid_angles(camera)[::_STRIDE, ::_STRIDE] * _STRIDE**2
+    area = (backs * alpha * angle * np.minimum(distance, REACH) ** 2).sum(axis=(1, 2))
+    keyframes = np.array([frame.world_from_camera for frame in context.mapper.keyframes]).reshape(-1, 4, 4)
+    return np.asarray(area * np.logical_not(taken_before(context.world_from_camera, keyframes)))
+
+
+def shown_from_behind(
+    context: FeatureContext,
+    rays: np.ndarray,  # [h, w, 3] camera frame, depth 1
+    depth: np.ndarray,  # [K, h, w] float32 metres; 0 = not asked for
+) -> np.ndarray:  # [K, h, w] bool
+    """Pixels around whose point there are disks, all of which show their back."""
+    gaussians = context.mapper.map
+    table = _Table(gaussians.parameters, *_sorted_into_cells(gaussians.parameters, gaussians.count, NEAR), NEAR)
+    poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
+    backs = np.zeros(depth.shape, dtype=bool)
+    threads = max(1, min(default_threads(), len(poses)))
+    TEAM.run(_look, (np.zeros(2, np.int64), table, poses, rays, np.ascontiguousarray(depth), backs), threads)
+    return backs
+
+
+class _Table(NamedTuple):
+    """Solid Gaussians by the cell in which their means are."""
+
+    parameters: np.ndarray  # [14, capacity] float32
+    heads: np.ndarray  # [buckets] int32, the first Gaussian of a list; -1 = empty
+    following: np.ndarray  # [count] int32, the next one
+    cell: float  # metres
+
+
+@kernel
+def _sorted_into_cells(parameters, count, cell):  # type: ignore[no-untyped-def]
+    """Heads and links of the lists."""
+    size = 16
+    while size < 2 * count:
+        size *= 2
+    heads, following = np.full(size, -1, np.int32), np.empty(count, np.int32)
+    for i in range(count):
+        if parameters[10, i] < 0.0:  # an opacity of less than one half
+            continue
+        place = bucket(
+            int(np.floor(parameters[0, i] / cell)),
+            int(np.floor(parameters[1, i] / cell)),
+            int(np.floor(parameters[2, i] / cell)),
+            size,
+        )
+        following[i], heads[place] = heads[place], i
+    return heads, following
+
+
+@kernel
+def _look(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped-def]
+    """One view per ticket."""
+    parameters, heads, following, cell = table
+    square = cell * cell
+    while True:
+        k: int = take_ticket(tickets, 0)
+        if k >= len(poses):
+            return
+        pose = poses[k]
+        eye_x, eye_y, eye_z = np.float32(pose[0, 3]), np.float32(pose[1, 3]), np.float32(pose[2, 3])
+        for row in range(rays.shape[0]):
+            for column in range(rays.shape[1]):
+                z = depth[k, row, column]
+                if not z > 0.0:
+                    continue
+                ray = rays[row, column]
+                x = pose[0, 3] + z * (pose[0, 0] * ray[0] + pose[0, 1] * ray[1] + pose[0, 2] * ray[2])
+                y = pose[1, 3] + z * (pose[1, 0] * ray[0] + pose[1, 1] * ray[1] + pose[1, 2] * ray[2])
+                w = pose[2, 3] + z * (pose[2, 0] * ray[0] + pose[2, 1] * ray[1] + pose[2, 2] * ray[2])
+                back, front = False, False
+                for a in range(int(np.floor((x - cell) / cell)), int(np.floor((x + cell) / cell)) + 1):
+                    for b in range(int(np.floor((y - cell) / cell)), int(np.floor((y + cell) / cell)) + 1):
+                        for c in range(int(np.floor((w - cell) / cell)), int(np.floor((w + cell) / cell)) + 1):
+                            i = heads[bucket(a, b, c, len(heads))]
+                            while i >= 0 and not front:
+                                dx, dy, dz = parameters[0, i] - x, parameters[1, i] - y, parameters[2, i] - w
+                                if dx * dx + dy * dy + dz * dz <= square:
+                                    if shows_its_back(parameters, i, eye_x, eye_y, eye_z):
+                                        back = True
+                                    else:
+                                        front = True
+                                i = following[i]
+                            if front:
+                                break
+                        if front:
+                            break
+                    if front:
+                        break
+                backs[k, row, column] = back and not front

@@ -1,0 +1,35 @@
+"""`unseen`: space first, then sides, by the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from activestructure_gym.policies import make_policy
+from activestructure_gym.policies.unseen import SIDE_DEPTH
+from tests.policies.binding import bound
+from tests.policies.test_activestructure import observation
+
+
+def test_a_square_metre_seen_from_behind_counts_as_so_much_unknown_space() -> None:
+    policy = bound(make_policy("unseen"))
+    policy.reset(0)
+    assert policy.act(observation([[0.3, 0.0], [0.0, 1.0], [0.1, 0.2]])) == 1
+    assert policy.trace()["sides"] == pytest.approx(SIDE_DEPTH)
+    assert policy.act(observation([[0.4, 0.0], [0.0, 1.0], [0.1, 0.2]])) == 0
+    assert policy.act(observation([[0.3, 0.0], [0.0, 1.0], [0.1, 0.8]])) == 2  # .1 + .28
+
+
+def test_a_near_view_goes_first() -> None:
+    policy = bound(make_policy("unseen"))
+    policy.reset(0)
+    choices = [policy.act(observation([[1.0, 0.0], [0.6, 0.0]], frames=frames)) for frames in ([5.0, 5.0], [30.0, 5.0])]
+    assert choices == [0, 1]
+
+
+def test_with_the_same_gain_the_rungs_choose_as_it_does_where_no_plane_is() -> None:
+    ours, rung = bound(make_policy("unseen")), bound(make_policy("activestructure-b?discovery=unseen"))
+    gains = np.random.default_rng(0).uniform(0, 1, (30, 12, 2))
+    for table in gains:
+        told = observation(table.tolist())
+        assert ours.act(told) == rung.act(told)

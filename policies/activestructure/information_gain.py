@@ -52,6 +52,7 @@ class Weights:
     max_discount: float = 0.0  # rho_max, Eq. 12
     suppression: float = 0.0  # of views dominated by well-reconstructed structure (Sec. 3.4, phase II)
     surprise: bool = True  # False: gamma_i is replaced by 1 - q_i (rung B of Table 3)
+    sides: float = 1.0  # of the unseen sides, where they are a part of what is to be discovered
 
 
 @dataclass(frozen=True)

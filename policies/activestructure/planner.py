@@ -22,6 +22,7 @@ from activestructure_gym.policies.schedule import SPLATAM
 from activestructure_gym.policies.unseen import SIDE_DEPTH
 
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
+_SIDES = "unseen_sides"
 # The columns that stand for IG_px and what of each counts 1: a whole image, the largest hole area, and the volume (m^3)
 # that a view into nothing but unknown space opens: its solid angle, 1.42 sr at 90 x 59 degrees, times the integral of
 # r^2 exp(-r) from 0 to 6 m. On a grid, where rays leave voxels out, such a view has 2.2.
@@ -29,7 +30,7 @@ _DISCOVERY: dict[Discovery, dict[str, float]] = {
     "pixel": {"pixel": 1.0},
     "hole_area": {"hole_area": 1.0},
     "unknown_volume": {"unknown_volume_way": 2.7},
-    "unseen": {"unknown_volume_way": 2.7, "unseen_sides": 2.7 / SIDE_DEPTH},
+    "unseen": {"unknown_volume_way": 2.7, _SIDES: 2.7 / SIDE_DEPTH},
 }
 
 
@@ -69,8 +70,10 @@ class StructurePolicy(Policy):
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
         """The terms of Eqs. 12 to 14; a feature the rung does not ask for counts as 0."""
         candidates = self.candidates(observation)
-        shares = [candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()]
-        unseen = np.sum(shares, axis=0)
+        shares = {name: candidates[name].astype(np.float64) / unit for name, unit in self._discovers.items()}
+        if _SIDES in shares:
+            shares[_SIDES] *= weights.sides
+        unseen = np.sum(list(shares.values()), axis=0)
         deficiency = candidates["deficiency"].astype(np.float64) if self.deficiencies else np.zeros(len(candidates))
         return information_gain(unseen, deficiency, planes, weights)
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.features import column_names
 from activestructure_gym.mapping import MAPPERS, MapperConfig
-from activestructure_gym.motion import MotionConfig
+from activestructure_gym.motion import SAMPLING_DIP, MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.sensors import SensorConfig
@@ -55,6 +55,13 @@ class ReconstructionConfig:
             raise InputError(
                 f"mapper.keyframe_reduction must divide the sensor's {width} x {height} pixels, got {factor}; choose a "
                 "common divisor"
+            )
+        overlooked = SAMPLING_DIP * self.volume.voxel_size
+        if not self.motion.min_clearance > overlooked:
+            raise InputError(
+                f"motion.min_clearance must be above {overlooked:.3g} m, {SAMPLING_DIP:.2f} of volume.voxel_size, got "
+                f"{self.motion.min_clearance}: as much may be lost between the samples of a path, and nothing would "
+                "ever block it; raise it, or make voxels smaller"
             )
         object.__setattr__(self, "gains", column_names(self.gains))
         make_stages(self.views.stages, self.views.max_candidates)

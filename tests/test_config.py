@@ -24,6 +24,19 @@ def test_presets_differ_from_the_default_only_where_they_say_so() -> None:
     assert camera.fx == pytest.approx(600)
 
 
+@pytest.mark.parametrize(
+    ("clearance", "voxel", "fits"), [(0.2, 0.1, True), (0.2, 0.5, False), (0.3, 0.5, True), (0.04, 0.1, False)]
+)
+def test_paths_keep_away_by_more_than_their_samples_may_overlook(clearance: float, voxel: float, fits: bool) -> None:
+    """Half a voxel's samples of a field of slope sqrt 3 lose .433 voxels: with less nothing would ever block a path."""
+    changes = {"motion.min_clearance": clearance, "volume.voxel_size": voxel}
+    if fits:
+        assert configure("default", changes).volume.voxel_size == voxel
+    else:
+        with pytest.raises(InputError, match="min_clearance must be above .* of volume.voxel_size"):
+            configure("default", changes)
+
+
 def test_keyframes_are_reduced_by_a_common_divisor() -> None:
     paper = configure("paper")
     assert (paper.sensor.width / paper.mapper.keyframe_reduction, paper.mapper.keyframe_reduction) == (300, 4)

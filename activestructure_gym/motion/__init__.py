@@ -1,6 +1,6 @@
 """Motion from view to view: reachability, paths, and the frames along them."""
 
-from activestructure_gym.motion.clearance import first_blocked_edge
+from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.motion.legs import Leg, recorded_legs, regular_legs
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
@@ -9,6 +9,7 @@ from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_g
 from activestructure_gym.motion.ways import Agent, Way, least_frames
 
 __all__ = [
+    "SAMPLING_DIP",
     "Agent",
     "DistanceMap",
     "Leg",

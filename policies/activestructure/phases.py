@@ -30,8 +30,8 @@ PHASES = (
         Weights(structural=0.01, objects=0.003, deficiency=0.1, max_discount=0.1, sides=0.0),
         pool_share=0.05,
     ),
-    # The same planes suppress, objects and their far sides attract; the cap of the discount rises, smaller gaps are worth
-    # a view.
+    # The same planes suppress, objects attract (with discovery=unseen their far sides, too); the cap of the discount
+    # rises, smaller gaps are worth a view.
     Phase(
         "II objects",
         Weights(structural=-0.003, objects=0.01, deficiency=0.2, max_discount=0.3, suppression=0.3),

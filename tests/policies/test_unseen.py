@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.policies import make_policy
+from activestructure_gym.policies.activestructure.phases import PATIENCE
 from activestructure_gym.policies.unseen import SIDE_DEPTH
 from tests.policies.binding import bound
 from tests.policies.test_activestructure import observation
@@ -33,3 +34,16 @@ def test_with_the_same_gain_the_rungs_choose_as_it_does_where_no_plane_is() -> N
     for table in gains:
         told = observation(table.tolist())
         assert ours.act(told) == rung.act(told)
+
+
+def test_the_full_model_looks_at_far_sides_once_the_scaffold_stands() -> None:
+    policy = bound(make_policy("activestructure?discovery=unseen"))
+    policy.reset(0)
+    rows = [[0.05, 0.0, 0.0], [0.0, 0.8, 0.0]]  # space of the way, sides, deficiency
+    choices, phases = [], []
+    for _ in range(2 * PATIENCE):
+        choices.append(policy.act(observation(rows)))
+        phases.append(policy.trace()["phase"])
+    # .05 m^3 is too little for the pool of phase I, and the sides, .28 m^3, count in phase II alone.
+    assert choices == [0] * (PATIENCE - 1) + [1] * (PATIENCE + 1)
+    assert phases == ["I scaffold"] * (PATIENCE - 1) + ["II objects"] * (PATIENCE + 1)

@@ -51,7 +51,8 @@ def shown_from_behind(
 ) -> np.ndarray:  # [K, h, w] bool
     """Pixels around whose point there are disks, all of which show their back."""
     gaussians = context.mapper.map
-    table = _Table(gaussians.parameters, *_sorted_into_cells(gaussians.parameters, gaussians.count, NEAR), NEAR)
+    heads, following = _sorted_into_cells(gaussians.parameters, gaussians.count, NEAR)
+    table = _Table(gaussians.parameters, heads, following, NEAR)
     poses = np.ascontiguousarray(context.world_from_camera, dtype=np.float64)
     backs = np.zeros(depth.shape, dtype=bool)
     threads = max(1, min(default_threads(), len(poses)))
@@ -94,7 +95,7 @@ def _look(tickets, table, poses, rays, depth, backs):  # type: ignore[no-untyped
     parameters, heads, following, cell = table
     square = cell * cell
     while True:
-        k: int = take_ticket(tickets, 0)
+        k: int = take_ticket(tickets, 0)  # type: ignore[call-arg]
         if k >= len(poses):
             return
         pose = poses[k]

@@ -64,23 +64,26 @@ def _standard_error() -> TextIO | None:
 
 
 class Log:
-    """The lines of a log: when work begins, every half minute of it, and when none has come for a while."""
+    """The lines of a log: when work begins, every half minute of it, and when none has come for a while.
 
-    def __init__(self, write: Callable[[str], None]) -> None:
-        self._write = write
+    All of them go where the first went: what stands in the place of standard error by then belongs to somebody else.
+    """
+
+    def __init__(self) -> None:
+        self._stream: TextIO | None = None
         self._lock = threading.Lock()
         self._compiled, self._seconds = 0, 0.0  # so far
         self._said = 0  # kernels, in the last line
         self._last = 0.0  # when something was heard
         self._open = False  # the end has not been told yet
 
-    def hear(self, compiled: int, seconds: float) -> None:
+    def hear(self, compiled: int, seconds: float, stream: TextIO) -> None:
         """Note how many kernels have been compiled and in how many seconds; a line is written where one is due."""
         with self._lock:
             self._compiled, self._seconds, self._last = compiled, seconds, time.monotonic()
             if self._open:
                 return
-            self._open = True
+            self._open, self._stream = True, stream
             if self._said == 0:
                 self._write(begin())
                 atexit.register(self.conclude)
@@ -92,6 +95,12 @@ class Log:
             if self._open:
                 self._open, self._said = False, self._compiled
                 self._write(conclusion(self._compiled, self._seconds))
+
+    def _write(self, line: str) -> None:
+        if self._stream is not None:
+            with suppress(OSError, ValueError):  # closed: the program, or what has captured its output, has ended
+                self._stream.write(line + "\n")
+                self._stream.flush()
 
     def _go_on(self) -> None:
         spoken = time.monotonic()
@@ -117,7 +126,7 @@ class Progress(event.Listener):
         self._speaks = False  # holds the lock that goes with the line
         self._silent = False  # for good: another process speaks
         self._width = 0  # of the line that stands on the terminal
-        self._log = Log(self._write_line)
+        self._log = Log()
 
     @contextmanager
     def around(self, name: str) -> Iterator[None]:
@@ -180,14 +189,7 @@ class Progress(event.Listener):
             stream.flush()
             self._width = len(line)
         else:
-            self._log.hear(len(self._told), seconds)
-
-    def _write_line(self, line: str) -> None:
-        stream = _standard_error()
-        if stream is not None:
-            with suppress(OSError, ValueError):  # closed: the program ends
-                stream.write(line + "\n")
-                stream.flush()
+            self._log.hear(len(self._told), seconds, stream)
 
     def _end(self) -> None:
         stream = _standard_error()

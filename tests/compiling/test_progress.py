@@ -33,21 +33,32 @@ def test_a_log_gets_a_first_and_a_last_line_and_none_when_all_is_compiled(packag
 def test_a_log_hears_now_and_then_and_of_the_end(monkeypatch) -> None:
     monkeypatch.setattr(progress, "_QUIET", 0.2)
     monkeypatch.setattr(progress, "_EVERY", 0.05)
-    lines: list[str] = []
-    log = progress.Log(lines.append)
+    log, stream = progress.Log(), io.StringIO()
     for compiled in (1, 2, 3):
-        log.hear(compiled, 10.0 * compiled)
+        log.hear(compiled, 10.0 * compiled, stream)
         time.sleep(0.1)
     waited = time.monotonic()
-    while not lines[-1].startswith("compiled") and time.monotonic() - waited < 10:
+    while "compiled 3" not in stream.getvalue() and time.monotonic() - waited < 10:
         time.sleep(0.01)
+    lines = stream.getvalue().splitlines()
     assert lines[0] == progress.begin() and lines[-1] == "compiled 3 kernels in 30 s"
     assert len(lines) > 2 and set(lines[1:-1]) <= {progress.describe(n, 10 * n) for n in (1, 2, 3)}
     log.conclude()  # said already
-    said = len(lines)
-    log.hear(4, 40.0)  # after a pause there is one more
+    log.hear(4, 40.0, stream)  # after a pause there is one more
     log.conclude()
-    assert lines[said:] == ["compiled 4 kernels in 40 s"]
+    assert stream.getvalue().splitlines()[len(lines) :] == ["compiled 4 kernels in 40 s"]
+
+
+def test_a_log_ends_where_it_began() -> None:
+    log, first, second = progress.Log(), io.StringIO(), io.StringIO()
+    log.hear(1, 1.0, first)
+    log.hear(2, 2.0, second)  # somebody captures what his own call says
+    log.conclude()
+    assert first.getvalue().splitlines() == [progress.begin(), "compiled 2 kernels in 2 s"]
+    assert second.getvalue() == ""
+    log.hear(3, 3.0, second)
+    second.close()  # and is done before the end
+    log.conclude()
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")

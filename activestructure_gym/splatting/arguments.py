@@ -20,6 +20,13 @@ class Lists(NamedTuple):
     entries: np.ndarray  # [ENTRY_ROWS, room] uint64: `layout.KEY ...`
 
 
+class Found(NamedTuple):
+    """The Gaussians that one of many cameras may see."""
+
+    shapes: np.ndarray  # [N * RECORD] float32, of the whole map: `projection.shape_of`
+    places: np.ndarray  # [N + LANES] int32, rising numbers of those found, then any
+
+
 class Kept(NamedTuple):
     """Alphas and stops that blending stores for the backward pass."""
 

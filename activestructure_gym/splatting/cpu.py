@@ -17,6 +17,7 @@ from activestructure_gym.splatting import kernels, layout
 from activestructure_gym.splatting.workspace import (
     MAX_ALPHA,
     PooledWorkspace,
+    aligned_zeros,
     fitted,
     inverse_of_pose,
     make_grid,
@@ -140,9 +141,10 @@ def render_depth_alpha(
     views = np.repeat(view[None], len(poses), axis=0)
     views[:, : layout.FX] = poses[:, :3].reshape(-1, layout.FX)
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
-    tickets = np.zeros(1, np.int64)
-    arguments = (tickets, parameters, views, make_grid(count, parameters.shape[1], camera), depth, alpha)
-    TEAM.run(kernels.score, arguments, min(threads or default_threads(), max(1, len(poses))))
+    threads = min(threads or default_threads(), max(1, len(poses)))
+    grid, shapes = make_grid(count, parameters.shape[1], camera), aligned_zeros(layout.RECORD * parameters.shape[1])
+    TEAM.run(kernels.shape, (np.zeros(1, np.int64), parameters, grid, shapes), threads)
+    TEAM.run(kernels.score, (np.zeros(1, np.int64), parameters, shapes, views, grid, depth, alpha), threads)
     shape = (len(poses), camera.height, camera.width)
     return depth.reshape(shape), alpha.reshape(shape)
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.splatting.arguments import Lists, Pictures
+from activestructure_gym.splatting.arguments import Found, Lists, Pictures
 from activestructure_gym.splatting.blending import (
     COLORED_STATE,
     SCORING_STATE,
@@ -64,6 +64,7 @@ from activestructure_gym.splatting.image_losses import (
     means_of_group,
 )
 from activestructure_gym.splatting.layout import (
+    CAPACITY,
     CHUNK,
     CHUNKS,
     COUNT,
@@ -77,10 +78,18 @@ from activestructure_gym.splatting.layout import (
     TILES_Y,
     WIDTH,
 )
-from activestructure_gym.splatting.memory import load, scratch_of, store
+from activestructure_gym.splatting.memory import load, scratch_of, store, store_transposed
+from activestructure_gym.splatting.projection import shape_of
 from activestructure_gym.splatting.simd import LANES, fma
 from activestructure_gym.splatting.stepping import step_parameters
-from activestructure_gym.splatting.tile_lists import fill_chunk, plan_entries, project_chunk, sort_tile
+from activestructure_gym.splatting.tile_lists import (
+    fill_chunk,
+    find_in_view,
+    plan_entries,
+    project_chunk,
+    project_found_chunk,
+    sort_tile,
+)
 from activestructure_gym.splatting.tile_losses import compare_tile
 
 
@@ -228,28 +237,47 @@ def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, ste
 
 
 @kernel
-def score(tickets, parameters, views, grid, depth, alpha):
-    """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels."""
-    chunks, tiles = grid[CHUNKS], grid[TILES_X] * grid[TILES_Y]
-    records = scratch_of(max(grid[COUNT] + LANES, 1) * RECORD)
-    taken, visible = np.arange(chunks), np.empty(chunks * (CHUNK // LANES), np.int32)
-    histogram, chunk_entries = np.empty(chunks * tiles, np.int32), np.empty(chunks, np.int64)
+def shape(tickets, parameters, grid, shapes):
+    """What `score` needs of every Gaussian and no camera changes, 16 floats each."""
+    while True:
+        chunk = take_ticket(tickets, 0)
+        if chunk >= grid[CHUNKS]:
+            return
+        for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
+            store_transposed(shapes, RECORD * i, shape_of(parameters, grid[CAPACITY], i))
+
+
+@kernel
+def score(tickets, parameters, shapes, views, whole, depth, alpha):
+    """Depth and alpha of many cameras: one camera per thread at a time, from the records to the pixels.
+
+    What a camera may see is found first, and then only that is projected, 16 at a time: of 16 neighbours in the map a
+    narrow picture sees four.
+    """
+    grid, tiles = whole.copy(), whole[TILES_X] * whole[TILES_Y]
+    places, taken = np.zeros(whole[COUNT] + LANES, np.int32), np.arange(whole[CHUNKS])
+    visible = np.empty(whole[CHUNKS] * (CHUNK // LANES), np.int32)
+    histogram, chunk_entries = np.empty(whole[CHUNKS] * tiles, np.int32), np.empty(whole[CHUNKS], np.int64)
     tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
     digits = np.empty(DIGITS, np.int64)
     state, no_color = scratch_of(64 * SCORING_STATE), np.empty(0, np.float32)
-    entries = np.empty((ENTRY_ROWS, 1024), np.uint64)
+    records, entries = scratch_of(CHUNK * RECORD), np.empty((ENTRY_ROWS, 1024), np.uint64)
     pixels = grid[WIDTH] * grid[HEIGHT]
     while True:
         camera = take_ticket(tickets, 0)
         if camera >= views.shape[0]:
             return
-        lists = Lists(views[camera], grid, records, taken, visible, tile_start, tile_order, entries)
+        count = find_in_view(parameters, views[camera], whole, places)
+        chunks, grid[COUNT] = (count + CHUNK - 1) // CHUNK, count
+        if chunks * CHUNK * RECORD > len(records):
+            records = scratch_of(2 * chunks * CHUNK * RECORD)
+        lists = Lists(views[camera], grid, records, taken[:chunks], visible, tile_start, tile_order, entries)
         for chunk in range(chunks):
-            project_chunk(chunk, parameters, lists, histogram, chunk_entries)
+            project_found_chunk(chunk, Found(shapes, places), lists, histogram, chunk_entries)
         total = plan_entries(lists, histogram, chunk_entries)
         if total > entries.shape[1]:
             entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
-            lists = Lists(views[camera], grid, records, taken, visible, tile_start, tile_order, entries)
+            lists = Lists(views[camera], grid, records, taken[:chunks], visible, tile_start, tile_order, entries)
         for chunk in range(chunks):
             fill_chunk(chunk, lists, histogram, chunk_entries)
         first, end = camera * pixels, (camera + 1) * pixels

@@ -195,6 +195,23 @@ def load_transposed(typingctx, array, index):
     return types.UniTuple(floats, LANES)(array, types.intp), codegen
 
 
+@intrinsic
+def load_rows_transposed(typingctx, array, rows, index):
+    """16 vectors, lane k of each from floats ``16 rows[index + k] ...``."""
+
+    def codegen(context, builder, sig, args):
+        lines = []
+        for lane in range(LANES):
+            at = builder.add(args[2], ir.Constant(I64, lane))
+            row = builder.load(pointer_to(context, builder, sig.args[1], args[1], at))
+            position = builder.mul(builder.sext(row, I64), ir.Constant(I64, LANES))
+            pointer = pointer_to(context, builder, sig.args[0], args[0], position)
+            lines.append(builder.load(builder.bitcast(pointer, FLOATS.as_pointer()), align=4, typ=FLOATS))
+        return context.make_tuple(builder, sig.return_type, _transposed(builder, lines))
+
+    return types.UniTuple(floats, LANES)(array, rows, types.intp), codegen
+
+
 def _four(builder, vector, row):
     """Lanes 4 row .. 4 row + 3."""
     picked = ir.Constant(ir.VectorType(I32, 4), [4 * row + x for x in range(4)])

@@ -33,7 +33,7 @@ from activestructure_gym.splatting.layout import (
     SLANT_VARIANCE,
     WIDTH,
 )
-from activestructure_gym.splatting.memory import load, store_transposed
+from activestructure_gym.splatting.memory import load, load_rows_transposed, store_transposed
 from activestructure_gym.splatting.simd import (
     F,
     bits,
@@ -55,7 +55,13 @@ from activestructure_gym.splatting.simd import (
 
 @inline
 def camera_point(parameters, capacity, i, view):
-    mx, my, mz = load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i)
+    return _seen_from(
+        load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i), view
+    )  # fmt: skip
+
+
+@inline
+def _seen_from(mx, my, mz, view):
     x = fma(mz, view[2], fma(my, view[1], fma(mx, view[0], view[3])))
     y = fma(mz, view[6], fma(my, view[5], fma(mx, view[4], view[7])))
     z = fma(mz, view[10], fma(my, view[9], fma(mx, view[8], view[11])))
@@ -124,18 +130,18 @@ def opacity_of(parameters, capacity, i):
     return opacity, e * opacity, neg(log2_of(one_more))
 
 
-@inner
-def project_block(parameters, i, view, grid, records):
-    """Records of Gaussians i .. i + 15; returns the bits of those that reach a pixel block of the image."""
+@inline
+def reaches_image(parameters, i, view, grid):
+    """Which of the Gaussians i .. i + 15 may reach a pixel, by a cheap bound of what they are in the image."""
     capacity = grid[CAPACITY]
     x, y, z = camera_point(parameters, capacity, i, view)
     live = (z >= NEAR_PLANE) & (lane_index() < F(grid[COUNT] - i))
     if bits(live) == 0:
-        return np.int64(0)
+        return live
     inverse_z = spread(F(1.0)) / sel(live, z, F(1.0))
     u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
     j00, j02, j11, j12, _, _ = jacobian_of(x, y, inverse_z, view)
-    # A cheap bound first: 3.34 sigma of the largest axis through the norm of the Jacobian *at the clamped slope*.
+    # 3.34 sigma of the largest axis through the norm of the Jacobian *at the clamped slope*.
     log0, log1, log2 = (
         load(parameters, 7 * capacity + i), load(parameters, 8 * capacity + i), load(parameters, 9 * capacity + i)
     )  # fmt: skip
@@ -144,14 +150,55 @@ def project_block(parameters, i, view, grid, records):
     norm = dot3(j00, j02, j11, j00, j02, j11) + j12 * j12
     reach = sqrt(fma(norm * largest, largest, view[BLUR])) * F(3.34)
     width, height = F(grid[WIDTH]), F(grid[HEIGHT])
-    live = live & (u + reach > F(0.0)) & (u - reach < width) & (v + reach > F(0.0)) & (v - reach < height)
+    return live & (u + reach > F(0.0)) & (u - reach < width) & (v + reach > F(0.0)) & (v - reach < height)
+
+
+@inline
+def shape_of(parameters, capacity, i):
+    """What does not depend on the camera, in 16 vectors: means, rotations by rows, scales, log2 of opacities."""
+    _, _, r = rotation_of(parameters, capacity, i)
+    _, _, log_opacity = opacity_of(parameters, capacity, i)
+    return (
+        load(parameters, i), load(parameters, capacity + i), load(parameters, 2 * capacity + i),
+        r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8],
+        scale_of(parameters, capacity, i, np.int64(0)),
+        scale_of(parameters, capacity, i, np.int64(1)),
+        scale_of(parameters, capacity, i, np.int64(2)),
+        log_opacity,
+    )  # fmt: skip
+
+
+@inner
+def project_block(parameters, i, view, grid, records):
+    """Records of Gaussians i .. i + 15; returns the bits of those that reach a pixel block of the image."""
+    live, capacity = reaches_image(parameters, i, view, grid), grid[CAPACITY]
     if bits(live) == 0:
         return np.int64(0)
+    colors = (
+        load(parameters, 11 * capacity + i), load(parameters, 12 * capacity + i), load(parameters, 13 * capacity + i)
+    )  # fmt: skip
+    return _write_records(live, shape_of(parameters, capacity, i), colors, i, view, grid, records)
 
-    s0 = scale_of(parameters, capacity, i, np.int64(0))
-    s1 = scale_of(parameters, capacity, i, np.int64(1))
-    s2 = scale_of(parameters, capacity, i, np.int64(2))
-    _, _, r = rotation_of(parameters, capacity, i)
+
+@inner
+def project_found(found, i, view, grid, records):
+    """The same of Gaussians ``found.places[i] .. found.places[i + 15]``, without colour, from their shapes."""
+    none = spread(F(0.0))
+    live = lane_index() < F(grid[COUNT] - i)
+    shape = load_rows_transposed(found.shapes, found.places, i)
+    return _write_records(live, shape, (none, none, none), i, view, grid, records)
+
+
+@inline
+def _write_records(live, shape, colors, i, view, grid, records):
+    """Project 16 Gaussians and write records i .. i + 15; returns the bits of those that reach a pixel block."""
+    mx, my, mz = shape[0], shape[1], shape[2]
+    r = (shape[3], shape[4], shape[5], shape[6], shape[7], shape[8], shape[9], shape[10], shape[11])
+    s0, s1, s2, log_opacity = shape[12], shape[13], shape[14], shape[15]
+    x, y, z = _seen_from(mx, my, mz, view)
+    inverse_z = spread(F(1.0)) / sel(live, z, F(1.0))
+    u, v = fma(x * inverse_z, view[FX], view[CX]), fma(y * inverse_z, view[FY], view[CY])
+    j00, j02, j11, j12, _, _ = jacobian_of(x, y, inverse_z, view)
     a0, a1, a2 = fma(j02, view[8], j00 * view[0]), fma(j02, view[9], j00 * view[1]), fma(j02, view[10], j00 * view[2])
     b0, b1, b2 = fma(j12, view[8], j11 * view[4]), fma(j12, view[9], j11 * view[5]), fma(j12, view[10], j11 * view[6])
     p0, p1, p2 = (
@@ -170,7 +217,6 @@ def project_block(parameters, i, view, grid, records):
     c0, c1, c2 = fma(p1, n2, neg(p2 * n1)), fma(p2, n0, neg(p0 * n2)), fma(p0, n1, neg(p1 * n0))
     determinant = fma(xx + yy, view[BLUR], dot3(c0, c1, c2, c0, c1, c2)) + view[BLUR] * view[BLUR]
     xx, yy = xx + view[BLUR], yy + view[BLUR]
-    _, _, log_opacity = opacity_of(parameters, capacity, i)
     inside = log_opacity + LOG2_255  # t^2 + s^2 up to here is seen
     live = live & (inside >= F(0.0)) & (determinant > F(0.0))
     inside = sel(live, inside, F(0.0))
@@ -237,8 +283,7 @@ def project_block(parameters, i, view, grid, records):
         records, RECORD * i,
         (
             u, v, l00, l01, l11, log_opacity,
-            load(parameters, 11 * capacity + i), load(parameters, 12 * capacity + i),
-            load(parameters, 13 * capacity + i), z,
+            colors[0], colors[1], colors[2], z,
             slope_t, slope_s, float_bits(low), float_bits(high), float_bits(box_x), float_bits(box_y),
         ),
     )  # fmt: skip

@@ -41,19 +41,27 @@ def test_image_agrees_with_the_reference(kind, blur_variance, splats_of, settled
         assert alpha.max() > 0.3
 
 
-def test_render_depth_alpha_is_render_for_each_camera(splats_of):
-    splats = splats_of("random")
-    turn = np.eye(4)
-    turn[0, 3] = 0.3
-    poses = np.stack([splats.world_from_camera, splats.world_from_camera @ turn])
-    depth, alpha = render_depth_alpha(splats.parameters(), 200, splats.camera, poses)
+@pytest.mark.parametrize("kind", KINDS)
+def test_render_depth_alpha_is_render_for_each_camera(kind, splats_of):
+    splats = splats_of(kind)
+    count = splats.means.shape[0]
+    parameters = splats.parameters(capacity=count + 5)
+    parameters[:, count:] = np.nan  # what lies beyond count is never read
+    aside, round_about = np.eye(4), np.diag([-1.0, 1.0, -1.0, 1.0])
+    aside[0, 3] = 0.3
+    poses = np.stack([splats.world_from_camera @ turn for turn in (round_about, np.eye(4), aside)])
+    depth, alpha = render_depth_alpha(parameters, count, splats.camera, poses, threads=1)
     for index, pose in enumerate(poses):
-        rendering = render(splats.parameters(), 200, splats.camera, pose)
+        rendering = render(parameters, count, splats.camera, pose)
         assert np.abs(depth[index] - rendering.depth).max() <= 1e-5
-        assert np.abs(alpha[index] - rendering.alpha).max() <= 1e-5
-    assert np.abs(alpha[0] - alpha[1]).max() > 0.1
-    none, _ = render_depth_alpha(splats.parameters(), 200, splats.camera, poses[:0])
-    assert none.shape == (0, 50, 70)
+        assert np.abs(alpha[index] - rendering.alpha).max() <= 1e-6
+    if kind != "empty":
+        assert alpha[1].max() > 0.5 and not np.array_equal(alpha[1], alpha[2])
+    for threads in (2, 3):
+        again = render_depth_alpha(parameters, count, splats.camera, poses, threads=threads)
+        assert np.array_equal(again[0], depth) and np.array_equal(again[1], alpha)
+    none, _ = render_depth_alpha(parameters, count, splats.camera, poses[:0])
+    assert none.shape == (0, splats.camera.height, splats.camera.width)
 
 
 def _targets(splats, seed=5):

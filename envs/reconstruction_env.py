@@ -18,6 +18,7 @@ from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, rewar
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
+from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, Visit
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
@@ -163,7 +164,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             raise InputError("scene must name at least one scene, got an empty sequence")
         if not all(isinstance(one, str | PathLike | Scene | GroundTruth) for one in self._scenes):
             raise InputError(f"scene must be a name, a path, a Scene, or a sequence of them, got {shown(scene)}")
-        self._start_pose = None if start_pose is None else as_pose(start_pose)
+        self._start_pose = None if start_pose is None else self._as_start(start_pose)
         self._loaded: dict[int, GroundTruth] = {}
         self._frame: Frame | None = None
         self._view: LiveView | None = None
@@ -180,7 +181,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if unknown:
             raise InputError(f"unknown reset option {unknown[0]!r}. Known: scene, start_pose")
         truth = as_truth(options["scene"]) if "scene" in options else self._draw_scene()
-        start_pose = as_pose(options["start_pose"]) if "start_pose" in options else self._start_pose
+        start_pose = self._as_start(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
         self._frame = self.reconstruction.start(truth, episode_seed, start_pose)
         self._coverage = SurfaceCoverage(truth.observable_surface.points, self.reward_config)
@@ -190,6 +191,16 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         if self.render_mode == "human":
             self._show_start()
         return self._observe(), self._info(terms, reached=True, invalid=False)
+
+    def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
+        """The pose an episode may start at: the agent's motion keeps the camera level."""
+        pose = as_pose(value)
+        if not is_level(pose):
+            raise InputError(
+                "a start pose must be without roll (the image's right horizontal, its up not down), as all views are; "
+                f"its right is {np.round(pose[:3, 0], 3).tolist()}: give (x, y, z, yaw_deg), or a level matrix"
+            )
+        return pose
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Walk to row ``action`` of the candidate table."""

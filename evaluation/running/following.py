@@ -235,6 +235,9 @@ class FollowingEnv(ReconstructionEnv):
         self.course = self._given or self._sweep()
         return begun
 
+    def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
+        return as_pose(value)  # a camera in somebody's hand rolls
+
     def _sweep(self) -> Course:
         from activestructure_gym.evaluation.running.sweep import sweep
 

@@ -198,6 +198,7 @@ def test_of_several_scenes_one_is_drawn_per_episode(box_options: dict[str, Any])
         ({"coverage_target": 10**5000}, "coverage_target is a share"),
         ({"start_pose": [10**400] * 4}, "a start pose is"),
         ({"start_pose": np.full((4, 4), np.nan)}, "finite"),
+        ({"start_pose": np.diag([1.0, 1.0, 1.0, 1.0])[[2, 1, 0, 3]]}, "a start pose must be without roll"),
         ({"scene": ["box", 3]}, "scene must be a name, a path"),
         ({"scene": b"box"}, "scene must be a name, a path"),
     ],

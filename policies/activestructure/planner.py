@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ from activestructure_gym.policies.activestructure.information_gain import (
     information_gain,
     plane_view,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PhaseMachine, SentTo, in_pool
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PHASES, PhaseMachine, SentTo, in_pool
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
@@ -23,6 +24,7 @@ from activestructure_gym.policies.unseen import SIDE_DEPTH
 
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
 _SIDES = "unseen_sides"
+_ON_BASE = replace(PHASES[0].weights, sides=1.0)
 # The columns that stand for IG_px and what of each counts 1: a whole image, the largest hole area, and the volume (m^3)
 # that a view into nothing but unknown space opens: its solid angle, 1.42 sr at 90 x 59 degrees, times the integral of
 # r^2 exp(-r) from 0 to 6 m. On a grid, where rays leave voxels out, such a view has 2.2.
@@ -46,12 +48,14 @@ class StructurePolicy(Policy):
     ----------
     discovery
         What stands for IG_px, the gain of what is not known yet: ``"pixel"`` (the paper's uncovered pixels),
-        ``"hole_area"``, ``"unknown_volume"`` or ``"unseen"``. With one of the others the rungs differ from the policy
-        of that name in the terms of the planes alone.
+        ``"hole_area"``, ``"unknown_volume"`` or ``"unseen"``. With one of the others the rungs are a ladder on one
+        base: B differs from the policy of that name in the term of the planes alone, every rung from the one below in
+        what it adds, and the terms weigh what they weigh in phase I of the full model, which adds the phases.
     """
 
     brings = SPLATAM
-    weights: ClassVar[Weights] = Weights()
+    weights: ClassVar[Weights] = Weights()  # beside pixels
+    on_base: ClassVar[Weights] = _ON_BASE  # beside another gain of discovery
     deficiencies: ClassVar[bool] = False  # whether IG_def is a term of it
 
     def __init__(self, discovery: Discovery = "pixel") -> None:
@@ -59,12 +63,13 @@ class StructurePolicy(Policy):
         if discovery not in get_args(Discovery):
             raise InputError(f"option discovery must be {', '.join(get_args(Discovery))}, got '{discovery}'")
         self._discovers = _DISCOVERY[discovery]
+        self._weights = self.weights if discovery == "pixel" else self.on_base
         self.required_gains = (*self._discovers, *(("deficiency",) if self.deficiencies else ()))
         self._trace: dict[str, Any] = {}
 
     def act(self, observation: Observation) -> int:
         """The valid row with the largest product of information gain and travel discount."""
-        terms = self.terms(observation, plane_view(observation), self.weights)
+        terms = self.terms(observation, plane_view(observation), self._weights)
         return self._choose(discovering(terms.total, observation), terms, observation, {})
 
     def terms(self, observation: Observation, planes: PlaneView, weights: Weights) -> Terms:
@@ -111,6 +116,7 @@ class ActiveStructureB(StructurePolicy):
     decides_by = "uncovered pixels and bad planes in sight"
     source = "ActiveStructure, rung B of Table 3"
     weights = Weights(structural=0.1, objects=0.1, surprise=False)
+    on_base = replace(_ON_BASE, surprise=False, max_discount=0.0)
 
 
 @POLICIES.register("activestructure-c")

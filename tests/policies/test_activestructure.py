@@ -14,13 +14,14 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH
 from activestructure_gym.planes import PLANE_FEATURES
-from activestructure_gym.policies import PixelOnly, make_policy
+from activestructure_gym.policies import PixelOnly, Policy, make_policy
 from activestructure_gym.policies.activestructure import (
     PHASES,
     ActiveStructure,
     ActiveStructureA,
     ActiveStructureB,
     ActiveStructureC,
+    ActiveStructureD,
     PhaseMachine,
     PlaneView,
     Weights,
@@ -258,6 +259,30 @@ def test_every_rung_stands_on_any_gain_of_discovery(name: str, discovery: str, c
     rest = [0.0] * (len(policy.required_gains) - 1)
     policy.reset(0)
     assert bound(policy).act(observation([[0.2, *rest], [0.9, *rest], [0.5, *rest]])) == 1
+
+
+def test_on_another_base_than_pixels_each_rung_differs_from_the_next_in_one_thing() -> None:
+    on_base = [rung.on_base for rung in (ActiveStructureB, ActiveStructureC, ActiveStructureD)]
+    first = PHASES[0].weights
+    assert [vars(first).keys() & {k for k in vars(first) if vars(w)[k] != vars(first)[k]} for w in on_base] == [
+        {"surprise", "max_discount", "sides"}, {"sides"}, {"sides"}
+    ]  # fmt: skip
+    assert all(weights.sides == 1.0 for weights in on_base)
+    assert ActiveStructureD.deficiencies and not ActiveStructureC.deficiencies
+
+
+def test_on_another_base_a_plane_weighs_what_it_weighs_in_the_full_model() -> None:
+    def chosen(policy: Policy, found: float) -> int:
+        gains = [[0.0] * len(policy.required_gains) for _ in range(2)]
+        gains[0][0] = found
+        return bound(policy).act(
+            observation(gains, visible=[[0], [1]], quality=(0.5,), surprise=(0.5,), structural=(1,))
+        )
+
+    for rung in (ActiveStructureB, ActiveStructureC, ActiveStructureD, ActiveStructure):
+        if rung is not ActiveStructure:
+            assert chosen(rung(discovery="pixel"), 0.05) == 1  # all that the graph lacks counts as a tenth of an image
+        assert [chosen(rung(discovery="hole_area"), found) for found in (0.009, 0.012)] == [1, 0]
 
 
 def test_a_view_into_nothing_but_unknown_space_counts_as_one_whole_image() -> None:

@@ -182,7 +182,7 @@ class Reconstruction:
         reached, keyframes = False, list[Frame]()
         table = self.candidates
         if not 0 <= index < len(table):
-            self.frames += 1
+            self._let_pass()
         elif table.ask[index] >= 0:
             self.stage = int(table.ask[index])
             self._offered.add(self.stage)
@@ -200,7 +200,7 @@ class Reconstruction:
             poses = self._plan(table.world_from_camera[index], None if np.isnan(point).any() else point)
             if poses is None:
                 self.pool.drop(int(self.candidates.ids[index]))
-                self.frames += 1
+                self._let_pass()
             else:
                 reached, keyframes = self._walk(poses, revisits=bool(self.candidates.revisit[index]))
                 if not reached and not self.exhausted:
@@ -213,6 +213,10 @@ class Reconstruction:
         self._note_leg(stays=0 <= index < len(table) and bool(table.stay[index]))
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
+
+    def _let_pass(self) -> None:
+        """One frame of the budget, if one is left (the first image may have been all of it)."""
+        self.frames = min(self.frames + 1, self.config.frame_budget)
 
     def follow(self, leg: Leg) -> Visit:
         """Execute given poses in place of a decision, as far as the budget reaches, and map as the leg says.

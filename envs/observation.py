@@ -24,7 +24,8 @@ CANDIDATE_FEATURES = ("x", "y", "z", "look_x", "look_y", "look_z", "path_length"
 # Columns that follow where `ViewConfig.stages` names more than the shared pool, behind one for every source and every
 # stage; see `row_columns`.
 HOOK_FEATURES = ("stay", "fixates", "at_x", "at_y", "at_z")
-FARTHEST_M = 1000.0  # bound of every position and length in the observation
+FARTHEST_M = 1000.0  # bound of every position and length in the observation, and of rounds in place
+MOST_FRAMES = 10 * FARTHEST_M  # and of every number of frames
 LARGEST_GAIN = 1e6  # bound of every feature
 LARGEST_BYTES = (
     1 << 27
@@ -152,7 +153,7 @@ def observation_keys(config: ReconstructionConfig, max_planes: int) -> dict[str,
     columns = row_columns(config.views.stages)
     known = dict.fromkeys(("x", "y", "z", "at_x", "at_y", "at_z"), (-far, far))
     known |= dict.fromkeys(("look_x", "look_y", "look_z"), (-1.0, 1.0))
-    known |= {"path_length": (0.0, far), "frames": (0.0, 10 * far), "stay": (0.0, far)}
+    known |= {"path_length": (0.0, far), "frames": (0.0, MOST_FRAMES), "stay": (0.0, far)}
     bounds = np.array([known.get(name, (0.0, 1.0)) for name in columns], np.float32)
     f32, u8, i8 = np.float32, np.uint8, np.int8
     return {
@@ -229,7 +230,7 @@ def encode(reconstruction: Reconstruction, frame: Frame, max_planes: int) -> dic
     candidates[:count, 3:6] = np.clip(table.world_from_camera[:, :3, 2], -1.0, 1.0)
     candidates[:count, 6] = np.minimum(table.path_length, FARTHEST_M)
     frames = least_frames(reconstruction.pose, table.world_from_camera, table.path_length, config.motion)
-    candidates[:count, 7] = np.minimum(frames, 10 * FARTHEST_M)
+    candidates[:count, 7] = np.minimum(frames, MOST_FRAMES)
     candidates[:count, 8] = table.revisit
     if columns != CANDIDATE_FEATURES:
         _fill_hooks(candidates[:count], columns, reconstruction)
@@ -274,11 +275,12 @@ def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reco
         if f"ask_{stage}" in at:
             rows[:, at[f"ask_{stage}"]] = table.ask == stage
     fixates = ~np.isnan(table.look_at).any(axis=1)
-    rows[:, at["stay"]] = table.stay
+    rows[:, at["stay"]] = np.minimum(table.stay, FARTHEST_M)
     rows[:, at["fixates"]] = fixates
     rows[:, at["at_x"] : at["at_z"] + 1] = np.where(
         fixates[:, None], np.clip(np.nan_to_num(table.look_at), -FARTHEST_M, FARTHEST_M), 0.0
     )
     # What costs another number of frames than a way.
-    rows[table.stay > 0, at["frames"]] = table.stay[table.stay > 0] * config.keyframe_every
+    frames = np.minimum(table.stay * config.keyframe_every, MOST_FRAMES)
+    rows[table.stay > 0, at["frames"]] = frames[table.stay > 0]
     rows[table.ends | (table.ask >= 0), at["frames"]] = 0.0

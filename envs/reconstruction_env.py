@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.observation import encode, observation_space
@@ -17,7 +18,7 @@ from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.geometry import look_along
-from activestructure_gym.ground_truth import GroundTruth, ground_truth_of
+from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of
 from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, Visit
 from activestructure_gym.scenes import Scene, load_scene
@@ -327,19 +328,30 @@ def as_truth(scene: SceneSpec) -> GroundTruth:
 
 
 def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
-    """A ``world_from_camera`` matrix from one, or from (x, y, z, yaw in degrees) looking horizontally (0 = +x)."""
+    """A ``world_from_camera`` matrix like the given one, or of (x, y, z, yaw in degrees) looking level (0 = +x)."""
     try:
-        array = np.asarray(value, dtype=np.float64)
+        array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got {shown(value)}") from error
     if not np.isfinite(array).all():
         raise InputError(f"a start pose must be finite numbers, got {shown(value)}")
     if array.shape == (4, 4):
-        return array
+        return _unrounded(array)
     if array.shape == (4,):
         yaw = np.radians(array[3])
         return look_along(array[:3], np.array([np.cos(yaw), np.sin(yaw), 0.0]))
     raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got shape {array.shape}")
+
+
+def _unrounded(pose: np.ndarray) -> np.ndarray:  # [4, 4]
+    """The pose, with the nearest rotation where its own was written with few digits; what is farther off stays."""
+    if np.abs(pose[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
+        raise InputError(f"the last row of a start pose's 4x4 matrix is (0, 0, 0, 1), got {pose[3].tolist()}")
+    pose[3] = 0.0, 0.0, 0.0, 1.0
+    rotation = pose[:3, :3]
+    if 1e-6 < np.abs(rotation @ rotation.T - np.eye(3)).max() <= POSE_ROUNDING and np.linalg.det(rotation) > 0:
+        pose[:3, :3] = Rotation.from_matrix(rotation).as_matrix()
+    return pose
 
 
 def _fields(what: str, value: Any) -> Mapping[str, Any]:

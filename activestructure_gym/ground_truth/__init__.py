@@ -5,10 +5,11 @@
 
 from activestructure_gym.ground_truth.free_space import FreeSpace
 from activestructure_gym.ground_truth.observable import ObservableSurface, observable_surface_of
-from activestructure_gym.ground_truth.start_poses import check_start_pose
+from activestructure_gym.ground_truth.start_poses import POSE_ROUNDING, check_start_pose
 from activestructure_gym.ground_truth.truth import GroundTruth, free_space_of, ground_truth_of
 
 __all__ = [
+    "POSE_ROUNDING",
     "FreeSpace",
     "GroundTruth",
     "ObservableSurface",

@@ -15,6 +15,7 @@ CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried or on a 
 # Metres of clearance, the first that leaves enough places: what the agent may know to be free around its start
 # (MotionConfig.start_free_radius), less, then what paths must keep.
 _CLEARANCES = (0.6, 0.45, 0.35, 0.25, 0.2)
+POSE_ROUNDING = 1e-3  # by how much a given pose's axes may fail to be orthonormal: three decimals
 _VIEW_RANGE = 6.0  # metres; open space beyond does not make a view better
 _HEADINGS = 72
 
@@ -97,7 +98,7 @@ def check_start_pose(
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise InputError(f"a start pose must be a finite 4 x 4 matrix (world_from_camera), got shape {pose.shape}")
     rotation = pose[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_ROUNDING or np.linalg.det(rotation) < 0:
         raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is no rotation")
     position = pose[:3, 3]
     where = f"the start pose at ({', '.join(f'{value:.2f}' for value in position)})"

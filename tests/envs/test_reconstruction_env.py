@@ -328,3 +328,35 @@ def test_table_of_the_observation_names_every_key(env: ReconstructionEnv) -> Non
 def test_as_pose() -> None:
     np.testing.assert_array_equal(as_pose(np.eye(4)), np.eye(4))
     np.testing.assert_allclose(as_pose((1, 2, 3, 0))[:3, 2], (1, 0, 0), atol=1e-12)
+
+
+ROUNDED = np.array([[0.5, 0, 0.866, 2], [-0.866, 0, 0.5, 1.5], [0, -1, 0, 1.4], [0, 0, 0, 1]])
+
+
+def test_a_pose_written_with_three_decimals_is_the_nearest_rotation() -> None:
+    rotation = as_pose(ROUNDED)[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotation, ROUNDED[:3, :3], atol=1e-4)
+    np.testing.assert_array_equal(as_pose(ROUNDED)[:3, 3], ROUNDED[:3, 3])
+
+
+def test_a_pose_of_the_callers_stays_the_callers(box_options: dict[str, Any]) -> None:
+    given = ROUNDED.copy()
+    env = ReconstructionEnv(**box_options, start_pose=given)
+    given[:3, 3] = 1.0
+    assert env.reset(seed=0)[0]["pose"][:3] == pytest.approx(ROUNDED[:3, 3])
+    assert as_pose(given) is not given
+
+
+def test_a_matrix_that_is_no_rigid_motion_is_refused_by_its_last_row(box_options: dict[str, Any]) -> None:
+    given = np.eye(4)
+    given[3, 3] = 2.0
+    with pytest.raises(InputError, match=r"last row of a start pose's 4x4 matrix is \(0, 0, 0, 1\), got"):
+        ReconstructionEnv(**box_options, start_pose=given).reset(seed=0)
+
+
+def test_a_budget_of_one_image_is_never_overdrawn(box_options: dict[str, Any]) -> None:
+    env = ReconstructionEnv(**{**box_options, "frame_budget": 1})
+    env.reset(seed=0)
+    *_, truncated, info = env.step(env.action_space.n - 1)
+    assert truncated and info["frames"] == 1

@@ -228,3 +228,13 @@ def test_without_hooks_a_reader_sees_the_pool_alone() -> None:
 def test_stages_that_cannot_be_are_said(stages: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         configure("fast", {"views": {"max_candidates": 24, "stages": stages}})
+
+
+def test_a_stay_of_thousands_of_frames_lies_within_the_observation_space() -> None:
+    stages = [["pool", "stay?rounds=1000"]]
+    env = make(stages)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    columns = row_columns(stages)
+    rows = observation["candidates"][observation["candidates"][:, columns.index("stay")] > 0]
+    assert rows[:, columns.index("stay")].tolist() == [1000] and rows[:, columns.index("frames")].tolist() == [10_000]

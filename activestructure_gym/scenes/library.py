@@ -170,6 +170,12 @@ def imports_code(spec: str) -> bool:
     return SCENES.imports(target) and not _is_known(target) and not _is_file(target)
 
 
+def is_scene_name(spec: str) -> bool:
+    """Whether the text, options aside, is a registered name: then it is none of a file, though one be called so."""
+    target, _ = _split_options(spec)
+    return target in SCENES and not _reads_files(SCENES.get(target))
+
+
 def _is_known(target: str) -> bool:
     """A registered scene's name, or a registered reader's with the path behind a colon."""
     kind, colon, _ = target.partition(":")

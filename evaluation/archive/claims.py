@@ -145,3 +145,12 @@ def _lost_after() -> float:
     if not 0.0 < seconds < math.inf:
         raise InputError(f"{LOST_AFTER} is a number of seconds above 0, got '{given}'")
     return seconds
+
+
+def failures(directory: Path) -> dict[str, str]:  # by the job's name
+    """Why jobs failed in a comparison's directory that several programs work on; none without such a directory."""
+    found = {}
+    for path in sorted((directory / CLAIMS).glob(f"*{_FAILED}")):
+        with suppress(OSError):
+            found[path.name.removesuffix(_FAILED)] = path.read_text(encoding="utf-8", errors="replace")
+    return found

@@ -225,6 +225,10 @@ def policy_label(spec: str) -> str:
 
 def absolute_spec(spec: str) -> str:
     """The scene's spec with absolute paths, so that it is found from any working directory."""
+    from activestructure_gym.scenes.library import is_scene_name
+
+    if is_scene_name(spec):
+        return spec
     kind, path, options = _split_spec(spec)
     if not path or not Path(os.path.expanduser(path)).exists():
         return spec

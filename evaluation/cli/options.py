@@ -14,7 +14,7 @@ from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import TRUST
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
-_NUMBER = re.compile(r"[-+]?\d*\.?\d+")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a point; JSON has neither .9 nor 1.
 
 
@@ -23,7 +23,7 @@ def split_list(words: Sequence[str]) -> tuple[str, ...]:
     items: list[str] = []
     for word in words:
         for number, part in enumerate(word.split(",")):
-            if number and items and "?" in items[-1] and _NUMBER.match(part.partition("&")[0]):
+            if number and items and "?" in items[-1] and _NUMBER.fullmatch(part.partition("&")[0].strip()):
                 items[-1] += f",{part}"
             elif part.strip():
                 items.append(part.strip())

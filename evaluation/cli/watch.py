@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Changes, Count, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, parse_start, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, working
@@ -100,6 +101,8 @@ class Watch:
         from activestructure_gym.policies import make_env_and_policy
 
         scenes = split_scenes((self.scene,))
+        if not scenes:
+            raise InputError(f"asg watch needs a scene to explore, got '{self.scene}'; `asg scenes` lists the names")
         preset = self.preset or (NATIVE_PRESET if self.terms == "native" else "default")
         return make_env_and_policy(
             _COLOURED_BY if self.policy == YOU else self.policy,

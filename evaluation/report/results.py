@@ -16,6 +16,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.claims import failures
 from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
@@ -28,6 +29,7 @@ T = TypeVar("T")
 
 _ON_A_SCREEN = 7  # policies side by side
 # Whom the others are measured against if nobody is named: the first of these that took part.
+_DIGITS = 8  # of a content hash, to tell two apart
 _BASELINES = ("activestructure-a", "pixel_only", "random")
 
 
@@ -194,18 +196,28 @@ def once(function: Callable[Concatenate[Results, P], T]) -> Callable[Concatenate
 
 
 def conditions(runs: Sequence[Run]) -> dict[str, list[str]]:
-    """Values of every condition that compared runs must share, as found in the runs."""
+    """Values of every condition that compared runs must share, as found in the runs.
+
+    What only some of them were told, as a changed field of the preset, the others have as ``not given``.
+    """
     found: dict[str, dict[str, None]] = {}
-    for run in runs:
-        job = run.job.as_dict()
-        flat = {name: job[name] for name in ("preset", "frame_budget")}
-        flat[f"start_pose in {run.scene}"] = job["start_pose"]
-        flat["terms"] = run.job.terms
-        flat |= {f"set {name}": value for name, value in job["overrides"].items()}
-        flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
-        for name, value in flat.items():
-            found.setdefault(name, {})[str(value)] = None
+    told = [_told(run) for run in runs]
+    names = list(dict.fromkeys(name for flat in told for name in flat))
+    for run, flat in zip(runs, told):
+        for name in names:
+            found.setdefault(name, {})[flat.get(name, "not given")] = None
+        found.setdefault(f"start_pose in {run.scene}", {})[str(run.job.start_pose)] = None
+        if run.job.scene_hash:  # one name, as of a file that was changed
+            found.setdefault(f"content of {run.scene}", {})[run.job.scene_hash[:_DIGITS]] = None
     return {name: list(values) for name, values in found.items()}
+
+
+def _told(run: Run) -> dict[str, str]:
+    job = run.job.as_dict()
+    flat = {name: job[name] for name in ("preset", "frame_budget")} | {"terms": run.job.terms}
+    flat |= {f"set {name}": value for name, value in job["overrides"].items()}
+    flat |= {f"protocol {name}": value for name, value in job["protocol"].items()}
+    return {name: str(value) for name, value in flat.items()}
 
 
 def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
@@ -234,10 +246,11 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
 
 def source_of(directory: Path, record: Mapping[str, Any], runs: Sequence[Run]) -> Source:
     """A comparison as a source: what of its record (``compare.json``) has no run is missing."""
-    failed = dict(record.get("failed") or {})
-    finished = {run.job.hash for run in runs}
+    finished = {run.job.hash: run.job.title for run in runs}
+    said, elsewhere = record.get("failed") or {}, failures(directory)
+    missing = {title: why for title, why in said.items() if title not in finished.values()}  # others finished it later
     for content in (record.get("jobs") or {}).values():
         job = Job.from_dict(content)
         if job.hash not in finished:
-            failed.setdefault(job.title, "not run to its end")
-    return Source(directory, record.get("command", ""), record.get("workers"), failed)
+            missing[job.title] = elsewhere.get(job.name) or said.get(job.title) or "not run to its end"
+    return Source(directory, record.get("command", ""), record.get("workers"), missing)

@@ -59,7 +59,7 @@ class Comparison:
             if not given and name != "references" and not (name == "policies" and self.references):
                 raise InputError(f"a comparison needs at least one of {name}, got none")
             object.__setattr__(self, name, tuple(dict.fromkeys(given)))  # each once, in the order given
-        object.__setattr__(self, "scenes", tuple(absolute_spec(spec) for spec in self.scenes))
+        object.__setattr__(self, "scenes", tuple(dict.fromkeys(absolute_spec(spec) for spec in self.scenes)))
 
     @classmethod
     def of(cls, jobs: Sequence[Job]) -> Comparison:
@@ -105,7 +105,7 @@ class Comparison:
                 notify(f"preparing scene {spec} ({number} of {len(self.scenes)})")
                 hashes[spec] = self._check_scene(spec, policies).content_hash
             notify("making sure that all kernels are compiled")
-        return [
+        jobs = [
             Job(
                 scene=scene,
                 policy=policy,
@@ -123,6 +123,8 @@ class Comparison:
             for scene in self.scenes
             for policy in everybody
         ]
+        _refuse_twins(jobs)
+        return jobs
 
     def _check_policies(self) -> list[str]:
         """Canonical names of the policies, each once; raises `InputError` where a policy or a change cannot be used."""
@@ -354,3 +356,14 @@ class _Recording:
         if not outcome.finished or outcome.attempts > 1:
             store.write_json(self._directory / store.COMPARISON, self._content)
         self._listener.ended(outcome)
+
+
+def _refuse_twins(jobs: Sequence[Job]) -> None:
+    """Raise `InputError` where two scenes would have the same run directories: one content, and one file name."""
+    named = dict[str, Job]()
+    for job in jobs:
+        first = named.setdefault(job.name, job)
+        if first is not job:
+            raise InputError(
+                f"'{first.scene}' and '{job.scene}' are one scene, by content and name: leave one of them out"
+            )

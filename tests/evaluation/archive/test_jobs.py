@@ -112,6 +112,14 @@ def test_files_are_found_from_any_directory(tmp_path, monkeypatch):
     assert absolute_spec("room?seed=1") == "room?seed=1"
 
 
+@pytest.mark.parametrize("spec", ["room", "room?seed=3"])
+def test_a_registered_scene_stays_one_beside_a_folder_of_its_name(spec, tmp_path, monkeypatch):
+    (tmp_path / "room").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert absolute_spec(spec) == spec
+    assert absolute_spec(f"./{spec}").startswith(str(tmp_path))
+
+
 def test_run_directory_names_work_on_any_system():
     job = Job("my_scene:cube?side=5&x=a/b", "my_policy:Mine", 0)
     assert set(job.name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")

@@ -17,6 +17,8 @@ from activestructure_gym.policies import LADDER, POLICIES
     "words, items",
     [
         (["box,room"], ("box", "room")),
+        (["room?seed=3,17DRP5sb8fy.glb"], ("room?seed=3", "17DRP5sb8fy.glb")),
+        (["box?size=4,3.,2.5e0&seed=1,box"], ("box?size=4,3.,2.5e0&seed=1", "box")),
         (["box", "room"], ("box", "room")),
         (["box, room,"], ("box", "room")),
         (["box?size=4,3,2.5,room"], ("box?size=4,3,2.5", "room")),

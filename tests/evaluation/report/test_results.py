@@ -4,6 +4,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.claims import Claims
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.report.columns import aspects, ratios_text
@@ -85,6 +86,31 @@ def test_like_is_compared_with_like(make_run):
         Results([one, changed], [])
     with pytest.raises(InputError, match="at least one finished run"):
         Results([], [])
+
+
+def test_what_only_some_runs_were_told_is_another_condition(make_run):
+    one, other = make_run(), make_run(policy="b")
+    told = dataclasses.replace(other.job, overrides=(("mapper.iterations", 8),))
+    with pytest.raises(InputError, match="set mapper.iterations: not given, 8"):
+        Results([one, dataclasses.replace(other, job=told)], [])
+
+
+def test_a_file_that_was_changed_is_another_scene(make_run):
+    runs = [make_run(), make_run(policy="b")]
+    with_content = [
+        dataclasses.replace(run, job=dataclasses.replace(run.job, scene_hash=digit * 64))
+        for run, digit in zip(runs, "ac")
+    ]
+    with pytest.raises(InputError, match="content of room: aaaaaaaa, cccccccc"):
+        Results(with_content, [])
+
+
+def test_what_failed_and_was_finished_later_is_not_missing(make_run, tmp_path):
+    run, lost = make_run(), Job("room", "b", 0)
+    jobs = {job.name: job.as_dict() for job in (run.job, lost)}
+    record = {"jobs": jobs, "failed": {run.job.title: "exit code 1"}}
+    Claims(tmp_path).fail(lost, "MemoryError: elsewhere")
+    assert source_of(tmp_path, record, [run]).missing == {lost.title: "MemoryError: elsewhere"}
 
 
 def test_runs_of_two_versions_of_the_protocol_are_not_mixed_and_each_is_reported(make_run):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+import trimesh
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -28,6 +29,20 @@ def test_the_grid_has_its_seeds_outside(no_warm_up):
     assert cells == list(itertools.product((3, 4), ("box", "box?seed=1"), ("random", "pixel_only")))
     assert len({job.hash for job in jobs}) == 8
     assert all(len(job.scene_hash) == 64 for job in jobs)
+
+
+def test_a_file_spelt_in_two_ways_is_one_scene_and_a_twin_of_it_is_refused(no_warm_up, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("x", "y"):
+        (tmp_path / folder).mkdir()
+        trimesh.creation.box((4.0, 3.0, 2.5)).export(tmp_path / folder / "h.glb")
+    assert Comparison(["x/h.glb", "./x/h.glb", str(tmp_path / "x/h.glb")], ["random"]).scenes == (
+        f"{tmp_path}/x/h.glb",
+    )
+    with pytest.raises(
+        InputError, match=r"x/h.glb\?up=z' and '.*y/h.glb\?up=z' are one scene, by content and name: leave one"
+    ):
+        Comparison(["x/h.glb?up=z", "y/h.glb?up=z"], ["random"]).prepare()
 
 
 def test_a_policy_spelt_in_two_ways_runs_once(no_warm_up, monkeypatch):

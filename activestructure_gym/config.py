@@ -208,7 +208,7 @@ def _check_kind(what: str, value: Any, hint: Any) -> None:
 
 
 def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """``{"sensor.width": 96}`` as ``{"sensor": {"width": 96}}``; nested mappings pass through."""
+    """``{"sensor.width": 96}`` as ``{"sensor": {"width": 96}}``, all in dictionaries of its own."""
     result: dict[str, Any] = {}
     for key, value in overrides.items():
         *path, last = key.split(".")
@@ -217,8 +217,13 @@ def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
             target = target.setdefault(part, {})
             if not isinstance(target, dict):
                 raise InputError(f"{shown(key)} sets a field of {part}, which is set as a whole, too; give one of both")
-        if isinstance(value, Mapping) and isinstance(target.get(last), dict):
-            target[last].update(value)
-        else:
-            target[last] = dict(value) if isinstance(value, Mapping) else value
+        target[last] = _merged(target.get(last), value)
     return result
+
+
+def _merged(before: Any, value: Any) -> Any:
+    """``value``, as a copy, with the fields that only ``before`` has; the later of both counts."""
+    if not isinstance(value, Mapping):
+        return value
+    found = dict(before) if isinstance(before, dict) else {}
+    return found | {name: _merged(found.get(name), each) for name, each in value.items()}

@@ -124,6 +124,7 @@ class Reconstruction:
         self.stage = 0  # of ``views.stages``
         self.finished = False  # whether a row was chosen that ends the episode
         self._offered = {0}  # stages that were on since a frame was last paid
+        self._empty = set[int]()  # of those the ones that had nothing to offer
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
@@ -209,7 +210,7 @@ class Reconstruction:
             self.pool.mark_visited(self.pose)
             self.stops.append(self.pose)
         if self.frames > frames_before:
-            self._offered = {self.stage}
+            self._offered, self._empty = {self.stage}, set()
         self._note_leg(stays=0 <= index < len(table) and bool(table.stay[index]))
         self._refresh()
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
@@ -374,13 +375,15 @@ class Reconstruction:
                     rng=random_of(self._sources_seed, self.decisions, name),
                 )
 
-            self.candidates = offer(
-                config.views.stages[self.stage],
-                self._sources,
-                context_of,
-                rows=config.views.max_candidates,
-                asks=[stage for stage in range(len(config.views.stages)) if stage not in self._offered],
-            )
+            def rows_with(without: set[int]) -> CandidateTable:
+                stages = config.views.stages
+                asks = [stage for stage in range(len(stages)) if stage not in without]
+                return offer(stages[self.stage], self._sources, context_of, rows=config.views.max_candidates, asks=asks)
+
+            self.candidates = rows_with(self._offered)
+            if not len(self.candidates):  # then it may be asked once more for those that may have something
+                self._empty.add(self.stage)
+                self.candidates = rows_with(self._empty)
         with self._timed("gains"):
             context = FeatureContext(
                 mapper=self.mapper,

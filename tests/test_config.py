@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 
@@ -51,6 +52,15 @@ def test_nested_and_dotted_overrides_agree_and_leave_the_rest() -> None:
     assert nested == dotted == mixed
     assert nested.sensor == dataclasses.replace(configure("fast").sensor, depth_noise="kinect", width=64)
     assert configure("default", {"gains": ["pixel", "hole_area"]}).gains == ("pixel", "hole_area")
+
+
+def test_mixed_overrides_keep_each_others_fields_and_leave_the_callers_alone() -> None:
+    one = {"planes.detection.max_depth": 5.0, "planes": {"detection": {"min_block": 4}}}
+    other = {"planes": {"detection": {"min_block": 4}}, "planes.detection.max_depth": 5.0}
+    before = copy.deepcopy(other)
+    first, second = (configure("fast", overrides).planes.detection for overrides in (one, other))
+    assert first == second and (first.max_depth, first.min_block) == (5.0, 4)
+    assert other == before
 
 
 def test_a_mapper_is_chosen_by_name_and_its_fields_replaced() -> None:

@@ -356,15 +356,21 @@ def test_the_episode_keeps_its_own_poses(box: Scene) -> None:
     assert np.array_equal(run.trajectory[-1], before) and np.array_equal(run.pose, before)
 
 
-def test_a_camera_with_roll_is_followed_whatever_gains_are_told(box: Scene) -> None:
-    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 20, "gains": ("unknown_volume",)}))
+@pytest.mark.parametrize("stage", [("pool",), ("pool", "stay"), ("pool", "finish")])
+def test_a_camera_with_roll_is_followed_whatever_gains_are_told_and_views_offered(
+    box: Scene, stage: tuple[str, ...]
+) -> None:
+    views = {"max_candidates": 40, "max_revisits": 4, "stages": (stage,)}
+    gains = ("unknown_volume", "fisherrf_path")
+    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 20, "gains": gains, "views": views}))
     run.start(ground_truth_of(box), 0)
     angle = np.radians(5.0)
     rolled = run.pose.copy()
     rolled[:3, :2] = rolled[:3, :2] @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     assert run.gains[:, 1].any()
-    run.follow(Leg(rolled[None], (1,)))
+    run.follow(Leg(np.stack([rolled, rolled]), (1, 1)))  # keyframes, which the pool offers again
     assert run.gains[:, 0].any() and not run.gains[:, 1].any()  # nobody knows a way from a tilted camera
+    assert run.candidates.revisit.any()
 
 
 def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:

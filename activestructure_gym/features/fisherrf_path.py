@@ -9,6 +9,7 @@ from activestructure_gym.features.fisherrf import KINDS, TIMES, fisherrf
 from activestructure_gym.features.information import LAMBDA, diagonal_units, trained
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.mapping.parts import MapParts
+from activestructure_gym.motion import is_level
 from activestructure_gym.splatting.fisher import view_information
 
 GOALS = 20  # views whose ways are looked along
@@ -29,7 +30,7 @@ def fisherrf_path(context: FeatureContext) -> np.ndarray:  # [K]
     """
     at_end = context.once(fisherrf)
     poses, agent = context.world_from_camera, context.agent
-    if agent is None or not len(poses):
+    if agent is None or not is_level(agent.pose) or not len(poses):  # ways turn by yaw and pitch alone
         return at_end
     found = np.zeros(len(poses))
     first = np.argsort(-at_end, kind="stable")[:GOALS]

@@ -12,6 +12,7 @@ from activestructure_gym.motion.clearance import ESCAPE_REACH, TOUCHING
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import bounding_box, cut_out, segment_above
 
+HERE = 1e-6  # metres: a place so near is the same
 # Live buckets of the queue: steps are at most sqrt(3) voxels long, and so far apart are the seeds' lengths at most.
 _BUCKETS = 16
 
@@ -182,9 +183,10 @@ class DistanceMap:
     def at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres, world -> [N] float32 metres, inf = unreachable
         """Length of the shortest path to each point: straight where that is free, else over the best voxel near it."""
         points = self._coordinates(np.reshape(points, (-1, 3)))
-        voxels = _lengths_at(
-            self._field, self._lengths, self._corner, self._coordinates(self.start), points, self.min_clearance
-        )
+        start = self._coordinates(self.start)
+        voxels = _lengths_at(self._field, self._lengths, self._corner, start, points, self.min_clearance)
+        # Where somebody stands he is, however narrow it is there.
+        voxels[np.linalg.norm(points - start, axis=1) * self._voxel_size < HERE] = 0.0
         return voxels * np.float32(self._voxel_size)
 
     def path_to(self, point: np.ndarray) -> np.ndarray | None:  # [3] -> [P, 3] metres, start and point included
@@ -195,7 +197,7 @@ class DistanceMap:
         point = np.asarray(point, dtype=np.float64)
         _, index = _best_corner(self._field, self._lengths, self._corner, self._coordinates(point), self.min_clearance)
         if index < 0:
-            return None
+            return self.start[None] if np.linalg.norm(point - self.start) < HERE else None
         parents = self._parents.ravel()
         chain = []
         while index >= 0:

@@ -8,7 +8,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.motion.clearance import first_blocked_edge
-from activestructure_gym.motion.reachability import DistanceMap, path_lengths
+from activestructure_gym.motion.reachability import HERE, DistanceMap, path_lengths
 from activestructure_gym.volume import VoxelVolume
 from activestructure_gym.volume.distance_field import segment_above
 
@@ -72,8 +72,9 @@ def plan_path(
     A start in too tight a place first moves straight out of it (`path_lengths`): the only edge with less clearance.
     """
     start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
-    if volume.segments_free(start, goal, min_clearance=min_clearance)[0]:
-        return np.stack([start, goal]) if np.linalg.norm(goal - start) > 1e-9 else start[None]
+    away = np.linalg.norm(goal - start)
+    if away < HERE or volume.segments_free(start, goal, min_clearance=min_clearance)[0]:
+        return np.stack([start, goal]) if away > 1e-9 else start[None]
     if distances is None:
         distances = path_lengths(volume, start, min_clearance=min_clearance)
     on_grid = distances.path_to(goal)

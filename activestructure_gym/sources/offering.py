@@ -55,7 +55,7 @@ def offer(
         kept = sum(1 if made[later].rows == MOST_ROWS else made[later].rows for later in stage[place + 1 :])
         room = min(left - kept, source.rows)
         seen = context(name, room)
-        part = _reachable(_checked(name, source.propose(seen)), seen, room, names.index(name))
+        part = _reachable(_checked(name, source.propose(seen), seen.agent.pose), seen, room, names.index(name))
         left -= len(part)
         parts.append(part)
     if asks:
@@ -63,10 +63,15 @@ def offer(
     return parts[0] if len(parts) == 1 else CandidateTable.joined(parts)
 
 
-def _checked(name: str, proposed: object) -> Proposals:
+def _checked(
+    name: str,
+    proposed: object,
+    present: np.ndarray,  # [4, 4] the agent's pose
+) -> Proposals:
     """What the source called ``name`` returned, if it is what the table can take.
 
-    Raises `InputError` where it is no `Proposals`, and for poses that no camera on a level base can take.
+    Raises `InputError` where it is no `Proposals`, and for poses that no camera on a level base can take. A camera that
+    is led along somebody's path may roll: its keyframes, which the pool offers again, and where it is now.
     """
     if not isinstance(proposed, Proposals):
         raise InputError(f"propose() of the source '{name}' must return Proposals, got {type(proposed).__name__}")
@@ -75,7 +80,8 @@ def _checked(name: str, proposed: object) -> Proposals:
     rotates = (np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)) < 1e-6).all(axis=(1, 2)) & (
         np.linalg.det(turns) > 0
     )
-    if not (good := rotates & is_level(poses)).all():
+    level = is_level(poses) | (np.abs(poses - present).max(axis=(1, 2)) < 1e-9) | (proposed.ids is not None)
+    if not (good := rotates & level).all():
         raise InputError(
             f"{np.sum(~good)} of the {len(poses)} poses of the source '{name}' are no rotation or have roll: make them "
             "with geometry.look_along"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,23 +32,28 @@ class Lattice(Source):
 
     def __post_init__(self) -> None:
         check_ranges(self, {"rows": f"[1, {MOST_ROWS}]"})
-        self._layout(0.0)
+        self._layout(ViewConfig(), 0.0)
 
     def _layout(
-        self, camera_m: float
-    ) -> ViewConfig:  # height of the camera at the start above where heights count from
-        return ViewConfig(
+        self,
+        shared: ViewConfig,  # what counts as visited is as there
+        camera_m: float,  # height of the camera at the start above where heights count from
+    ) -> ViewConfig:
+        return replace(
+            shared,
             lattice_step_m=self.spacing_m,
             heights_m=tuple(height - camera_m for height in self.heights_m),
             directions=self.directions,
             max_candidates=self.rows,
             max_revisits=0,
+            stages=ViewConfig().stages,
         )
 
     def propose(self, context: SourceContext) -> Proposals:
         """Views of the lattice that were not visited and can be reached."""
         seed = int(context.rng.integers(2**31))
-        layout = self._layout(float(context.start[2] - context.bounds[0, 2]) if self.from_floor else 0.0)
+        camera_m = float(context.start[2] - context.bounds[0, 2]) if self.from_floor else 0.0
+        layout = self._layout(context.pool.config, camera_m)
         pool = CandidatePool(context.start, context.bounds, layout, seed, clearance_m=context.clearance_m)
         for stop in context.agent.stops:
             pool.mark_visited(stop)

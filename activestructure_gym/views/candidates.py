@@ -152,7 +152,7 @@ class CandidatePool:
         """Take out every view within the visited distance and angle of a pose the camera has been at."""
         near = np.linalg.norm(self.positions - world_from_camera[:3, 3], axis=1) <= self.config.visited_distance_m
         cosine = self.directions @ world_from_camera[:3, 2]
-        similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg))
+        similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg)) - 1e-9  # a view is similar to itself
         self._open[np.ix_(near, similar)] = False
 
     def drop(self, candidate_id: int) -> None:
@@ -180,7 +180,7 @@ class CandidatePool:
         reachable = np.isfinite(lengths)
 
         room = self.config.max_candidates if room is None else room
-        revisits = revisit_poses[: min(self.config.max_revisits, room)]
+        revisits = revisit_poses[: min(self.config.max_revisits, room // 2)]  # new views have as many rows
         revisit_length = distances.at(revisits[:, :3, 3]) if len(revisits) else np.zeros(0, np.float32)
         revisits, revisit_length = revisits[np.isfinite(revisit_length)], revisit_length[np.isfinite(revisit_length)]
 

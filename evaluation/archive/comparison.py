@@ -52,7 +52,7 @@ def each_run(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
     """
     runs, refused = list[Run](), dict[str, str]()
     for directory in directories:
-        marks = sorted((directory / store.JOBS).glob(f"*/{store.DONE}"))
+        marks = store.finished_marks(directory)
         if not marks and not (directory / store.DONE).is_file():
             raise InputError(f"'{directory}' is neither a finished run nor a comparison with one")
         for place in [mark.parent for mark in marks] or [directory]:

@@ -8,7 +8,7 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
@@ -199,6 +199,15 @@ def is_reference(policy: str) -> bool:
 def is_trajectory(policy: str) -> bool:
     """Whether a job's ``policy`` is none, but a trajectory that was given."""
     return policy.startswith(TRAJECTORY)
+
+
+def ranked_among(policies: Collection[str]) -> set[str]:
+    """Which of the jobs' ``policies`` have ranks: planners, who choose their views by what they have seen.
+
+    A reference sees the ground truth, and a trajectory was given. Where nobody plans, trajectories are compared.
+    """
+    planners = {policy for policy in policies if not is_reference(policy) and not is_trajectory(policy)}
+    return planners or {policy for policy in policies if not is_reference(policy)}
 
 
 def policy_label(spec: str) -> str:

@@ -107,7 +107,7 @@ class Run:
             content = read_json(path, run_files.EVALUATION, remedy=f"{again} it again")
             name, numbers = content["protocol"]["name"], content["metrics"]
             if name == own.name:
-                numbers = {**numbers, **{k: v for k, v in self.metrics["metrics"].items() if v is not None}}
+                numbers = _completed(self.metrics["metrics"], numbers)
             found[name] = {"parameters": content["protocol"], "metrics": numbers}
         return found
 
@@ -268,6 +268,12 @@ def whole_directory(directory: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
+def finished_marks(directory: Path) -> list[Path]:
+    """The marks of the finished runs in a comparison's directory; none of what is half-written or was left behind."""
+    marks = (directory / JOBS).glob(f"*/{DONE}")  # which matches hidden folders, too
+    return sorted(mark for mark in marks if not mark.parent.name.startswith("."))
+
+
 @contextmanager
 def whole_files(directory: Path) -> Iterator[Path]:
     """A folder to write files into, which take their places in ``directory`` when the block ends without an error.
@@ -277,7 +283,8 @@ def whole_files(directory: Path) -> Iterator[Path]:
     new = not directory.exists()
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f".part-{machine_mark()}-{os.getpid()}-", dir=directory))
+        remove_parts(directory)
+        part = Path(tempfile.mkdtemp(prefix=".files-", suffix=f".part-{machine_mark()}-{os.getpid()}", dir=directory))
     try:
         with writing(directory):
             yield part
@@ -456,3 +463,12 @@ def _flush(directory: Path) -> None:
             pass  # a file system that cannot promise it
         finally:
             os.close(descriptor)
+
+
+def _completed(own: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
+    """A run's own numbers with the LPIPS, of every view too, that its protocol measured once there were weights."""
+    found = {**later, **{name: value for name, value in own.items() if value is not None}}
+    if own.get("lpips") is None and later.get("lpips") is not None:
+        found["views"] = later["views"]
+        found["notes"] = {name: reason for name, reason in (own.get("notes") or {}).items() if name != "lpips"}
+    return found

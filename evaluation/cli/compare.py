@@ -212,11 +212,12 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
 def _with_demo_defaults(options: Compare) -> Compare:
     """The options as given, and the demo's where none is."""
+    short = options.preset is None and options.terms == "shared"  # native terms have a preset of their own
     return dataclasses.replace(
         options,
         scenes=DEMO.scenes,
-        preset=options.preset or DEMO.preset,
-        frames=DEMO.frames if options.frames is None and options.preset is None else options.frames,
+        preset=DEMO.preset if short else options.preset,
+        frames=DEMO.frames if options.frames is None and short else options.frames,
         views=DEMO.views if options.views is None else options.views,
         samples=DEMO.samples if options.samples is None else options.samples,
     )

@@ -89,7 +89,7 @@ class Evaluate:
         for reason in lost:
             console.print(f"[red]✗[/] not kept: {escape(reason)}", soft_wrap=True)
         if different:
-            console.print(f"[red]✗[/] {different} of {len(runs)} differ from what the run stored")
+            console.print(f"[red]✗[/] {different} of {compared} differ from what the run stored")
             return 1
         if compared:
             console.print("[green]✓[/] every stored number is identical, bit for bit")

@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory, refuse_code
-from activestructure_gym.evaluation.archive.store import CONFIG, Run
+from activestructure_gym.evaluation.archive.store import CONFIG, STEPS, Run
 from activestructure_gym.viewer import Film, Recorder
 
 if TYPE_CHECKING:
@@ -78,6 +79,9 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
 def follow(run: Run, env: ReconstructionEnv, before: Callable[[int], object], tell: Callable[[int, int], None]) -> str:
     """Take the stored actions, each after ``before`` has heard it; from where on it is another episode, in words."""
     episode, differs = env.reconstruction, ""
+    for number, step in enumerate(run.steps, start=1):  # a report does without, of whoever wrote them
+        if lacks := [name for name in ("decision", "action", "gaussians", "metres") if step.get(name) is None]:
+            raise InputError(f"line {number} of '{run.directory / STEPS}' lacks {', '.join(lacks)}: no replay without")
     for step in run.steps:
         before(int(step["action"]))
         _, _, terminated, truncated, info = env.step(int(step["action"]))

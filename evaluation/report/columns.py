@@ -132,6 +132,8 @@ def value_of(run: Run, key: str) -> float | None:
             return None
         name = key.removeprefix(LEAST)
         return run.config["configuration"]["frame_budget"] if exceeded(run, key) else metrics[name]
+    if metrics.get(key) is None and key in metrics:  # it may have been measured later
+        metrics = run.protocols[run.job.protocol.name]["metrics"]
     return metrics.get(key)
 
 

@@ -37,8 +37,14 @@ def convergence_section(results: Results) -> Markup:
 
 def chart_grid(results: Results, scene: str | None = None, statistic: Statistic = mean) -> Markup:
     """All measures over frames, metres and seconds, each with a sentence of what there is to see."""
+    ranked = {name for name, planner in zip(results.policies, results.planners) if planner}
+
+    def compared(measure: Measure) -> list[Line]:
+        lines = convergence(results, COSTS[0].key, measure.key, scene, statistic, banded=False)
+        return [line for line in lines if line.name in ranked]
+
     rows = [
-        (reading(convergence(results, COSTS[0].key, measure.key, scene, statistic, banded=False), measure), charts)
+        (reading(compared(measure), measure), charts)
         for measure, charts in zip(measures_of(results), chart_rows(results, scene, statistic), strict=True)
     ]
     return render("chart_grid.html.j2", rows=rows)

@@ -121,7 +121,9 @@ def rows_of(runs: Sequence[Run], known: Known) -> list[tuple[list[Row], int]]:
         rows = [_row([run for run in mine if run.policy == policy], known) for policy in policies]
         whole = [row for row in rows if _is_ranked(row, wanted)]
         whole.sort(key=lambda row: -(_mean(row, _SORTED_BY) or 0.0))
-        found.append((whole + [row for row in rows if not _is_ranked(row, wanted)], wanted))
+        others = [row for row in rows if not _is_ranked(row, wanted)]
+        others.sort(key=lambda row: row.refuted > 0)  # a stable sort: refuted rows come last
+        found.append((whole + others, wanted))
     return found
 
 
@@ -212,8 +214,8 @@ def _row(runs: Sequence[Run], known: Known) -> Row:
 
 
 def _is_ranked(row: Row, wanted: int) -> bool:
-    """Whether a policy played all of the task; a reference is none, nor are given poses."""
-    return len(row.runs) == wanted and row.plans
+    """Whether a policy played all of the task, and no run was refuted; a reference is none, nor are given poses."""
+    return len(row.runs) == wanted and row.plans and not row.refuted
 
 
 def _place(run: Run) -> tuple[str, int]:

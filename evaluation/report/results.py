@@ -18,7 +18,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.claims import failures
 from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
-from activestructure_gym.evaluation.archive.jobs import Job, is_reference, scene_labels
+from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.style import COLOURS
@@ -90,9 +90,10 @@ class Results:
 
     @cached_property
     def planners(self) -> list[bool]:
-        """Of every policy whether it is one: a reference, which sees the ground truth, has no rank among them."""
-        references = {run.policy for run in self.runs if is_reference(run.job.policy)}
-        return [policy not in references for policy in self.policies]
+        """Of every policy whether it has a rank: a reference has none, nor has a trajectory beside planners."""
+        ranked = ranked_among({run.job.policy for run in self.runs})
+        names = {run.policy for run in self.runs if run.job.policy in ranked}
+        return [policy in names for policy in self.policies]
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -240,8 +241,15 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             runs.setdefault(run.key, run)
     if not runs:
         raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
-    labels = scene_labels({run.job.scene: run.job.scene_hash for run in runs.values()})
-    return Results([dataclasses.replace(run, scene=labels[run.job.scene]) for run in runs.values()], sources, baseline)
+    # One content under one file's name is one scene, wherever each machine has it.
+    first: dict[tuple[str, str], str] = {}
+    specs = [
+        first.setdefault((job.scene_hash or job.scene, scene_label(job.scene)), job.scene)
+        for job in (run.job for run in runs.values())
+    ]
+    labels = scene_labels({spec: run.job.scene_hash for spec, run in zip(specs, runs.values())})
+    named = [dataclasses.replace(run, scene=labels[spec]) for spec, run in zip(specs, runs.values())]
+    return Results(named, sources, baseline)
 
 
 def source_of(directory: Path, record: Mapping[str, Any], runs: Sequence[Run]) -> Source:

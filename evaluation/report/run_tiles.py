@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from activestructure_gym.evaluation.archive.jobs import ranked_among
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.canvas import stored_panels, to_image
 from activestructure_gym.evaluation.report.columns import ratios_text
@@ -59,15 +60,19 @@ def views_strip(runs: Sequence[Run], tiles: Tiles) -> list[dict[str, Any]]:
         for i in telling
     ]
     rows: list[dict[str, Any]] = [{"name": "true view", "index": None, "result": "", "views": views}]
-    best = {i: max(runs, key=lambda run: float(run.pictures["psnr"][i])) for i in telling}
+    ranked = ranked_among({run.job.policy for run in runs})
+    among = [run for run in runs if run.job.policy in ranked]
+    best = {i: max(among or runs, key=lambda run: float(run.pictures["psnr"][i])) for i in telling}
     for run in runs:
         views = []
         for i in telling:
             psnr, highest = float(run.pictures["psnr"][i]), float(best[i].pictures["psnr"][i])
-            first = len(runs) > 1 and psnr == highest
+            first = len(among) > 1 and run in among and psnr == highest
             alt = f"view {i + 1} in the map of {run.policy}, PSNR {psnr:.2f} dB"
-            if len(runs) > 1:
-                alt += ": the best" if first else f": {highest - psnr:.2f} dB below {best[i].policy}"
+            if first:
+                alt += ": the best"
+            elif len(runs) > 1 and run is not best[i]:
+                alt += f": {abs(highest - psnr):.2f} dB {'above' if psnr > highest else 'below'} {best[i].policy}"
             drawn = picture(to_image(run.pictures["rendered"][i]), alt, widest=tiles.width(run))
             views.append({"picture": drawn, "psnr": decimal(psnr, 2), "best": first})
         rows.append(tiles.tile(run, Markup(), "") | {"name": run.policy, "views": views})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive.jobs import is_reference
+from activestructure_gym.evaluation.archive.jobs import ranked_among
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report import layout
 from activestructure_gym.evaluation.report.columns import COLUMNS, Column, value_of
@@ -49,13 +49,14 @@ class Row:
     policy: str
     runs: int
     cells: dict[str, Cell]
-    planner: bool = True  # False: a reference, which is not marked among them
+    planner: bool = True  # False: a reference or a given trajectory, which is not marked among them
 
 
 def table_rows(runs: Sequence[Run]) -> list[Row]:
     """Rows in the order of the runs; with several scenes, a block ``average`` of the policies run on all of them."""
     scenes = list(dict.fromkeys(run.scene for run in runs))
     policies = list(dict.fromkeys(run.policy for run in runs))
+    ranked = ranked_among({run.job.policy for run in runs})
     rows: list[Row] = []
     for scene in scenes:
         block = []
@@ -63,7 +64,7 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
             cell_runs = [r for r in runs if r.scene == scene and r.policy == policy]
             if cell_runs:
                 cells = {c.key: _over_runs([value_of(run, c.key) for run in cell_runs]) for c in COLUMNS}
-                planner = not is_reference(cell_runs[0].job.policy)
+                planner = cell_runs[0].job.policy in ranked
                 block.append(Row(scene, policy, len(cell_runs), cells, planner))
         rows += _marked(block)
     if len(scenes) > 1:

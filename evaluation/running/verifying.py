@@ -18,6 +18,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.archive.verified import Verification
 from activestructure_gym.evaluation.machine.hardware import code_sum, hardware
 from activestructure_gym.evaluation.running.episode import Progress, run_job
+from activestructure_gym.evaluation.running.remeasure import differing
 
 # By how much a number of the same job may be another one on another processor: own choice, a third to a half of what
 # two seeds differ by in docs/notebook/benchmark.md.
@@ -50,16 +51,19 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
         again = run_job(run.job, Path(folder) / "again", tell)
-        differing = [name for name in COMPARED if not _same(run, again, name)]
-        if not differing:
+        others = [name for name in COMPARED if not _same(run, again, name)] + other_protocols(run, again)
+        if not others:
             return Verification("identical", (), **here)
         wrong = out_of_tolerance(run.metrics["metrics"], again.metrics["metrics"])
+        for name in run.job.also:
+            found = [one.protocols.get(name, {"metrics": {}})["metrics"] for one in (run, again)]
+            wrong += [f"{name}: {text}" for text in out_of_tolerance(*found)]
         codes = [one.config["versions"].get("code") for one in (run, again)]
-        if store.CONFIG in differing and codes[0] == codes[1]:  # which rounds nothing
+        if store.CONFIG in others and codes[0] == codes[1]:  # which rounds nothing
             wrong.append(f"another {store.CONFIG} of the same code")
     elsewhere = elsewhere_in(run, again)
     if not elsewhere:
-        return Verification("differs", (f"other bytes in {', '.join(differing)}", *wrong), **here)
+        return Verification("differs", (f"other bytes in {', '.join(others)}", *wrong), **here)
     return Verification("differs" if wrong else "within tolerances", (*elsewhere, *wrong), **here)
 
 
@@ -71,6 +75,19 @@ def out_of_tolerance(stored: dict[str, Any], found: dict[str, Any]) -> list[str]
         if (before is None) != (now is None) or (before is not None and not abs(now - before) <= most):
             shown = ["none" if value is None else f"{value:.2f}" for value in (before, now)]
             wrong.append(f"{name} {shown[0]}, again {shown[1]}, which may differ by {most:g}")
+    return wrong
+
+
+def other_protocols(run: Run, again: Run) -> list[str]:
+    """The job's further protocols of which the stored numbers are others than those measured again, as files.
+
+    What was measured later is none of the job's: `asg evaluate` says whether those numbers come out again.
+    """
+    wrong = []
+    for name in run.job.also:
+        stored, found = (one.protocols.get(name) for one in (run, again))
+        if stored is None or found is None or differing(stored["metrics"], found["metrics"]):
+            wrong.append(f"{store.EVALUATIONS}/{name}.json")
     return wrong
 
 

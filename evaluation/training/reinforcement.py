@@ -8,6 +8,7 @@ one iteration, which is done again exactly. The price is the rest of one episode
 from __future__ import annotations
 
 import random
+import signal
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -45,7 +46,8 @@ def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
 
 
 def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
-    """The env, in a process that uses one thread."""
+    """The env, in a process that uses one thread and leaves Ctrl-C, which all of a terminal get, to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
     return make()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -52,7 +53,11 @@ def one_thread() -> None:
 
 
 def follow_parent() -> None:
-    """End this process when its parent does, however that ends: a pool's own pipes stay open among its workers."""
+    """End this process when its parent does, however that ends: a pool's own pipes stay open among its workers.
+
+    Ctrl-C, which every process of a terminal gets, is the parent's.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
     parent = parent_process()
     if parent is not None:

@@ -340,6 +340,16 @@ def test_a_pose_written_with_three_decimals_is_the_nearest_rotation() -> None:
     np.testing.assert_array_equal(as_pose(ROUNDED)[:3, 3], ROUNDED[:3, 3])
 
 
+@pytest.mark.parametrize("y", [0.30, 0.33])
+def test_an_accepted_start_in_a_narrow_place_has_views(box_options: dict[str, Any], y: float) -> None:
+    env = ReconstructionEnv(**box_options, start_pose=(2.0, y, 1.25, 90.0))
+    observation, _ = env.reset(seed=0)
+    assert observation["action_mask"].any()
+    before = env.reconstruction.frames
+    _, _, _, _, info = env.step(int(np.flatnonzero(observation["action_mask"])[0]))
+    assert not info["invalid_action"] and info["frames"] > before
+
+
 def test_a_pose_of_the_callers_stays_the_callers(box_options: dict[str, Any]) -> None:
     given = ROUNDED.copy()
     env = ReconstructionEnv(**box_options, start_pose=given)

@@ -98,7 +98,7 @@ def _check(folder: Path, command: str, run: str, damaged: list[str], mark: Path)
 
 def _report(out: Path) -> None:
     asg("report", "all", "--out", str(out))
-    if not (out / "report.html").is_file() or list(out.glob(".part-*")):
+    if not (out / "report.html").is_file() or list(out.glob(".*.part-*")):
         raise AssertionError("a report without its page, or with what it was made in")
 
 

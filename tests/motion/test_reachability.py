@@ -114,10 +114,12 @@ def test_a_start_in_a_tight_place_leaves_it_straight(free_volume):
     assert len(path_lengths(volume, buried, min_clearance=0.2).reachable) == 0
 
 
-def test_a_start_without_free_space_reaches_nothing():
-    distances = path_lengths(VoxelVolume(BOUNDS), np.array([1.0, 1.0, 1.0]), min_clearance=0.2)
-    assert np.isinf(distances.at(np.array([[1.0, 1.0, 1.0], [99.0, 0.0, 0.0]]))).all()
-    assert distances.path_to(np.array([1.0, 1.0, 1.0])) is None
+def test_a_start_without_free_space_reaches_nothing_but_itself():
+    start = np.array([1.0, 1.0, 1.0])
+    distances = path_lengths(VoxelVolume(BOUNDS), start, min_clearance=0.2)
+    assert distances.at(np.array([start, [1.0, 1.0, 1.01], [99.0, 0.0, 0.0]])).tolist() == [0.0, np.inf, np.inf]
+    np.testing.assert_array_equal(distances.path_to(start), start[None])
+    assert distances.path_to(np.array([1.0, 1.0, 1.01])) is None
     assert distances.at(np.zeros((0, 3))).shape == (0,)
 
 

@@ -87,6 +87,16 @@ def test_start_in_a_tight_place(free_room):
     assert volume.segments_free(path[1:-1], path[2:], min_clearance=0.2).all()
 
 
+def test_where_somebody_stands_he_can_turn_however_narrow_it_is(free_room):
+    volume, start = free_room(), np.array([2.0, 0.12, 1.25])
+    assert 0 < volume.clearance_at(start[None])[0] < 0.2
+    assert path_lengths(volume, start, min_clearance=0.2).at(start[None])[0] == 0
+    path = plan_path(volume, start, start, min_clearance=0.2, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(path, start[None])
+    beside = start + [0.05, 0, 0]
+    assert plan_path(volume, start, beside, min_clearance=0.2, rng=np.random.default_rng(0)) is None
+
+
 def test_shortening_never_lengthens_and_straightens_free_detours(free_room):
     volume, rng = free_room(), np.random.default_rng(3)
     detour = rng.uniform(BOUNDS[0] + 0.4, BOUNDS[1] - 0.4, size=(12, 3))

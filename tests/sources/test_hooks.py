@@ -102,6 +102,35 @@ def test_a_stage_is_asked_for_at_no_cost_and_once_until_a_frame_is_paid(env: Rec
     assert rows.source("turns?count=3").any() and rows.ask(0) is not None and rows.ask(1) is not None
 
 
+def test_a_stage_with_nothing_to_offer_can_be_left_again() -> None:
+    nothing = "frontier_facing?rows=4&nearest_m=98&farthest_m=99"
+    env = make([["pool"], [nothing]])
+    observation, _ = env.reset(seed=0)
+    rows = read(env, observation)
+    assert rows.source("pool").any()
+    observation, _, terminated, truncated, info = env.step(rows.ask(1))
+    rows = read(env, observation)
+    assert not terminated and not truncated and info["frames"] == 1
+    assert rows.valid.sum() == 1 and rows.ask(0) is not None  # nothing but the way back
+    observation, *_ = env.step(rows.ask(0))
+    rows = read(env, observation)
+    assert rows.source("pool").any() and rows.ask(1) is None
+    observation, _, terminated, *_, info = env.step(0)
+    assert not terminated and info["frames"] > 1 and read(env, observation).ask(1) is not None
+
+
+def test_where_no_stage_has_anything_the_episode_ends() -> None:
+    nothing = ["frontier_facing?rows=4&nearest_m=98&farthest_m=99"]
+    env = make([nothing, ["frontier_facing?rows=3&nearest_m=98&farthest_m=99"]])
+    observation, _ = env.reset(seed=0)
+    asked = 0
+    while observation["action_mask"].any():
+        observation, _, terminated, truncated, _ = env.step(int(np.flatnonzero(observation["action_mask"])[0]))
+        asked += 1
+        assert asked < 4
+    assert terminated or truncated
+
+
 def test_staying_pays_the_frames_of_its_rounds_and_optimises(env: ReconstructionEnv) -> None:
     env = make(**{"mapper.iterations": 3})
     observation, _ = env.reset(seed=0)

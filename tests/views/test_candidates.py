@@ -86,6 +86,23 @@ def test_visited_and_dropped_views_leave_for_good() -> None:
     assert set(table.ids) - set(after.ids) == {table.ids[40], table.ids[41]}
 
 
+def test_a_view_is_visited_from_itself_at_an_angle_of_nothing() -> None:
+    config = ViewConfig(directions=15, max_candidates=5000, max_revisits=0, visited_angle_deg=0.0)
+    pool, table = pool_and_offer(config)
+    before = len(pool)
+    for pose in table.world_from_camera[:15]:
+        pool.mark_visited(pose)
+    assert len(pool) == before - 15
+
+
+def test_half_of_a_small_table_is_for_new_views() -> None:
+    pool, _ = pool_and_offer(ViewConfig(directions=15, max_candidates=5000, max_revisits=4))
+    poses = np.stack([look_along(ANCHOR, [1.0, 0.1 * k, 0.0]) for k in range(4)])
+    for room, revisits in ((1, 0), (4, 2), (7, 3), (8, 4), (40, 4)):
+        table = pool.offer(OpenSpace(), Straight(ANCHOR), 1, poses, room=room)
+        assert (len(table), table.revisit.sum()) == (room, revisits)
+
+
 def test_draw_spreads_over_positions_and_ignores_everything_but_seed_and_step() -> None:
     config = ViewConfig(directions=15, max_candidates=60, max_revisits=0)
     _, table = pool_and_offer(config)

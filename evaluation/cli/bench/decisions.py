@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,10 +13,12 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
 from activestructure_gym.evaluation.cli.fields import Count, Names, NoNames, PathName, PresetName, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies
 from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.files import replaced
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.benchmarks.decisions import Settings
@@ -57,14 +60,21 @@ class Decisions:
 
     def run(self) -> int:
         """Measure and print."""
+        settings, seeds = self._settings(), parse_seeds(self.seeds)
+        if self.out is None:
+            return self._decide(settings, seeds, None)
+        folder = Path(self.out)
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"--out is a directory for results, and '{folder}' is a file")
+        with hold(folder):
+            return self._decide(settings, seeds, folder)
+
+    def _decide(self, settings: Settings, seeds: Sequence[int], folder: Path | None) -> int:
         from activestructure_gym.evaluation.benchmarks import decisions as benchmark
         from activestructure_gym.evaluation.machine import hardware as machine
 
         console = make_console()
-        settings = self._settings()
         scenes = split_names(self.scene) or (("box",) if self.quick else benchmark.SCENES)
-        seeds = parse_seeds(self.seeds)
-        folder = None if self.out is None else Path(self.out)
         records = [] if folder is None else _kept(folder, settings)
         asked = {(scene, seed) for scene in scenes for seed in seeds}
         columns = (TextColumn("{task.description}"), BarColumn(bar_width=32), TimeRemainingColumn())
@@ -82,8 +92,8 @@ class Decisions:
                 ended += 1
                 records += found
                 if folder is not None:
-                    with open(folder / _RECORDS, "a", encoding="utf-8") as file:
-                        file.writelines(json.dumps(record) + "\n" for record in found)
+                    with replaced(folder / _RECORDS) as file:  # whole episodes or none
+                        file.writelines(f"{json.dumps(record)}\n".encode() for record in records)
         records = [record for record in records if (record["scene"], record["seed"]) in asked]
         rows, worth = benchmark.decision_rows(records), benchmark.quality_rows(records)
         print_rows(console, rows, f"share of the best true rate, {len(records)} decisions of {escape(settings.played)}")
@@ -92,7 +102,7 @@ class Decisions:
         if folder is not None:
             content: dict[str, Any] = {"settings": dataclasses.asdict(settings), "hardware": machine.hardware()}
             content |= {"rows": rows, "quality": worth, "decisions": records}
-            (folder / _RESULT).write_text(json.dumps(content, indent=1) + "\n")
+            _write(folder / _RESULT, content)
             console.print(f"written: {escape(str(folder / _RESULT))}")
         return 0
 
@@ -128,15 +138,12 @@ class Decisions:
 
 def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
     """Records of finished episodes in ``folder``, which is begun where it is new; `InputError` for other settings."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"--out is a directory for results, and '{folder}' is a file")
-    folder.mkdir(parents=True, exist_ok=True)
     written = json.loads(json.dumps(dataclasses.asdict(settings)))
     place, records = folder / "settings.json", folder / _RECORDS
     if not place.exists():
         if records.exists():
             raise InputError(f"'{folder}' holds decisions without their settings: choose another --out")
-        place.write_text(json.dumps(written, indent=1) + "\n")
+        _write(place, written)
         return []
     try:
         if json.loads(place.read_text(encoding="utf-8")) != written:
@@ -146,3 +153,8 @@ def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
         if isinstance(error, InputError):
             raise
         raise InputError(f"'{folder}' holds a damaged {place.name} or {records.name}: choose another --out") from error
+
+
+def _write(place: Path, content: dict[str, Any]) -> None:
+    with replaced(place) as file:
+        file.write(f"{json.dumps(content, indent=1)}\n".encode())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -84,7 +85,8 @@ def _run(
             try:
                 train_ppo(config, envs, run, validate, live.unit)
             finally:
-                envs.close()
+                with suppress(EOFError, OSError):  # of a process that is gone, which must not hide why this one ends
+                    envs.close()
         else:
             from activestructure_gym.evaluation.training.supervised import train_supervised
 

@@ -27,7 +27,7 @@ class Learning(Episodes):
     out: PathName = None
     """The run's directory; runs/<method>-<date>-<time> if not given. Its policy is learned:DIRECTORY."""
     resume: Switch = False
-    """Go on with the run in --out, with everything as it was begun; no other option is needed."""
+    """Go on with the run in --out, with everything as it was begun; no other option is needed but --data, if given."""
     seed: int = 0
     """Of everything: layouts, starts, noise, weights. Equal seeds give equal networks on one machine."""
     layouts: Count = None

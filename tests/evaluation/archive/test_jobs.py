@@ -4,7 +4,15 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import jobs
-from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, refuse_code, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.jobs import (
+    Job,
+    absolute_spec,
+    ranked_among,
+    refuse_code,
+    scene_label,
+    scene_labels,
+    slug,
+)
 from activestructure_gym.evaluation.protocols import StandardProtocol
 
 JOB = Job("room", "random", 3, scene_hash="abc", overrides=(("sensor.width", 96), ("mapper.iterations", 2)))
@@ -118,6 +126,13 @@ def test_a_registered_scene_stays_one_beside_a_folder_of_its_name(spec, tmp_path
     monkeypatch.chdir(tmp_path)
     assert absolute_spec(spec) == spec
     assert absolute_spec(f"./{spec}").startswith(str(tmp_path))
+
+
+def test_planners_have_ranks_and_trajectories_where_nobody_plans():
+    given, seeing = "trajectory:sweep", "reference:oracle"
+    assert ranked_among(["random", given, seeing, "hole_area"]) == {"random", "hole_area"}
+    assert ranked_among([given, seeing]) == {given}
+    assert ranked_among([seeing]) == set()
 
 
 def test_run_directory_names_work_on_any_system():

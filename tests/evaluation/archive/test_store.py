@@ -9,6 +9,8 @@ from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import machine_mark
+from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.running.remeasure import differing
 from tests.evaluation.written_runs import JOB as ARCHIVED
 from tests.evaluation.written_runs import write_comparison, write_run
 
@@ -46,6 +48,22 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_n
         directory.mkdir()
     store.remove_parts(tmp_path)
     assert {entry.name for entry in tmp_path.iterdir()} == {living.name, "one"}
+
+
+def test_what_a_killed_report_left_is_removed_by_the_next(tmp_path):
+    left = tmp_path / f".files-abc.part-{machine_mark()}-999999999"
+    left.mkdir()
+    with store.whole_files(tmp_path) as part:
+        (part / "report.html").touch()
+        assert not left.exists() and part.is_dir()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_what_is_half_written_is_no_finished_run(tmp_path):
+    for name in ("one", ".one.part-here-1"):
+        (tmp_path / store.JOBS / name).mkdir(parents=True)
+        (tmp_path / store.JOBS / name / store.DONE).touch()
+    assert [mark.parent.name for mark in store.finished_marks(tmp_path)] == ["one"]
 
 
 def test_of_two_processes_with_one_job_the_faster_one_is_kept(tmp_path):
@@ -226,6 +244,19 @@ def test_a_further_evaluation_that_is_damaged_can_be_made_again(tmp_path):
     (run / store.EVALUATIONS / "activegamer.json").write_text("{}")
     with pytest.raises(InputError, match="delete it, and `asg evaluate .* --protocol activegamer` measures it again"):
         _ = store.read_run(run).protocols
+
+
+def test_lpips_measured_later_completes_the_runs_own_numbers(tmp_path):
+    place = write_run(tmp_path / "run")
+    run = store.read_run(place)
+    own = run.metrics["metrics"]
+    views = [{**view, "lpips": 0.3} for view in own["views"]]
+    later = {**own, "lpips": 0.3, "lpips_weights": "sums", "views": views, "notes": {}}
+    assert value_of(run, "lpips") is None
+    store.write_evaluation(place, run.job.protocol.parameters(), "", later)
+    run = store.read_run(place)
+    assert run.protocols["standard"]["metrics"] == later and value_of(run, "lpips") == 0.3
+    assert differing(run.protocols["standard"]["metrics"], later) == []  # a second evaluation finds nothing else
 
 
 def test_the_mark_of_another_job_is_damage(tmp_path):

@@ -2,6 +2,7 @@ import json
 
 import pytest
 
+from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.benchmarks import decisions as benchmark
 from activestructure_gym.evaluation.cli import main
 
@@ -23,6 +24,11 @@ def test_finished_episodes_are_kept_and_other_settings_refused(monkeypatch, caps
     assert "feature pixel" in capsys.readouterr().out
     written = json.loads((tmp_path / "new" / "decisions.json").read_text())
     assert len(written["decisions"]) == 4 and written["rows"][1]["of_the_table's_best"] == 0.5
+    records = tmp_path / "new" / "decisions.jsonl"
+    assert len(records.read_text().splitlines()) == 4 and not list(records.parent.glob(".*.tmp"))
+    with hold(records.parent):  # somebody else is at it
+        assert main([*command, "2"]) == 2
+    assert len(played) == 4 and "new" in capsys.readouterr().err
     assert main([*command, "0", "--frames", "20"]) == 2
     assert "begun with other settings" in capsys.readouterr().err
     (tmp_path / "new" / "settings.json").write_text("{")

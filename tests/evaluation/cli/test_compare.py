@@ -53,6 +53,8 @@ def test_the_demo_can_be_changed_in_part():
     assert (changed.scenes, changed.frames, changed.policies) == (("room",), 20, ("random",))
     # Another preset has a budget of its own.
     assert module._with_demo_defaults(Compare(preset="fast")).frames is None
+    native = module.comparison_of(module._with_demo_defaults(Compare(policies=("random",), terms="native")))
+    assert (native.preset, native.frame_budget) == ("full", None)
 
 
 def test_all_options_arrive(asked):

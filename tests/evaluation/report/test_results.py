@@ -139,6 +139,18 @@ def test_what_was_asked_for_and_has_no_run_is_missing(make_run, tmp_path):
     assert source.missing == {"room · b · seed 0": "not run to its end", "room · c · seed 0": "RuntimeError: no"}
 
 
+def test_one_scene_in_two_folders_is_one_scene(make_run, tmp_path, monkeypatch):
+    runs = [make_run("/x/a.glb"), make_run("/y/a.glb", policy="b")]
+    runs = [dataclasses.replace(run, job=dataclasses.replace(run.job, scene_hash="ab" * 32)) for run in runs]
+    for name in "pq":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / store.DONE).touch()
+    monkeypatch.setattr(store, "read_run", lambda directory: runs[directory.name == "q"])
+    found = gather([tmp_path / "p", tmp_path / "q"])
+    assert found.scenes == ["a"] and found.policies == ["random", "b"]
+    assert set(found.cells("random", "psnr")) == set(found.cells("b", "psnr")) == {("a", 0)}
+
+
 def test_a_run_that_stands_in_two_places_counts_once(make_run, tmp_path, monkeypatch):
     runs = [make_run("/x/a.glb"), make_run("/y/a.glb")]
     runs[1] = dataclasses.replace(runs[1], job=dataclasses.replace(runs[1].job, scene_hash="other"))

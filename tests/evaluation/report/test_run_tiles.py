@@ -30,6 +30,17 @@ def test_a_view_says_how_far_it_is_from_the_best(make_run, tiles):
     assert alts(alone[0]["picture"]) == ["view 1 in the map of a, PSNR 20.00 dB"] and not alone[0]["best"]
 
 
+def test_the_best_view_is_a_planners(make_run, tiles):
+    runs = [make_run(policy="a"), make_run(policy="reference:oracle"), make_run(policy="b")]
+    for run, psnr in zip(runs, (20.0, 30.0, 19.0)):
+        run.pictures["psnr"] = np.full(4, psnr)
+    tiles = Tiles([run.policy for run in runs], frozenset())
+    _, a, oracle, b = views_strip(runs, tiles)
+    assert [row["views"][0]["best"] for row in (a, oracle, b)] == [True, False, False]
+    assert alts(oracle["views"][0]["picture"])[0].endswith("10.00 dB above a")
+    assert alts(b["views"][0]["picture"])[0].endswith("1.00 dB below a")
+
+
 def test_a_plan_says_how_much_of_it_was_looked_into(make_run, tiles):
     run = make_run(policy="a")
     run.pictures["plan_state"] = np.repeat(np.array([[0], [1], [2], [1]], np.uint8), 10, axis=1)

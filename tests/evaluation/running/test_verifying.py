@@ -14,12 +14,12 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare, read_run
 from activestructure_gym.evaluation.archive import verified
-from activestructure_gym.evaluation.archive.store import DONE, Run
+from activestructure_gym.evaluation.archive.store import DONE, Run, write_evaluation
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.options import parse_start
 from activestructure_gym.evaluation.machine.hardware import code_sum
 from activestructure_gym.evaluation.report.leaderboard import COLUMNS, leaderboard_page, rows_of
-from activestructure_gym.evaluation.running.verifying import TOLERANCES, out_of_tolerance, verify
+from activestructure_gym.evaluation.running.verifying import TOLERANCES, other_protocols, out_of_tolerance, verify
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +94,20 @@ def test_numbers_that_were_forged_with_their_sums_do_not_come_out(run: Run) -> N
     found = verify(forged)
     assert found.verdict == "differs" and "metrics.json" in found.why[0]
     assert any(why.startswith("psnr ") for why in found.why)
+
+
+def test_numbers_of_a_further_protocol_must_come_out_too(run: Run) -> None:
+    numbers = {"psnr": 20.0, "lpips": None, "views": [], "notes": {"lpips": "no weights"}}
+    asked = replace(run.job, also=("activegamer",))
+    again, forged, partial, none = (
+        replace(run, job=asked, directory=run.directory / name) for name in ("again", "forged", "partial", "none")
+    )
+    for one, changed in ((again, {}), (forged, {"psnr": 30.0}), (partial, {"lpips": 0.5, "notes": {}})):
+        one.directory.mkdir()
+        write_evaluation(one.directory, {"name": "activegamer", "version": 1}, "", numbers | changed)
+    assert other_protocols(again, again) == other_protocols(partial, again) == []  # LPIPS needs weights
+    assert other_protocols(forged, again) == other_protocols(none, again) == ["evaluations/activegamer.json"]
+    assert other_protocols(replace(forged, job=run.job), again) == []  # measured later: none of the job's
 
 
 def test_elsewhere_numbers_count_within_tolerances(run: Run) -> None:
@@ -230,6 +244,16 @@ def test_who_follows_given_poses_leads_no_leaderboard(run: Run) -> None:
     assert (first.policy, first.plans, last.plans) == ("random", True, False)
 
 
+def test_who_was_refuted_leads_no_leaderboard(run: Run) -> None:
+    metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": 99.0}}
+    forged = replace(run, job=replace(run.job, policy="hole_area"), metrics=metrics)
+    verdicts = {forged.policy: verified.Verification("differs"), run.policy: verified.Verification("identical")}
+    (((first, last), wanted),) = rows_of([forged, run], lambda one: verdicts[one.policy])
+    assert (first.policy, last.policy) == ("random", "hole_area") and wanted == 1
+    page = leaderboard_page([forged, run], lambda one: verdicts[one.policy], {})
+    assert "refuted" in page and page.index(">random<") < page.index(">hole_area<")
+
+
 def test_the_command_of_a_row_plays_its_own_jobs_to_the_last_digit(run: Run) -> None:
     start = (0.123456789, -1.0, 1.4, 17.188733853924695)  # as a recorded pose has them
     (((row,), _),) = rows_of([replace(run, job=replace(run.job, start_pose=start))], lambda one: None)
@@ -252,10 +276,10 @@ def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> No
         return verified.Verification(verdict) if verdict else None  # type: ignore[arg-type]
 
     (rows, wanted), (others, _) = rows_of(runs, known)
-    assert [row.policy for row in rows] == ["hole_area", "random", "frontier"] and wanted == 2
+    assert [row.policy for row in rows] == ["hole_area", "frontier", "random"] and wanted == 2
     assert [row.status for row in rows] == [
         "verified 1 of 2 runs, others self-reported, within tolerances",
-        "refuted: 1 run came out otherwise", "self-reported",
+        "self-reported", "refuted: 1 run came out otherwise",
     ]  # fmt: skip
     assert len(others) == 1
     page = leaderboard_page(runs, known, {"/home/who/runs/<b>": "damaged"})

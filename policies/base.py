@@ -181,7 +181,7 @@ def travel_discount(observation: Observation, scale_frames: float = 5.0) -> np.n
     Parameters
     ----------
     observation
-        Of which the column ``frames`` of the candidates [K, 8] is read.
+        Of which the column ``frames`` of the candidates [K, 9] is read.
     scale_frames
         Frames after which a gain counts half.
 

@@ -84,7 +84,7 @@ class Candidates:
 
     @property
     def frames(self) -> np.ndarray:  # [K]
-        """The least number of frames that the move costs."""
+        """Frames that the move costs by the path on the grid; the one that is walked may be some percent shorter."""
         return self._table[:, _FRAMES]
 
     @property

@@ -48,7 +48,7 @@ class Agent:
     stops: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # [D, 4, 4] where each decision has ended
 
     def least_frames(self, goals: np.ndarray) -> np.ndarray:  # [n, 4, 4] -> [n]
-        """Frames it takes at least to reach each goal; inf where there is no way."""
+        """Frames it takes to reach each goal by the way on the grid; inf where there is none."""
         return least_frames(self.pose, goals, self.distances.at(goals[:, :3, 3]), self.motion)
 
     def along(self, poses: np.ndarray) -> Way:  # [T, 4, 4]

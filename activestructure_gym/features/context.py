@@ -21,7 +21,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class FeatureContext:
-    """The reconstruction and the candidates of one step. No scene is in here: no feature can reach ground truth but where the agent stands."""
+    """The reconstruction and the candidates of one step.
+
+    No scene is in here: no feature can reach ground truth but where the agent stands.
+    """
 
     mapper: Mapper  # the Gaussian map and its keyframes
     volume: VoxelVolume  # known free, occupied and unknown space

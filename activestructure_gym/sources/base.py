@@ -24,7 +24,10 @@ MOST_ROWS = 65536
 
 @dataclass(frozen=True)
 class SourceContext:
-    """The reconstruction in which views are proposed. No scene is in here: no source can reach ground truth but where the agent stands."""
+    """The reconstruction in which views are proposed.
+
+    No scene is in here: no source can reach ground truth but where the agent stands.
+    """
 
     mapper: Mapper  # the Gaussian map and its keyframes
     volume: VoxelVolume  # known free, occupied and unknown space

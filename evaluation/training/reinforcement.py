@@ -41,13 +41,18 @@ def vector_env(makers: Sequence[MakeEnv], *, processes: bool) -> VecEnv:
     """The envs in this process, or each in a spawned one of its own; which of both changes no result."""
     # Never forked: a child forked from a process that used numba's or torch's threads hangs.
     if processes:
-        return SubprocVecEnv([partial(on_one_thread, make) for make in makers], start_method="spawn")
+        return SubprocVecEnv([partial(in_its_own_process, make) for make in makers], start_method="spawn")
     return DummyVecEnv(list(makers))
 
 
-def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
-    """The env, in a process that uses one thread and leaves Ctrl-C, which all of a terminal get, to its parent."""
+def in_its_own_process(make: MakeEnv) -> gym.Env[Any, Any]:
+    """The env, in a process that leaves Ctrl-C, which all of a terminal get, to its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return on_one_thread(make)
+
+
+def on_one_thread(make: MakeEnv) -> gym.Env[Any, Any]:
+    """The env, in a process that uses one thread."""
     one_thread()
     return make()
 

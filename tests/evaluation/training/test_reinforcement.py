@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -69,6 +71,16 @@ def test_a_killed_run_that_is_resumed_equals_one_that_was_not(tmp_path: Path) ->
     train(CONFIG, tmp_path / "killed")
     for name in ("last.safetensors", "log.jsonl", "state.safetensors"):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_ctrl_c_is_the_parents() -> None:
+    envs = vector_env([partial(RandomCandidates, 16, 5)] * 2, processes=True)
+    try:
+        for process in envs.processes:  # type: ignore[attr-defined]
+            os.kill(process.pid, signal.SIGINT)  # as a terminal does
+        assert len(envs.reset()["action_mask"]) == 2  # type: ignore[call-overload]
+    finally:
+        envs.close()
 
 
 @pytest.mark.slow

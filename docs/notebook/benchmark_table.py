@@ -2,6 +2,8 @@
 
     python docs/notebook/benchmark_table.py                          # the table
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
+    python docs/notebook/benchmark_table.py --pairs A:B C:D          # A minus B and C minus D instead
+    python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
 
 Means over scenes of means over seeds; differences are those of pairs with ``BASELINE`` on the same scene and seed, with
 bootstrap intervals of 95 % over the seeds within the scenes (`paired_difference`). The table is of the scenes
@@ -10,8 +12,8 @@ and seeds that every policy played.
 
 from __future__ import annotations
 
+import argparse
 import csv
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,6 +36,7 @@ SHOWN = {  # key: heading, digits, best
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
 }
 DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}
+OF_PAIRS = {"completion_ratio": ("C.R.", 1), "observed": ("observed", 1), **DIFFERENCES, "depth_l1_cm": ("depth", 2)}
 OTHERS = ("precision", "frames_to_80", "frames_to_85", "frames_to_90", "metres", "decisions", "gaussians", "collisions")
 KEPT = (*SHOWN, *OTHERS)
 Table = dict[str, dict[Cell, dict[str, float]]]  # of a policy, of a scene and seed
@@ -88,6 +91,20 @@ def markdown(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
+def pairs(table: Table, wanted: Sequence[tuple[str, str]]) -> str:
+    """A table of differences, each of the scenes and seeds that both policies played."""
+    lines = [
+        "| | pairs | " + " | ".join(name for name, _ in OF_PAIRS.values()) + " |",
+        "|---|" + "---|" * (len(OF_PAIRS) + 1),
+    ]
+    for ours, theirs in wanted:
+        common = set(table[ours]) & set(table[theirs])
+        both = {name: {cell: table[name][cell] for cell in common} for name in (ours, theirs)}
+        found = [_difference(both, ours, key, digits, theirs) for key, (_, digits) in OF_PAIRS.items()]
+        lines.append(f"| `{ours}` minus `{theirs}` | {len(common)} | " + " | ".join(found) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def _rows(place: Path) -> list[dict[str, str]]:
     if not place.exists():
         return []
@@ -101,10 +118,10 @@ def _mean(values: dict[Cell, float]) -> float:
     return float(mean([value for part in by_scene for value in part], [len(part) for part in by_scene]))
 
 
-def _difference(table: Table, policy: str, key: str, digits: int) -> str:
-    if policy == BASELINE:
+def _difference(table: Table, policy: str, key: str, digits: int, baseline: str = BASELINE) -> str:
+    if policy == baseline:
         return ""
-    ours, theirs = ({cell: run[key] for cell, run in table[name].items()} for name in (policy, BASELINE))
+    ours, theirs = ({cell: run[key] for cell, run in table[name].items()} for name in (policy, baseline))
     found = paired_difference(ours, theirs)
     assert found is not None
     value = found.difference
@@ -112,7 +129,25 @@ def _difference(table: Table, policy: str, key: str, digits: int) -> str:
     return f"{text} [{value.low:.{digits}f}, {value.high:.{digits}f}]" if value.has_interval else text
 
 
+def main() -> None:
+    """Take in runs, if there are any, and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="*", type=Path)
+    parser.add_argument("--file", default=PLACE.name)
+    parser.add_argument("--pairs", nargs="+", metavar="A:B")
+    options = parser.parse_args()
+    place = PLACE.with_name(options.file)
+    if options.runs:
+        added(place, options.runs)
+    table = read(place)
+    if options.pairs:
+        print(
+            pairs(table, [(ours, theirs) for ours, _, theirs in (pair.partition(":") for pair in options.pairs)]),
+            end="",
+        )
+    else:
+        print(markdown(table), end="")
+
+
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        added(PLACE, [Path(word) for word in sys.argv[1:]])
-    print(markdown(read(PLACE)), end="")
+    main()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-
 import numpy as np
 
 from activestructure_gym.compiling import kernel
@@ -123,44 +121,114 @@ def shorten(
     tries: int = _SHORTCUTS,
 ) -> np.ndarray:  # [Q, 3] metres, the same ends
     """Cut corners wherever the straight line keeps the clearance. Never longer than before."""
-    path = _skip_vertices(volume, path, min_clearance)
-    reached = _reached(path)
-    for first, second in rng.random((tries, 2)).tolist():
-        if len(path) < 3:
+    draws, path = rng.random((tries, 2)), np.ascontiguousarray(path, dtype=np.float64)
+    return _shorten(volume.clearance, path, draws, volume.origin.astype(np.float64), volume.voxel_size, min_clearance)
+
+
+@kernel
+def _shorten(
+    field: np.ndarray,  # clearance, metres
+    path: np.ndarray,  # [P, 3] metres
+    draws: np.ndarray,  # [K, 2] shares of the length: where each shortcut begins and ends, in any order
+    origin: np.ndarray,  # [3] metres, corner of voxel (0, 0, 0)
+    voxel: float,  # metres
+    bound: float,  # metres
+) -> np.ndarray:  # [Q, 3] metres
+    first = _skip_vertices(field, path, origin, voxel, bound)
+    count = len(first)
+    vertices, reached = (
+        np.empty((count + len(draws), 3)),
+        np.empty(count + len(draws)),
+    )  # each shortcut adds at most one
+    for n in range(count):
+        for i in range(3):
+            vertices[n, i] = first[n, i]
+    _measure(vertices, count, reached)
+    ends, coordinates = np.empty((2, 3)), np.empty((4, 3))
+    edges, at = np.empty(2, np.int64), np.empty(2)
+    for k in range(len(draws)):
+        if count < 3:
             break
-        a, b = sorted((first * reached[-1], second * reached[-1]))
-        i, j = (min(bisect_right(reached, s) - 1, len(path) - 2) for s in (a, b))
-        if i == j:
+        one, other = draws[k, 0] * reached[count - 1], draws[k, 1] * reached[count - 1]
+        at[0], at[1] = min(one, other), max(one, other)
+        for e in range(2):
+            edge = 0
+            while edge < count - 2 and reached[edge + 1] <= at[e]:
+                edge += 1
+            edges[e] = edge
+            share = (at[e] - reached[edge]) / (reached[edge + 1] - reached[edge])
+            for i in range(3):
+                ends[e, i] = vertices[edge, i] + (vertices[edge + 1, i] - vertices[edge, i]) * share
+        if edges[0] == edges[1]:
             continue
-        p, q = (
-            path[n] + (path[n + 1] - path[n]) * ((s - reached[n]) / (reached[n + 1] - reached[n]))
-            for n, s in ((i, a), (j, b))
-        )
         # The pieces of old edges that stay are sampled anew: other sample points, so they are checked as well.
-        if volume.segments_free(
-            np.stack([path[i], p, q]), np.stack([p, q, path[j + 1]]), min_clearance=min_clearance
-        ).all():
-            path = np.vstack([path[: i + 1], p, q, path[j + 1 :]])
-            reached = _reached(path)
-    return _skip_vertices(volume, path, min_clearance)
+        for i in range(3):
+            coordinates[0, i] = (vertices[edges[0], i] - origin[i]) / voxel - 0.5
+            coordinates[1, i] = (ends[0, i] - origin[i]) / voxel - 0.5
+            coordinates[2, i] = (ends[1, i] - origin[i]) / voxel - 0.5
+            coordinates[3, i] = (vertices[edges[1] + 1, i] - origin[i]) / voxel - 0.5
+        free = True
+        for n in range(3):
+            free = free and segment_above(field, coordinates[n], coordinates[n + 1], bound, 0.5)
+        if not free:
+            continue
+        # Between the two edges there were so many vertices, and now there are two.
+        gone = edges[1] - edges[0]
+        if gone == 1:
+            for n in range(count, edges[1] + 1, -1):
+                for i in range(3):
+                    vertices[n, i] = vertices[n - 1, i]
+        else:
+            for n in range(edges[1] + 1, count):
+                for i in range(3):
+                    vertices[n + 2 - gone, i] = vertices[n, i]
+        for e in range(2):
+            for i in range(3):
+                vertices[edges[0] + 1 + e, i] = ends[e, i]
+        count += 2 - gone
+        _measure(vertices, count, reached)
+    return _skip_vertices(field, vertices[:count], origin, voxel, bound)
 
 
-def _reached(path: np.ndarray) -> list[float]:
-    """Metres from the start to every vertex."""
-    return [0.0, *np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)).tolist()]
+@kernel
+def _measure(vertices: np.ndarray, count: int, reached: np.ndarray) -> None:
+    """Write the metres from the start to every vertex into ``reached``."""
+    reached[0] = 0.0
+    for n in range(1, count):
+        x, y = vertices[n, 0] - vertices[n - 1, 0], vertices[n, 1] - vertices[n - 1, 1]
+        z = vertices[n, 2] - vertices[n - 1, 2]
+        reached[n] = reached[n - 1] + np.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def _skip_vertices(
+    field: np.ndarray,
+    path: np.ndarray,  # [P, 3] metres
+    origin: np.ndarray,
+    voxel: float,
+    bound: float,
+) -> np.ndarray:  # [Q, 3] metres
+    """The path without vertices it can skip: from each that is kept straight to the last one in sight."""
+    coordinates, kept = np.empty((len(path), 3)), np.empty(len(path), np.int64)
+    for n in range(len(path)):
+        for i in range(3):
+            coordinates[n, i] = (path[n, i] - origin[i]) / voxel - 0.5
+    kept[0], count, here = 0, 1, 0
+    while here < len(path) - 1:
+        there = here + 1
+        for later in range(len(path) - 1, here + 1, -1):
+            if segment_above(field, coordinates[here], coordinates[later], bound, 0.5):
+                there = later
+                break
+        here = there
+        kept[count] = here
+        count += 1
+    result = np.empty((count, 3))
+    for n in range(count):
+        for i in range(3):
+            result[n, i] = path[kept[n], i]
+    return result
 
 
 def _length(path: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-
-
-def _skip_vertices(volume: VoxelVolume, path: np.ndarray, min_clearance: float) -> np.ndarray:
-    """The path without vertices it can skip: from each that is kept straight to the last one in sight."""
-    kept, here = [0], 0
-    while here < len(path) - 1:
-        later = np.arange(here + 2, len(path))
-        if len(later):
-            later = later[volume.segments_free(path[here], path[later], min_clearance=min_clearance)]
-        here = int(later[-1]) if len(later) else here + 1
-        kept.append(here)
-    return path[kept]

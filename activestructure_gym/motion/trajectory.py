@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.ranges import check_ranges
@@ -238,7 +239,7 @@ def _difference(to: np.ndarray, from_: np.ndarray) -> np.ndarray:
 
 
 def _length(turn: np.ndarray) -> float:
-    """`numpy.linalg.norm` of one short vector, in a third of its time: bending a path asks for hundreds."""
+    """`numpy.linalg.norm` of one short vector, in a third of its time."""
     return math.sqrt(turn.dot(turn))
 
 
@@ -247,6 +248,7 @@ def _at_most(turn: np.ndarray, most: float) -> np.ndarray:
     return turn if length <= most else turn * (most / length)
 
 
+@kernel
 def _limit_turns(
     wanted: np.ndarray,  # [T, 2]
     start: np.ndarray,
@@ -255,24 +257,41 @@ def _limit_turns(
 ) -> np.ndarray:  # [T, 2], the last one is the goal
     """Follow ``wanted`` as far as the turn per frame and the turns still needed to reach the goal allow."""
     angles = np.empty_like(wanted)
-    here = start.copy()
+    yaw, pitch = start[0], start[1]
     for n in range(len(wanted)):
-        towards = _difference(wanted[n], here)
-        home = _difference(goal, here)
+        turn, nod = _short_way(wanted[n, 0] - yaw), wanted[n, 1] - pitch
+        home_turn, home_nod = _short_way(goal[0] - yaw), goal[1] - pitch
         budget = most * (len(wanted) - 1 - n)  # turns left after this frame
-        towards = _at_most(towards, most)
-        if _length(home - towards) > budget:
+        length = np.sqrt(turn * turn + nod * nod)
+        if length > most:
+            turn, nod = turn * (most / length), nod * (most / length)
+        if not _within(home_turn - turn, home_nod - nod, budget):
             # Bend towards the goal just enough: the reachable set is convex and holds the straight way home.
-            straight = _at_most(home, most)
+            straight_turn, straight_nod = home_turn, home_nod
+            length = np.sqrt(home_turn * home_turn + home_nod * home_nod)
+            if length > most:
+                straight_turn, straight_nod = home_turn * (most / length), home_nod * (most / length)
+            bend_turn, bend_nod = straight_turn - turn, straight_nod - nod
             low, high = 0.0, 1.0
             for _ in range(40):
                 middle = 0.5 * (low + high)
-                if _length(home - (towards + middle * (straight - towards))) > budget:
-                    low = middle
-                else:
+                if _within(home_turn - (turn + middle * bend_turn), home_nod - (nod + middle * bend_nod), budget):
                     high = middle
-            towards = towards + high * (straight - towards)
-        here = here + towards
-        angles[n] = here
-    angles[-1] = goal
+                else:
+                    low = middle
+            turn, nod = turn + high * bend_turn, nod + high * bend_nod
+        yaw, pitch = yaw + turn, pitch + nod
+        angles[n, 0], angles[n, 1] = yaw, pitch
+    angles[-1, 0], angles[-1, 1] = goal[0], goal[1]
     return angles
+
+
+@kernel
+def _short_way(turn: float) -> float:
+    """A turn of the yaw, the short way around."""
+    return (turn + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@kernel
+def _within(turn: float, nod: float, most: float) -> bool:
+    return np.sqrt(turn * turn + nod * nod) <= most

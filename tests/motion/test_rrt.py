@@ -97,6 +97,55 @@ def test_where_somebody_stands_he_can_turn_however_narrow_it_is(free_room):
     assert plan_path(volume, start, beside, min_clearance=0.2, rng=np.random.default_rng(0)) is None
 
 
+def shortened_plainly(volume, path, draws, min_clearance):
+    """What `shorten` does, with numpy and one segment after the other."""
+
+    def free(*points):
+        return all(volume.segments_free(p, q, min_clearance=min_clearance)[0] for p, q in zip(points[:-1], points[1:]))
+
+    def skipped(path):
+        kept = [0]
+        while kept[-1] < len(path) - 1:
+            here = kept[-1]
+            kept.append(max([here + 1, *(n for n in range(here + 2, len(path)) if free(path[here], path[n]))]))
+        return path[kept]
+
+    path = skipped(path)
+    for pair in draws:
+        if len(path) < 3:
+            break
+        reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        places = np.sort(pair * reached[-1])
+        i, j = np.minimum(np.searchsorted(reached, places, side="right") - 1, len(path) - 2)
+        if i == j:
+            continue
+        p, q = (
+            path[n] + (path[n + 1] - path[n]) * ((s - reached[n]) / (reached[n + 1] - reached[n]))
+            for n, s in zip((i, j), places)
+        )
+        if free(path[i], p, q, path[j + 1]):
+            path = np.vstack([path[: i + 1], p, q, path[j + 1 :]])
+    return skipped(path)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_shortcuts_are_those_of_plain_numpy_to_the_bit(free_room, seed):
+    rng = np.random.default_rng(seed)
+    pillars = [((x, y, -1), (x + 0.4, y + 0.6, 9)) for x, y in rng.uniform([1.4, 0.6], [4.4, 4.0], (4, 2))]
+    volume = free_room(*pillars)
+    distances = path_lengths(volume, np.array([0.6, 0.6, 1.2]), min_clearance=0.2)
+    places = distances.reachable
+    cut = 0
+    for _ in range(5):
+        path = distances.path_to(places[rng.integers(len(places))])
+        told = np.random.default_rng(seed).random((100, 2))
+        expected = shortened_plainly(volume, path, told, 0.2)
+        found = shorten(volume, path, min_clearance=0.2, rng=np.random.default_rng(seed))
+        np.testing.assert_array_equal(found, expected)
+        cut += len(path) - len(found)
+    assert cut > 10
+
+
 def test_shortening_never_lengthens_and_straightens_free_detours(free_room):
     volume, rng = free_room(), np.random.default_rng(3)
     detour = rng.uniform(BOUNDS[0] + 0.4, BOUNDS[1] - 0.4, size=(12, 3))

@@ -3,7 +3,7 @@ import pytest
 
 from activestructure_gym.geometry import fibonacci_directions, look_along, rotation_angle
 from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, is_level
-from activestructure_gym.motion.trajectory import poses_at, yaw_pitch
+from activestructure_gym.motion.trajectory import _limit_turns, poses_at, yaw_pitch
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
 CONFIG = MotionConfig()
@@ -20,6 +20,48 @@ def distance_to_path(points, path):
         share = np.clip(((points - a) @ (b - a)) / max(((b - a) ** 2).sum(), 1e-18), 0, 1)
         best = np.minimum(best, np.linalg.norm(points - (a + share[:, None] * (b - a)), axis=1))
     return best
+
+
+def bent_plainly(wanted, start, goal, most):
+    """What `_limit_turns` does, with numpy."""
+
+    def difference(to, from_):
+        turn = to - from_
+        turn[0] = (turn[0] + np.pi) % (2 * np.pi) - np.pi
+        return turn
+
+    def at_most(turn):
+        length = np.sqrt(turn @ turn)
+        return turn if length <= most else turn * (most / length)
+
+    angles, here = np.empty_like(wanted), start
+    for n in range(len(wanted)):
+        towards, home = at_most(difference(wanted[n], here)), difference(goal, here)
+        budget = most * (len(wanted) - 1 - n)
+        if np.linalg.norm(home - towards) > budget:
+            straight, low, high = at_most(home), 0.0, 1.0
+            for _ in range(40):
+                middle = 0.5 * (low + high)
+                too_far = np.linalg.norm(home - (towards + middle * (straight - towards))) > budget
+                low, high = (middle, high) if too_far else (low, middle)
+            towards = towards + high * (straight - towards)
+        angles[n] = here = here + towards
+    angles[-1] = goal
+    return angles
+
+
+def test_turns_are_those_of_plain_numpy_to_the_bit():
+    rng, most, bent = np.random.default_rng(0), np.radians(10.0), 0
+    for _ in range(150):
+        start, goal = rng.uniform([-3.2, -1.2], [3.2, 1.2], (2, 2))
+        turn = goal - start
+        turn[0] = (turn[0] + np.pi) % (2 * np.pi) - np.pi
+        frames = int(np.ceil(np.linalg.norm(turn) / most)) + int(rng.integers(1, 20))
+        wanted = start + np.cumsum(rng.normal(0, 0.2, (frames, 2)), axis=0)
+        expected = bent_plainly(wanted, start, goal, most)
+        np.testing.assert_array_equal(_limit_turns(wanted, start, goal, most), expected)
+        bent += not np.array_equal(expected, wanted)
+    assert bent > 100
 
 
 def test_steps_turns_ends_and_roll_over_random_paths():

@@ -37,12 +37,22 @@ def depth_tiles(
 ) -> DepthTiles:
     """The largest depth of every tile of a depth image."""
     height, width = depth.shape
-    far = np.where(depth > 0, depth, np.inf).astype(np.float32)
-    padded = np.pad(far, ((0, -height % _TILE), (0, -width % _TILE)))
-    farthest = padded.reshape(padded.shape[0] // _TILE, _TILE, -1, _TILE).max(axis=(1, 3))
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     pose = np.ascontiguousarray(invert_rigid(world_from_camera)[:3])
-    return DepthTiles(np.ascontiguousarray(farthest), pose, intrinsics, (width, height))
+    return DepthTiles(_farthest(np.ascontiguousarray(depth, np.float32)), pose, intrinsics, (width, height))
+
+
+@kernel
+def _farthest(depth: np.ndarray) -> np.ndarray:  # [H, W] float32 -> [h, w]
+    """The largest depth of every tile, inf where a pixel has none."""
+    height, width = depth.shape
+    farthest = np.zeros((-(-height // _TILE), -(-width // _TILE)), np.float32)
+    for v in range(height):
+        for u in range(width):
+            here = depth[v, u] if depth[v, u] > 0 else np.float32(np.inf)
+            if here > farthest[v // _TILE, u // _TILE]:
+                farthest[v // _TILE, u // _TILE] = here
+    return farthest
 
 
 @kernel

@@ -8,6 +8,8 @@ measured, what lies well behind it can be left out, too (`activestructure_gym.ma
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from activestructure_gym.compiling import kernel
@@ -97,6 +99,13 @@ def may_be_seen(
     world_from_camera: np.ndarray,  # [4, 4]
 ) -> np.ndarray:  # [B] bool
     """False for blocks that lie behind the camera or whose every Gaussian ends outside one side of the image."""
+    sides, wider = _sides(camera)
+    return _reaches(boxes, np.ascontiguousarray(sides @ invert_rigid(world_from_camera)), wider)
+
+
+@lru_cache(64)
+def _sides(camera: PinholeCamera) -> tuple[np.ndarray, float]:
+    """The planes of a camera at the origin [5, 4], and how many pixels a sigma of a metre may reach over them."""
     view = make_view(camera, np.eye(4))
     slope_x = max(abs(view[layout.LOW_X]), abs(view[layout.HIGH_X]))
     slope_y = max(abs(view[layout.LOW_Y]), abs(view[layout.HIGH_Y]))
@@ -109,8 +118,8 @@ def may_be_seen(
         [0.0, camera.fy, camera.cy + border, 0.0],
         [0.0, -camera.fy, camera.height + border - camera.cy, 0.0],
         [0.0, 0.0, 1.0, 0.0],
-    ]) @ invert_rigid(world_from_camera)  # fmt: skip
-    return _reaches(boxes, np.ascontiguousarray(sides), _REACH * stretch)
+    ])  # fmt: skip
+    return sides, _REACH * stretch
 
 
 @kernel

@@ -102,7 +102,12 @@ def _names() -> dict[str, Sequence[str]]:
 
     scenes, features = list(SCENES), list(FEATURES)
     return {
-        "Policies.name": list(POLICIES),
+        "Policies.names": list(POLICIES),
+        "Features.names": features,
+        "Config.words": [
+            *PRESETS,
+            *dict.fromkeys(name.partition(".")[0] for name, _ in leaves(ReconstructionConfig())),
+        ],
         "Scenes.spec": scenes,
         "set": [f"{name}=" for name, _ in leaves(ReconstructionConfig())],
         "policies": [*POLICIES, "ladder", "all"],

@@ -16,18 +16,19 @@ from typing import Annotated, Any
 import tyro
 from rich.markup import escape
 
+from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.cli.fields import Changes, Switch, option
 from activestructure_gym.evaluation.cli.listing import print_json, print_listed
-from activestructure_gym.evaluation.cli.options import parse_overrides
-from activestructure_gym.evaluation.cli.output import plain_table
+from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
+from activestructure_gym.evaluation.cli.output import list_table
 
 
 @dataclass(frozen=True)
 class Config:
     """Print the configuration of an episode: every field with its value, its default and its meaning."""
 
-    preset: Annotated[str, tyro.conf.Positional, option("[fast|default|full|paper]")] = "default"
-    """The preset."""
+    words: Annotated[tuple[str, ...], tyro.conf.Positional, option("[fast|default|full|paper] [FIELD ...]", "")] = ()
+    """The preset, default if not given, and the fields or groups of fields to print, as sensor or mapper.window."""
     set: Changes = ()
     """Changes of it, as compare and train take them; what they change is said at the end."""
     json: Switch = False
@@ -37,14 +38,24 @@ class Config:
         """Field by field, and what the preset and ``--set`` change of the defaults."""
         from activestructure_gym.config import ReconstructionConfig, configure, known_preset
 
-        preset = configure(preset_name := known_preset(self.preset))
+        words = split_list(self.words)
+        fields = words[1:] if words and not _is_of(words[0], ReconstructionConfig()) else words
+        preset_name = known_preset("default" if fields == words else words[0])
+        preset = configure(preset_name)
         chosen = configure(preset_name, parse_overrides(self.set))
         if self.json:
             return print_json(dataclasses.asdict(chosen))
         defaults = dict(leaves(ReconstructionConfig()))
         before, after, texts = dict(leaves(preset)), dict(leaves(chosen)), dict(meanings(chosen))
-        table = plain_table(f"Preset {self.preset}", "field", "value", "default", "meaning")
+        groups = list(dict.fromkeys(name.partition(".")[0] for name in after))
+        for field in fields:
+            if not _is_of(field, chosen):
+                within = [name for name in after if name.startswith(field.partition(".")[0] + ".")]
+                raise unknown_name("field or group of fields", field, within or groups)
+        table = list_table(f"Preset {preset_name}", "field", "value", "default", "meaning")
         for name, value in after.items():
+            if fields and not any(name == field or name.startswith(f"{field}.") for field in fields):
+                continue
             style = "bold" if name not in before or value != before[name] else None
             default = "" if name not in defaults or value == defaults[name] else _shown(defaults[name])
             table.add_row(*map(escape, (name, _shown(value), default, texts[name])), style=style)
@@ -53,6 +64,11 @@ class Config:
         for name in changes:
             print(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
         return 0
+
+
+def _is_of(word: str, config: Any) -> bool:
+    """Whether it is a field of the configuration, or a group of them."""
+    return any(name == word or name.startswith(f"{word}.") for name, _ in leaves(config))
 
 
 def leaves(config: Any, before: str = "") -> Iterator[tuple[str, Any]]:

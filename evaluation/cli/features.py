@@ -2,46 +2,83 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from dataclasses import dataclass
+from typing import Annotated, Any
 
+import tyro
 from rich.markup import escape
 
-from activestructure_gym.evaluation.cli.fields import Switch
+from activestructure_gym.evaluation.cli.fields import Switch, option
 from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed
-from activestructure_gym.evaluation.cli.output import plain_table
+from activestructure_gym.evaluation.cli.options import split_list
+from activestructure_gym.evaluation.cli.output import list_table
+from activestructure_gym.evaluation.cli.policies import gains_asked
 
 
 @dataclass(frozen=True)
 class Features:
-    """List the features of a candidate view that a policy can ask for: what each is, its columns and its unit."""
+    """List the features of a candidate view that a policy can ask for: what each is, its columns and its unit; or
+    describe some."""
 
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
+    """Some of them, each with its whole description and who asks for it."""
     json: Switch = False
     """For programs."""
 
     def run(self) -> int:
-        """All features: what each is, of which columns and in which unit."""
+        """All features: what each is, of which columns and in which unit; or some with their whole descriptions."""
         from activestructure_gym.features import FEATURES
         from activestructure_gym.features.table import columns_in_words, units_in_words
 
-        features = {name: FEATURES.get(name) for name in FEATURES}
+        names = list(dict.fromkeys(FEATURES.owner(name) for name in split_list(self.names)))
         if self.json:
-            return print_json(
-                [
-                    {
-                        "name": name,
-                        "about": first_line(feature),
-                        "columns": FEATURES.columns(name),
-                        "units": feature.units,
-                        "low": [low if math.isfinite(low) else None for low in feature.low],
-                        "high": [high if math.isfinite(high) else None for high in feature.high],
-                    }
-                    for name, feature in features.items()
-                ]
-            )
-        table = plain_table("Features of a candidate view", "name", "columns", "unit", "what it is")
+            return print_json([_facts(name) for name in names or FEATURES])
+        if names:
+            print("\n\n".join(map(_described, names)))
+            return 0
+        features = {name: FEATURES.get(name) for name in FEATURES}
+        table = list_table("Features of a candidate view", "name", "columns", "unit", "what it is")
         for name, feature in features.items():
             words = (name, columns_in_words(feature), units_in_words(feature), first_line(feature))
             table.add_row(*map(escape, words))
-        print_listed(table, "A policy names those it needs; --gains of asg train and gains=... of an env take any.")
+        print_listed(
+            table,
+            "One of them: asg features NAME. A policy names those it needs; --gains of asg train and gains=... of an "
+            "env take any.",
+        )
         return 0
+
+
+def _facts(name: str) -> dict[str, Any]:
+    from activestructure_gym.features import FEATURES
+
+    feature = FEATURES.get(name)
+    return {
+        "name": name,
+        "about": first_line(feature),
+        "columns": FEATURES.columns(name),
+        "units": feature.units,
+        "low": [low if math.isfinite(low) else None for low in feature.low],
+        "high": [high if math.isfinite(high) else None for high in feature.high],
+    }
+
+
+def _described(name: str) -> str:
+    """One feature: its columns with units and ranges, what it is, and who asks for it."""
+    from activestructure_gym.features import FEATURES
+    from activestructure_gym.features.table import columns_in_words, ranges_in_words, units_in_words
+    from activestructure_gym.policies import POLICIES
+
+    feature, columns = FEATURES.get(name), FEATURES.columns(name)
+    asking = [policy for policy in POLICIES if {name, *columns} & set(gains_asked(policy))]
+    return "\n".join(
+        [
+            name,
+            inspect.getdoc(feature) or "It has no description.",
+            "",
+            f"Columns: {columns_in_words(feature)}; unit: {units_in_words(feature)}; range: {ranges_in_words(feature)}",
+            f"Asked for by: {', '.join(asking) or 'no registered policy'}",
+        ]
+    )

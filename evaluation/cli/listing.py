@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-from activestructure_gym.evaluation.cli.output import make_console, print_whole
+from activestructure_gym.evaluation.cli.output import make_console
 
 
 def first_line(thing: Any) -> str:
@@ -17,9 +17,9 @@ def first_line(thing: Any) -> str:
 
 
 def print_listed(table: Table, hint: str) -> None:
-    """Print a table, and below it a hint."""
+    """Print a `list_table`, within the width of a terminal, and below it a hint."""
     console = make_console()
-    print_whole(console, table)
+    console.print(table)
     console.print(hint)
 
 

@@ -54,6 +54,14 @@ def print_whole(console: Console, table: Table) -> None:
     console.print(table, crop=False)
 
 
+def list_table(title: str, *columns: str) -> Table:
+    """A table of words: but for the first column they are folded where a terminal is narrower."""
+    table = plain_table(title)
+    for place, column in enumerate(columns):
+        table.add_column(column, no_wrap=not place, overflow="fold")
+    return table
+
+
 def plain_table(title: str, *columns: str) -> Table:
     """A table without a frame, with these columns."""
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)

@@ -11,68 +11,88 @@ from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.fields import Switch, option
 from activestructure_gym.evaluation.cli.listing import print_json, print_listed
-from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.evaluation.cli.options import split_list
+from activestructure_gym.evaluation.cli.output import list_table, make_console, plain_table, print_whole
 
 
 @dataclass(frozen=True)
 class Policies:
-    """List the policies known by name: what each decides by, whose it is, which features it needs; or describe one."""
+    """List the policies known by name: what each decides by, whose it is, which features it needs; or describe some."""
 
-    name: Annotated[str | None, tyro.conf.Positional, option("[NAME]", "")] = None
-    """One of them, with its options and its description."""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
+    """Some of them, each with its options and its description."""
     json: Switch = False
     """For programs."""
 
     def run(self) -> int:
-        """All registered policies in a table, or one with its options and its whole description."""
+        """All registered policies in a table, or some with their options and whole descriptions."""
         from activestructure_gym.policies import POLICIES, canonical_policy
 
-        if self.name is None:
+        names = split_list(self.names)
+        if not names:
             rows = [_policy_facts(name) for name in POLICIES]
             if self.json:
                 return print_json(rows)
-            table = plain_table("Policies", "name", "decides by", "source", "features it needs")
+            table = list_table("Policies", "name", "decides by", "source", "features it needs")
             for row in rows:
                 gains = ", ".join(row["gains"])
                 table.add_row(*map(escape, (row["name"], row["decides_by"], row["source"], gains)))
-            print_listed(table, "One of them with its options: asg policies NAME")
+            print_listed(table, "One of them with its options: asg policies NAME; your own: asg policies MODULE:CLASS")
             return 0
-        facts = _policy_facts(canonical_policy(self.name) if "?" in self.name else self.name)
+        found = [_policy_facts(canonical_policy(name) if "?" in name else name) for name in names]
         if self.json:
-            return print_json(facts)
-        console = make_console()
-        console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
-        console.print(escape(facts["about"]), soft_wrap=True)
-        console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
-        if not facts["options"]:
-            console.print("It takes no options.")
-            return 0
-        table = plain_table("Options", "name", "default")
-        for name, default in facts["options"].items():
-            table.add_row(escape(name), escape("must be given" if name in facts["required"] else str(default)))
-        print_whole(console, table)
-        example = f"{self.name.partition('?')[0]}?{next(iter(facts['options']))}=..."
-        console.print(escape(f"They are written as in {example}"))
+            return print_json(found if len(found) > 1 else found[0])
+        for number, facts in enumerate(found):
+            if number:
+                print()
+            _describe(facts)
         return 0
 
 
-def _policy_facts(name: str) -> dict[str, Any]:
+def _describe(facts: dict[str, Any]) -> None:
+    """Print one policy with its options."""
+    console = make_console()
+    console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
+    console.print(escape(facts["about"]), soft_wrap=True)
+    console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
+    if not facts["options"]:
+        console.print("It takes no options.")
+        return
+    table = plain_table("Options", "name", "default")
+    for name, default in facts["options"].items():
+        table.add_row(escape(name), escape("must be given" if name in facts["required"] else str(default)))
+    print_whole(console, table)
+    example = f"{facts['name'].partition('?')[0]}?{next(iter(facts['options']))}=..."
+    console.print(escape(f"They are written as in {example}"))
+
+
+def gains_asked(name: str) -> tuple[str, ...]:
+    """The columns of features that a policy needs, with the options in its name or the defaults."""
     from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.base import gains_of
 
     kind: Any = POLICIES.get(name.partition("?")[0])
-    parameters = inspect.signature(kind).parameters.values()
-    required = [p.name for p in parameters if p.default is p.empty]
     # Some ask for a gain more or less by their options; without those that must be given none can be made to be asked.
-    gains = gains_of(kind if required and "?" not in name else make_policy(name))
+    return gains_of(kind if _required(kind) and "?" not in name else make_policy(name))
+
+
+def _required(kind: type) -> list[str]:
+    return [p.name for p in inspect.signature(kind).parameters.values() if p.default is p.empty]
+
+
+def _policy_facts(name: str) -> dict[str, Any]:
+    from activestructure_gym.policies import POLICIES
+
+    kind: Any = POLICIES.get(name.partition("?")[0])
+    parameters = inspect.signature(kind).parameters.values()
     about = _own_words(kind)
     return {
         "name": name,
         "decides_by": kind.decides_by or about.partition("\n")[0],
-        "gains": list(gains),
+        "gains": list(gains_asked(name)),
         "source": kind.source,
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
-        "required": required,
+        "required": _required(kind),
         "about": about,
     }
 

@@ -13,6 +13,12 @@ from activestructure_gym.mapping import MAPPERS
 from activestructure_gym.policies import POLICIES, Policy, make_policy
 
 
+@pytest.fixture(autouse=True)
+def a_log(monkeypatch):
+    """Whoever runs the tests may have told how wide his terminal is."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 def said(capsys, *words):
     assert main(list(words)) == 0
     return capsys.readouterr().out
@@ -48,6 +54,41 @@ def test_policies_for_programs(capsys):
     rows = json.loads(said(capsys, "policies", "--json"))
     assert [row["name"] for row in rows] == list(POLICIES)
     assert {"name", "decides_by", "gains", "source", "options", "required", "about"} == set(rows[0])
+
+
+def test_several_policies_are_described_one_after_the_other(capsys):
+    out = said(capsys, "policies", "pixel_only,frontier", "random")
+    assert [out.index(f"{name}  ") for name in ("pixel_only", "frontier", "random")] == sorted(
+        out.index(f"{name}  ") for name in ("pixel_only", "frontier", "random")
+    )
+    assert [facts["name"] for facts in json.loads(said(capsys, "policies", "random", "pixel_only", "--json"))] == [
+        "random", "pixel_only"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [["policies"], ["features"], ["config"]])
+def test_lists_fold_at_the_width_of_a_terminal(capsys, monkeypatch, words):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = said(capsys, *words).splitlines()
+    assert max(map(len, lines)) <= 80
+    monkeypatch.delenv("COLUMNS")
+    assert max(map(len, said(capsys, *words).splitlines())) > 120  # a log is not wrapped
+
+
+def test_a_feature_is_described_with_its_columns_and_who_asks_for_it(capsys):
+    out = said(capsys, "features", "naruto_look", "unknown_volume_way")  # a column stands for its feature
+    assert "30" in out and "Asked for by: naruto" in out and "the whole way" in out and "activestructure" in out
+    assert [row["name"] for row in json.loads(said(capsys, "features", "pixel", "--json"))] == ["pixel"]
+    assert main(["features", "pixle"]) == 2
+    assert "did you mean 'pixel'" in capsys.readouterr().err
+
+
+def test_of_a_configuration_some_fields_are_printed(capsys):
+    assert "sensor.width" in (out := said(capsys, "config", "sensor")) and "mapper." not in out
+    out = said(capsys, "config", "fast", "sensor.width,mapper.window")
+    assert " 96 " in out and "mapper.window" in out and "sensor.height" not in out
+    assert main(["config", "fast", "sensor.widht"]) == 2
+    assert "did you mean 'sensor.width'" in capsys.readouterr().err
 
 
 def test_a_policy_of_a_user_without_any_of_it_is_listed(capsys, monkeypatch):

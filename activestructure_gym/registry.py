@@ -8,6 +8,7 @@ process without registering), and the entry points of installed packages in the 
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
 from collections.abc import Callable, Iterator
@@ -95,11 +96,17 @@ class Registry(Generic[T]):
         try:
             module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:
-            raise InputError(f"{self.kind} '{path}': there is no module called '{error.name}' on sys.path") from error
+            hint = f"; without .py it is {path.replace('.py:', ':', 1)}" if ".py:" in path else ""
+            raise InputError(
+                f"{self.kind} '{path}': there is no module called '{error.name}' on sys.path{hint}"
+            ) from error
         try:  # apart from the import: an AttributeError inside the module is its author's to see
             return getattr(module, attribute)
         except AttributeError as error:
-            raise InputError(f"{self.kind} '{path}': module '{module_name}' has no '{attribute}'") from error
+            names = [name for name in dir(module) if not name.startswith("_")]
+            close = difflib.get_close_matches(attribute, names, n=1)
+            hint = f"; did you mean '{close[0]}'?" if close else ""
+            raise InputError(f"{self.kind} '{path}': module '{module_name}' has no '{attribute}'{hint}") from error
 
 
 def refuse_code(kind: str, name: str, file: object) -> None:

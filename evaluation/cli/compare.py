@@ -7,6 +7,7 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -146,12 +147,10 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
     from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
-    from activestructure_gym.evaluation.archive.jobs import code_of, is_trajectory, policy_label
+    from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
-    from activestructure_gym.evaluation.running.following import named_trajectory
     from activestructure_gym.evaluation.running.sharding import Shard, run_shard
-    from activestructure_gym.policies import canonical_policy
 
     limits = Limits(options.workers, options.timeout, options.retries)
     get_engine(options.engine).check(limits)
@@ -161,16 +160,16 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     comparison = comparison or (None if bare else comparison_of(options))
     if comparison and options.engine != "ray":
         comparison.check_machine()
+    if (
+        comparison and not options.resume and options.baseline is not None
+    ):  # what would take part is known before anything is loaded
+        options = _with_baseline(options, comparison.everybody())
     with working(console, "loading") as notify:
         jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
     before = ((read_record(directory) or {}) if options.resume else {}).get("jobs", {}).values()
     known = list(dict.fromkeys((*policies, *(job["policy"] for job in before))))
-    if options.baseline is not None and options.baseline not in known:
-        canonical = named_trajectory if is_trajectory(options.baseline) else canonical_policy
-        options = dataclasses.replace(options, baseline=canonical(options.baseline))
-        if options.baseline not in known:
-            raise InputError(f"--baseline is one of the policies, {', '.join(known)}; got '{options.baseline}'")
+    options = _with_baseline(options, known)
     if comparison:
         _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
 
@@ -210,14 +209,31 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         return 130
 
 
+def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
+    """The options with the baseline called as its jobs are; raises `InputError` where it does not take part."""
+    from activestructure_gym.evaluation.archive.jobs import is_trajectory
+    from activestructure_gym.evaluation.running.following import named_trajectory
+    from activestructure_gym.policies import canonical_policy
+
+    given = options.baseline
+    if given is None or given in known:
+        return options
+    with suppress(InputError):
+        called = named_trajectory(given) if is_trajectory(given) else canonical_policy(given)
+        if called in known:
+            return dataclasses.replace(options, baseline=called)
+    raise InputError(f"--baseline is one of the policies, {', '.join(known)}; got '{given}'")
+
+
 def _with_demo_defaults(options: Compare) -> Compare:
     """The options as given, and the demo's where none is."""
+    told = "frame_budget" in parse_overrides(options.set)
     short = options.preset is None and options.terms == "shared"  # native terms have a preset of their own
     return dataclasses.replace(
         options,
         scenes=DEMO.scenes,
         preset=DEMO.preset if short else options.preset,
-        frames=DEMO.frames if options.frames is None and short else options.frames,
+        frames=DEMO.frames if options.frames is None and short and not told else options.frames,
         views=DEMO.views if options.views is None else options.views,
         samples=DEMO.samples if options.samples is None else options.samples,
     )
@@ -231,6 +247,9 @@ def comparison_of(options: Compare) -> Comparison:
     from activestructure_gym.evaluation.running.following import with_mappers
 
     use_lpips_weights(options.lpips_weights)
+    overrides = parse_overrides(options.set)
+    if options.frames is not None and "frame_budget" in overrides:
+        raise InputError(f"--frames {options.frames} and --set frame_budget={overrides['frame_budget']}: leave one out")
     protocol = StandardProtocol(view_source=options.view_source)
     if options.samples is not None:
         protocol = dataclasses.replace(protocol, surface_samples=options.samples)
@@ -244,7 +263,7 @@ def comparison_of(options: Compare) -> Comparison:
         preset=known_preset(options.preset or (NATIVE_PRESET if options.terms == "native" else "default")),
         terms=options.terms,
         frame_budget=options.frames,
-        overrides=parse_overrides(options.set),
+        overrides=overrides,
         start_pose=start_of(options.start, split_scenes(options.scenes)),
         protocol=protocol,
         also_protocols=[name for name in split_list(options.protocols) if name != protocol.name],

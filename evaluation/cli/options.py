@@ -15,6 +15,7 @@ from activestructure_gym.registry import TRUST
 
 # What stands behind a comma inside a scene's options, as in box?size=4,3,2.5
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_MOST_SEEDS = 10_000  # of a range
 _POINT = re.compile(r"[-+]?(\d+\.|\d*\.\d+)")  # a number with a point; JSON has neither .9 nor 1.
 
 
@@ -69,12 +70,18 @@ def split_policies(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def parse_seeds(words: Sequence[str]) -> tuple[int, ...]:
-    """Whole numbers from 0 on."""
-    seeds = []
+    """Whole numbers from 0 on; ``0-4`` is 0, 1, 2, 3 and 4."""
+    seeds: list[int] = []
     for text in split_list(words):
-        if not (text.isascii() and text.isdigit() and len(text) < 20):
-            raise InputError(f"a seed is a whole number from 0 to 2^63 - 1, got {shown(text)}")
-        seeds.append(int(text))
+        ends = text.split("-")
+        if len(ends) > 2 or not all(end.isascii() and end.isdigit() and len(end) < 20 for end in ends):
+            raise InputError(
+                f"a seed is a whole number from 0 to 2^63 - 1, several are 0,2,5 or 0-4, got {shown(text)}"
+            )
+        first, last = int(ends[0]), int(ends[-1])
+        if not 0 <= last - first < _MOST_SEEDS:
+            raise InputError(f"seeds from A to B are at most {_MOST_SEEDS}, the least one first; got {shown(text)}")
+        seeds += range(first, last + 1)
     return tuple(seeds)
 
 

@@ -41,8 +41,33 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     except SystemExit as end:
         if end.code in (None, 0):
             raise
-    command = f"asg {name} {part}".rstrip()
-    raise InputError(f"{sentence(said.getvalue(), part)}; {command} --help shows the options")
+    command, told = f"asg {name} {part}".rstrip(), sentence(said.getvalue(), part)
+    belongs = [hint for word in _stray(told) if (hint := _option_of(kind, word))]
+    raise InputError("; ".join([told, *belongs, f"{command} --help shows the options"]))
+
+
+def _stray(told: str) -> list[str]:
+    """Words that stand behind no option, of tyro's message in one sentence."""
+    return told.partition("unrecognized options: ")[2].partition(";")[0].split(", ")
+
+
+def _option_of(kind: Any, word: str) -> str:
+    """A sentence on the option that a word without one is the value of, if it names a policy or a scene."""
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.scenes.library import is_scene_name
+
+    if not word or word.startswith("-"):
+        return ""
+    fields = getattr(kind, "__dataclass_fields__", {})
+    bare = word.partition("?")[0]
+    for options, known in (
+        (("policies", "policy"), bare in POLICIES or word in ("all", "ladder")),
+        (("scenes", "scene"), is_scene_name(word) or os.path.exists(os.path.expanduser(bare))),
+    ):
+        taken = [option for option in options if option in fields]
+        if known and taken:
+            return f"did you mean --{taken[0]} {word}?"
+    return ""
 
 
 def sentence(box: str, part: str = "") -> str:

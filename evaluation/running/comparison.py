@@ -87,6 +87,12 @@ class Comparison:
 
         rasterizer(configure(self.preset, self.overrides).mapper.backend)
 
+    def everybody(self, policies: Sequence[str] = ()) -> list[str]:
+        """Who takes part, as jobs call them: the policies (of these names, if they are known), then the references."""
+        from activestructure_gym.evaluation.running.references import reference_job
+
+        return [*(policies or self._check_policies()), *map(reference_job, self.references)]
+
     def prepare(self, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
         """Check everything a job could fail on, and compute what all jobs of a scene share.
 
@@ -94,10 +100,8 @@ class Comparison:
         views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
         stopped early has compared something. Raises `InputError` for the first thing that cannot work.
         """
-        from activestructure_gym.evaluation.running.references import reference_job
-
         policies = self._check_policies()
-        everybody = [*policies, *map(reference_job, self.references)]
+        everybody = self.everybody(policies)
         hashes = {}
         planners = [policy for policy in policies if not is_trajectory(policy)]
         with warming_up(planners or ["random"], self.overrides, notify):

@@ -46,7 +46,10 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
             cut = sorted(path.name for path in path.absolute().parent.glob(f"{glob.escape(path.name)}[?]*"))
             if cut:
                 raise InputError(f"'{place}' is no checkpoint, but '{cut[0]}' is there: {_NO_QUESTION_MARK}")
-            raise InputError(f"'{place}' is no checkpoint of a learned policy: there is no file '{file}'")
+            raise InputError(
+                f"'{place}' is no checkpoint of a learned policy: it is no folder that asg train wrote, and there is "
+                f"no file '{file}'"
+            )
     return weights
 
 

@@ -31,6 +31,13 @@ def test_commas_and_spaces_separate_but_not_inside_a_scenes_numbers(words, items
     assert split_list(words) == items
 
 
+def test_seeds_may_be_a_range():
+    assert parse_seeds(["0-2,7", "9-9"]) == (0, 1, 2, 7, 9)
+    for wrong in ("2-0", "-1", "1-2-3", "0-99999", "1-", "²"):
+        with pytest.raises(InputError, match="seed"):
+            parse_seeds([wrong])
+
+
 def test_the_name_of_a_file_stays_whole(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my, room?.glb").touch()

@@ -15,32 +15,35 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-LARGEST_BYTES = 1 << 30  # of all arrays of a file together
+LARGEST_BYTES = 1 << 30  # of all arrays of a file together, if whoever reads it says nothing else
 # Deflate packs zeros a thousand times; real arrays, of images and masks, about ten times.
 _RATIO, _SMALL = 200, 64 << 20  # times the file's size, above so many bytes
 _MOST_ARRAYS = 1000
 
 
-def read_npz(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """All arrays of the file. Raises OSError where it cannot be opened, else ValueError that says what is wrong."""
+def read_npz(path: str | os.PathLike[str], largest: int = LARGEST_BYTES) -> dict[str, np.ndarray]:
+    """All arrays of the file, ``largest`` bytes together at most.
+
+    Raises OSError where it cannot be opened, else ValueError that says what is wrong.
+    """
     if Path(path).exists() and not Path(path).is_file():  # a pipe or a device would never end
         raise ValueError("it is no regular file")
     with open(path, "rb") as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
                 entries = archive.infolist()
-                _check_sizes(entries, os.fstat(stream.fileno()).st_size)
+                _check_sizes(entries, os.fstat(stream.fileno()).st_size, largest)
                 return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
         except Exception as error:  # zipfile, zlib and the parser of npy headers raise whatever they meet
             raise ValueError(" ".join(str(error).split())[:200] or "it is no npz file") from error
 
 
-def _check_sizes(entries: list[zipfile.ZipInfo], size: int) -> None:
+def _check_sizes(entries: list[zipfile.ZipInfo], size: int, largest: int) -> None:
     if len(entries) > _MOST_ARRAYS:
         raise ValueError(f"it holds {len(entries)} arrays, at most {_MOST_ARRAYS} are read")
     unpacked = sum(entry.file_size for entry in entries)
-    if unpacked > LARGEST_BYTES:
-        raise ValueError(f"its arrays take {unpacked:,} bytes, at most {LARGEST_BYTES:,} are read")
+    if unpacked > largest:
+        raise ValueError(f"its arrays take {unpacked:,} bytes, at most {largest:,} are read")
     if unpacked > _SMALL + _RATIO * size:
         raise ValueError(f"its {size:,} bytes unpack to {unpacked:,}, more than {_RATIO} times as many")
 

@@ -23,6 +23,7 @@ ROWS = 14
 _LANES = 16  # the kernels' vector width: the capacity is a multiple of it
 _CHUNK = 1024  # Gaussians, the rasteriser's
 _FORMAT_VERSION = 1
+_LARGEST_BYTES = 3 * ROWS * 4 * 100_000_000  # of a file: parameters and moments of the largest map there may be
 
 
 class GaussianMap:
@@ -195,7 +196,7 @@ class GaussianMap:
     def load_npz(cls, path: str | os.PathLike[str]) -> GaussianMap:
         """Read what `save_npz` wrote. Never unpickles; anything else raises `InputError`."""
         try:
-            content = read_npz(path)
+            content = read_npz(path, _LARGEST_BYTES)
         except FileNotFoundError:
             raise InputError(f"expected a saved Gaussian map, but there is no file '{path}'") from None
         except (OSError, ValueError) as error:
@@ -206,19 +207,21 @@ class GaussianMap:
                 f"'{path}' has the map format {version}, this version reads format {_FORMAT_VERSION}; "
                 "save the map again or export it as PLY"
             )
-        blocks = [content.get(name) for name in ("parameters", "first_moment", "second_moment")]
+        names = ("parameters", "first_moment", "second_moment")
+        blocks = [content.get(name) for name in names]
         shapes = [None if block is None else block.shape for block in blocks]
         if shapes[0] is None or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != ROWS:
             raise InputError(f"'{path}' should hold three arrays of one shape (14, n), but their shapes are {shapes}")
-        types = [content[name].dtype for name in ("parameters", "first_moment", "second_moment")]
+        types = [content[name].dtype for name in names]
         if any(dtype.kind != "f" for dtype in types):
             raise InputError(f"'{path}' should hold three arrays of floats, but their types are {types}")
-        if not all(block is not None and np.isfinite(block).all() for block in blocks):
+        with np.errstate(over="ignore"):  # what float32 cannot hold is infinite there
+            parameters, first, second = (content[name].astype(np.float32) for name in names)
+        if not all(np.isfinite(block).all() for block in (parameters, first, second)):
             raise InputError(f"'{path}' holds Gaussians with values that are not finite")
         loaded = cls(shapes[0][1])
-        loaded.append(content["parameters"])
-        loaded.first_moment[:, : loaded.count] = content["first_moment"]
-        loaded.second_moment[:, : loaded.count] = content["second_moment"]
+        loaded.append(parameters)
+        loaded.first_moment[:, : loaded.count], loaded.second_moment[:, : loaded.count] = first, second
         return loaded
 
 

@@ -171,5 +171,5 @@ def tile_holes(labels, depth, count, min_radius, tile, min_cells):
                     if away < best[t]:
                         best[t] = away
                         chosen[t, 0], chosen[t, 1] = r, c
-    large = sums[:, 0] >= min_cells
+    large = sums[:, 0] >= max(min_cells, 1)  # a tile of the box without a cell of the hole has none to name
     return chosen[large], sums[large, 0].astype(np.int64)

@@ -32,7 +32,8 @@ class MapPoints:
     def from_log_scales(cls, means: np.ndarray, log_scales: np.ndarray) -> MapPoints:
         """`MapPoints` from the map's own arrays, each [3, M] (metres; logarithms of metres)."""
         a, b, c = log_scales
-        return cls(means.T, np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))))
+        # A copy: the patches may be sought when the map has gone on.
+        return cls(means.copy().T, np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))))
 
 
 @dataclass(frozen=True)
@@ -255,7 +256,7 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
                         coarse += 1
                         row_sum += row
                         column_sum += column
-                if coarse < least:
+                if coarse < max(least, 1):
                     continue
                 size_sum = 0.0
                 for m in range(cells):

@@ -73,4 +73,4 @@ def _densest(
                     centre += whitening[i, axis, k] * (parameters[k, i] - m[k, 3])
                 along += ray * centre
                 square += ray * ray
-            depth[row, column] = along / square
+            depth[row, column] = max(along / square, 0.0)  # behind a camera that stands in a large disk is nothing

@@ -15,6 +15,7 @@ from activestructure_gym.geometry import PinholeCamera, invert_rigid
 from activestructure_gym.splatting.api import rasterize
 from activestructure_gym.splatting.cpu import LossWeights, Rendering, StepLosses, check_map, check_step
 from activestructure_gym.splatting.gsplat_backend import rasterize_gsplat
+from activestructure_gym.splatting.layout import CHUNK
 from activestructure_gym.splatting.torch_losses import Adam, mapping_loss
 
 _MOST_PAIRS = 30_000_000  # of pixel and Gaussian in a step by the reference, which keeps 130 bytes of each: 4 GB
@@ -87,7 +88,7 @@ class TorchRasterizer:
         beta2: float = 0.999,
         epsilon: float = 1e-15,
         isotropic: bool = False,
-        unseen: np.ndarray | None = None,  # not used
+        unseen: np.ndarray | None = None,  # [chunks] bool: these are neither drawn nor stepped
     ) -> StepLosses:
         """As `cpu.mapping_step`.
 
@@ -104,18 +105,23 @@ class TorchRasterizer:
                 f"pairs in a step, and {camera.width} x {camera.height} pixels with {count:,} Gaussians make "
                 f"{pairs:,}; use mapper.backend=cpu or a smaller image."
             )
-        rows = self._tensor(parameters[:, :count]).requires_grad_()
+        drawn = np.arange(count) if unseen is None else np.flatnonzero(~np.repeat(unseen, CHUNK)[:count])
+        targets = self._tensor(target_rgb), self._tensor(target_depth)
+        if not len(drawn):
+            black = torch.zeros_like(targets[0])
+            loss = mapping_loss(black, black[..., 0], black[..., 0], *targets, weights)
+            return StepLosses(loss.color, loss.depth, loss.ssim)
+        rows = self._tensor(parameters[:, drawn]).requires_grad_()
         # A channel that is 0 everywhere changes no picture; the derivative of its sum is each Gaussian's weight.
-        nothing = torch.zeros((count, 1), dtype=self.dtype, device=self.device, requires_grad=True)
+        nothing = torch.zeros((len(drawn), 1), dtype=self.dtype, device=self.device, requires_grad=True)
         color, depth, alpha, blended = self._draw(
             rows, camera, np.asarray(world_from_camera)[None], nothing, centre_depth=weights.centre_depth
         )
-        targets = self._tensor(target_rgb), self._tensor(target_depth)
         loss = mapping_loss(color[0], depth[0], alpha[0], *targets, weights)
         assert blended is not None
         gradient, weight = torch.autograd.grad(loss.total + blended.sum(), (rows, nothing))
         seen = torch.nonzero(weight[:, 0] > 0)[:, 0]
-        gradient, columns = gradient[:, seen], seen.cpu().numpy()
+        gradient, columns = gradient[:, seen], drawn[seen.cpu().numpy()]
         if isotropic:
             gradient[7:10] = gradient[7:10].sum(dim=0)
         adam = Adam(learning_rates, beta1, beta2, epsilon)

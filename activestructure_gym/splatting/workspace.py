@@ -142,9 +142,11 @@ class Workspace:
             camera, camera_from_world, max_alpha, centre_depth=centre_depth, blur_variance=blur_variance
         )
         self.grid = grid = make_grid(count, parameters.shape[1], camera)
-        tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
         taken = np.arange(grid[layout.CHUNKS]) if unseen is None else np.flatnonzero(~unseen)
-        taken = taken if len(taken) else np.zeros(1, np.int64)  # somebody has to say that there is nothing
+        if not len(taken):  # somebody has to say that there is nothing: the one chunk of an empty map
+            self.grid = grid = make_grid(0, parameters.shape[1], camera)
+            taken = np.zeros(1, np.int64)
+        tiles = int(grid[layout.TILES_X] * grid[layout.TILES_Y])
         chunks = int(taken[-1]) + 1
         self.records = self._buffer("records", chunks * layout.CHUNK * layout.RECORD)
         self.visible = self._buffer("visible", chunks * layout.CHUNK // LANES, np.int32)

@@ -145,6 +145,11 @@ def _damage_type(path):
     np.savez(path, format_version=np.int64(1), **arrays)
 
 
+def _damage_range(path):
+    arrays = dict.fromkeys(("parameters", "first_moment", "second_moment"), np.full((14, 1), 1e300))
+    np.savez(path, format_version=np.int64(1), **arrays)
+
+
 def _damage_version_type(path):
     np.savez(path, format_version=np.array("one"), parameters=np.zeros((14, 1), np.float32))
 
@@ -152,8 +157,8 @@ def _damage_version_type(path):
 @pytest.mark.parametrize(
     "damage",
     [
-        _damage_version, _damage_version_type, _damage_shape, _damage_type, _damage_pickle, _damage_archive,
-        _damage_bytes, _damage_empty, lambda path: None,
+        _damage_version, _damage_version_type, _damage_shape, _damage_type, _damage_range, _damage_pickle,
+        _damage_archive, _damage_bytes, _damage_empty, lambda path: None,
     ],
 )  # fmt: skip
 def test_files_that_are_no_maps_are_refused(tmp_path, damage):

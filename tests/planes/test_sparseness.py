@@ -126,5 +126,20 @@ def test_the_size_of_a_gaussian_is_its_middle_deviation(rng: np.random.Generator
     np.testing.assert_array_equal(points.means, means.T)
 
 
+def test_a_patch_has_at_least_one_cell() -> None:
+    means = on_cells()
+    found = patches([wall()], means[means[:, 1] > 1.0], 0.03, least_cells=0)
+    assert np.isfinite(found.centres).all() and (found.areas > 0).all()
+    assert len(found.centres) == len(patches([wall()], means[means[:, 1] > 1.0], 0.03, least_cells=1).centres)
+
+
+def test_points_stay_when_the_map_goes_on(rng: np.random.Generator) -> None:
+    live = rng.normal(size=(3, 5))
+    points = MapPoints.from_log_scales(live, rng.normal(size=(3, 5)))
+    before = points.means.copy()
+    live += 1.0
+    assert np.array_equal(points.means, before)
+
+
 def test_no_planes() -> None:
     assert len(patches([], on_cells(), 0.03).centres) == 0

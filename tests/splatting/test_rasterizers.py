@@ -109,6 +109,23 @@ def test_a_step_by_the_reference_is_the_kernels(kind, weights, options, splats_o
     assert np.array_equal(same[1], (expected[1][1] == before[1]).all(axis=0)[: len(splats.means)])
 
 
+@pytest.mark.parametrize("name", ["cpu", "reference"])
+def test_what_is_called_unseen_is_neither_drawn_nor_stepped(name, splats_of):
+    splats = splats_of("random")
+    one = rasterizer(name)
+    camera, pose, count = splats.camera, splats.world_from_camera, len(splats.means)
+    assert count <= 1024  # one chunk
+    before = state_of(splats)
+    losses, state = stepped(one, splats, weights=LossWeights(), unseen=np.ones(1, bool))
+    assert all(np.array_equal(own, start) for own, start in zip(state, before))
+    assert losses.color == pytest.approx(np.abs(targets_of(camera)[0]).mean(), rel=1e-5)  # against black
+    _, state = stepped(one, splats, weights=LossWeights(), unseen=np.zeros(1, bool))
+    assert not np.array_equal(state[0], before[0])
+    if name == "cpu":
+        shown = one.render(before[0], count, camera, pose, unseen=np.ones(1, bool))
+        assert not shown.alpha.any() and not shown.color.any()
+
+
 @pytest.mark.parametrize("kind", ["random", "behind", "empty"])
 def test_pictures_by_the_reference_are_the_kernels(kind, splats_of, settled):
     splats = splats_of(kind)

@@ -348,12 +348,14 @@ class Mapper:
         poor = self._store.poor(psnr_threshold=config.global_psnr, new_share_threshold=config.global_new_share)
         return [k for k in poor if k != index]
 
-    def _slack(self, iterations: int) -> dict[str, float]:
+    def _slack(self, iterations: int, *, refining: bool = False) -> dict[str, float]:
         """Upper bounds of a Gaussian's movement and growth in so many steps of the optimiser."""
         config = self.config
         step = largest_adam_step(config.adam_beta1, config.adam_beta2)
-        farthest = step * iterations * config.learning_rates()
-        return {"shift": float(farthest[MEAN].max()), "growth": float(np.exp(farthest[LOG_SCALE].max()))}
+        farthest = step * iterations * config.learning_rates(refining=refining)
+        with np.errstate(over="ignore"):  # in ten thousands of steps anything may become as large as the world
+            growth = float(np.exp(farthest[LOG_SCALE].max()))
+        return {"shift": float(farthest[MEAN].max()), "growth": growth}
 
     def _optimize(self, views: Sequence[int], *, refining: bool = False) -> tuple[np.ndarray, int]:
         """One event: a step for every entry of ``views`` and the pruning that goes with it.
@@ -377,7 +379,7 @@ class Mapper:
             if not self.map.count:
                 break
             if parts is None:
-                parts = MapParts(self.map, **self._slack(len(views)), kept=True)
+                parts = MapParts(self.map, **self._slack(len(views), refining=refining), kept=True)
                 changed = np.zeros(-(-self.map.count // CHUNK), dtype=bool)
             if config.adam_reset:
                 # Adam's bias correction, which the kernel leaves out, moved into the rate and epsilon.

@@ -40,6 +40,20 @@ def test_nothing_is_met_where_nobody_looked():
     assert len(grid.crossings(values).points) == 0
 
 
+@pytest.mark.parametrize("slant", [0.0, 45.0, 60.0])
+def test_normals_are_those_of_the_surface_though_little_behind_it_was_seen(slant):
+    """A plane at .6 m, seen by one keyframe up to .1 m behind it, 1 where nobody looked."""
+    normal = -np.array([np.sin(np.radians(slant)), 0.0, np.cos(np.radians(slant))])
+    camera = PinholeCamera.from_size(80, 80, 60.0)
+    depth = (-0.6 * np.cos(np.radians(slant)) / (camera.rays() @ normal)).astype(np.float32)
+    grid = VertexGrid(BOX, 0.05)
+    grid.look(Frame(np.zeros((80, 80, 3), np.uint8), np.where(depth > 0, depth, 0), np.eye(4), camera), behind=0.1)
+    distance = (grid.points() @ normal + 0.6 * np.cos(np.radians(slant))).reshape(grid.shape)
+    found = grid.crossings(np.where(grid.seen, distance, 1.0))
+    assert len(found.points) > 100
+    assert np.quantile(found.normals @ normal, 0.02) > np.cos(np.radians(20.0))
+
+
 def test_a_look_reaches_a_little_behind_what_it_measured():
     """From the origin along z, .5 m measured: vertices on the axis up to .6 m, none without a return or outside."""
     grid = VertexGrid(BOX, 0.1)

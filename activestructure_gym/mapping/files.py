@@ -35,8 +35,9 @@ def map_kind(path: str | os.PathLike[str]) -> MapKind:
         raise InputError(f"expected a map, but there is no file '{path}'") from None
     except (OSError, zipfile.BadZipFile) as error:
         raise InputError(f"'{path}' cannot be read: {error}") from error
+    hint = "; a .splat, of 8 bits a number, is only written" if str(path).endswith(".splat") else ""
     raise InputError(
-        f"'{path}' is no map that is known here: expected a 3DGS PLY, SplaTAM's params.npz, or a run's map.npz"
+        f"'{path}' is no map that is known here: expected a 3DGS PLY, SplaTAM's params.npz, or a run's map.npz{hint}"
     )
 
 

@@ -217,7 +217,7 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
         It is not finished, of another format, or damaged.
     """
     if not (directory / DONE).is_file():
-        raise InputError(f"'{directory}' is not a finished run: it has no {DONE} file")
+        raise InputError(f"'{directory}' is not a finished run: {_unlike_a_run(directory)}")
     return open_run(directory, scene)
 
 
@@ -266,6 +266,19 @@ def whole_directory(directory: Path) -> Iterator[Path]:
                 raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _unlike_a_run(directory: Path) -> str:
+    """Why a directory is no finished run, in words."""
+    if not directory.exists():
+        return "there is nothing of that name"
+    if not directory.is_dir():
+        return "it is a file"
+    if (directory / COMPARISON).is_file():
+        runs = finished_marks(directory)
+        example = f"; name one of its {len(runs)}, as {runs[0].parent}" if runs else ", none of whose runs has ended"
+        return f"it is a comparison{example}"
+    return f"it has no {DONE} file, which is written last"
 
 
 def finished_marks(directory: Path) -> list[Path]:

@@ -283,7 +283,12 @@ def _announce(
     line = f"[bold]{' x '.join(parts)}[/], {conditions}, {frames} per run, into {escape(str(directory))}"
     console.print(line if jobs > 1 else f"[bold]one run[/], {conditions}, into {escape(str(directory))}")
     if demo:
-        console.print("[dim]This is the demo; `asg compare --help` shows how to choose scenes and policies.")
+        protocol = comparison.protocol
+        console.print(
+            f"[dim]This is the demo, measured by {protocol.views} views and {protocol.surface_samples:,} samples; with "
+            "--scenes everything has its usual value, and `asg compare --help` shows what there is.",
+            soft_wrap=True,
+        )
 
 
 def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:

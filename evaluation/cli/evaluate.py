@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
@@ -61,7 +63,7 @@ class Evaluate:
 
         console = make_console()
         runs = _open(self.runs)
-        table = plain_table("measured again", "run", "protocol", *_SHOWN, "same")
+        rows = list[tuple[list[str], dict[str, Any]]]()
         compared, different, added = 0, 0, 0
         lost = list[str]()
         reasons: dict[str, str] = {}
@@ -80,9 +82,8 @@ class Evaluate:
                         lost.append(str(error))
                 reasons |= numbers["notes"]
                 mark = "new" if stored is None else "[red]✗[/] " + ", ".join(wrong) if wrong else "[green]✓[/]"
-                values = (_text(numbers.get(name)) for name in _SHOWN)
-                table.add_row(escape(run.job.title), protocol.name, *values, mark)
-        print_whole(console, table)
+                rows.append(([escape(run.job.title), protocol.name, mark], numbers))
+        print_whole(console, _table("measured again", ["run", "protocol", "same"], rows))
         _print_reasons(console, reasons)
         if added:
             console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
@@ -111,7 +112,6 @@ def _evaluate_map(options: Evaluate) -> int:
     names = split_list(options.protocol) or ("standard",)
     if options.out and not Path(options.out).absolute().parent.is_dir():
         raise InputError(f"'{options.out}' cannot be written: there is no folder '{Path(options.out).parent}'")
-    table = plain_table(escape(f"{Path(options.map).name} on {options.scene}"), "protocol", *_SHOWN)
     results: dict[str, Any] = {}
     reasons: dict[str, str] = {}
     for name in names:
@@ -119,9 +119,9 @@ def _evaluate_map(options: Evaluate) -> int:
         with console.status(f"measuring by {escape(name)}"):
             numbers = measure_file(options.map, options.scene, protocol, poses=options.poses)
         reasons |= numbers["notes"]
-        table.add_row(name, *(_text(numbers.get(key)) for key in _SHOWN))
         results[name] = {"parameters": protocol.parameters(), "metrics": numbers}
-    print_whole(console, table)
+    title = escape(f"{Path(options.map).name} on {options.scene}")
+    print_whole(console, _table(title, ["protocol"], [([name], found["metrics"]) for name, found in results.items()]))
     _print_reasons(console, reasons)
     if options.out:
         with writing(options.out):
@@ -155,6 +155,18 @@ def _open(names: tuple[str, ...]) -> list[Run]:
 def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
     for name, reason in reasons.items():
         console.print(f"[dim]{escape(f'{name}: n/a, {reason}')}", soft_wrap=True)
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[list[str], dict[str, Any]]]) -> Table:
+    """The numbers behind the words of each row, headed as in reports, without what no row has."""
+    from activestructure_gym.evaluation.report.columns import QUALITY
+
+    titles = {column.key: column.title for column in QUALITY}
+    keys = [key for key in _SHOWN if any(numbers.get(key) is not None for _, numbers in rows)]
+    table = plain_table(title, *heads, *(titles[key] for key in keys))
+    for words, numbers in rows:
+        table.add_row(*words, *(_text(numbers.get(key)) for key in keys))
+    return table
 
 
 def _text(value: float | None) -> str:

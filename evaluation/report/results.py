@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 import math
+import shlex
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, counted
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.claims import failures
 from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
@@ -240,7 +241,12 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
         for run in found:
             runs.setdefault(run.key, run)
     if not runs:
-        raise InputError(f"there is no finished run in {', '.join(map(str, directories))}")
+        asked = sum(len(source.missing) for source in sources)
+        resume = "; ".join(f"asg compare --out {shlex.quote(str(source.directory))} --resume" for source in sources)
+        raise InputError(
+            f"there is no finished run in {', '.join(map(str, directories))}"
+            + (f": {counted(asked, 'run')} asked for and none at its end, go on with {resume}" if asked else "")
+        )
     # One content under one file's name is one scene, wherever each machine has it.
     first: dict[tuple[str, str], str] = {}
     specs = [

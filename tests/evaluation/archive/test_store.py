@@ -10,6 +10,7 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import machine_mark
 from activestructure_gym.evaluation.report.columns import value_of
+from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.remeasure import differing
 from tests.evaluation.written_runs import JOB as ARCHIVED
 from tests.evaluation.written_runs import write_comparison, write_run
@@ -64,6 +65,25 @@ def test_what_is_half_written_is_no_finished_run(tmp_path):
         (tmp_path / store.JOBS / name).mkdir(parents=True)
         (tmp_path / store.JOBS / name / store.DONE).touch()
     assert [mark.parent.name for mark in store.finished_marks(tmp_path)] == ["one"]
+
+
+def test_what_is_no_finished_run_is_said(tmp_path):
+    place = write_comparison(tmp_path / "all", [ARCHIVED])
+    (tmp_path / "half").mkdir()
+    (tmp_path / "file").touch()
+    for name, words in (
+        ("all", f"it is a comparison; name one of its 1, as .*{ARCHIVED.name}"), ("half", "it has no .done file"),
+        ("file", "it is a file"), ("nowhere", "there is nothing of that name"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=f"{name}' is not a finished run: {words}"):
+            store.read_run(tmp_path / name)
+    (place / store.JOBS / ARCHIVED.name / store.DONE).unlink()
+    with pytest.raises(InputError, match="none of whose runs has ended"):
+        store.read_run(place)
+    with pytest.raises(
+        InputError, match="1 run asked for and none at its end, go on with asg compare --out .*all --resume"
+    ):
+        gather([place])
 
 
 def test_of_two_processes_with_one_job_the_faster_one_is_kept(tmp_path):

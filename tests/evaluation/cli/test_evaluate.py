@@ -38,6 +38,14 @@ def test_numbers_are_printed_where_they_cannot_be_kept(measured, monkeypatch, ca
     assert "80" in told and told.count("standard.json'cannotbewritten:Read-onlyfilesystem") == 2
 
 
+def test_numbers_are_headed_as_in_reports_without_what_nobody_has(measured, capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main(["evaluate", str(measured)]) == 0
+    head = next(line for line in capsys.readouterr().out.splitlines() if "protocol" in line)
+    assert "C.R. (%)" in head and "PSNR (dB)" in head and "LPIPS" not in head and "completion_ratio" not in head
+    assert head.index("same") < head.index("C.R.")
+
+
 def test_runs_that_are_left_out_are_said(measured, capsys):
     assert main(["evaluate", str(measured)]) == 0
     assert capsys.readouterr().err == ""

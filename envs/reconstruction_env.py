@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
@@ -10,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from scipy.spatial.transform import Rotation
 
 from activestructure_gym.config import Preset, ReconstructionConfig, configure, replaced
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
-from activestructure_gym.errors import InputError, shown
-from activestructure_gym.geometry import look_along
+from activestructure_gym.errors import InputError, InputWarning, shown
+from activestructure_gym.geometry import look_along, unrounded
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of
 from activestructure_gym.motion import is_level
 from activestructure_gym.reconstruction import Reconstruction, Visit
@@ -185,6 +185,14 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         start_pose = self._as_start(options["start_pose"]) if "start_pose" in options else self._start_pose
         episode_seed = int(self.np_random.integers(2**31))
         self._frame = self.reconstruction.start(truth, episode_seed, start_pose)
+        if not len(self.reconstruction.candidates):
+            sources = ", ".join(self.config.views.stages[0])
+            warnings.warn(
+                f"no view is on offer at the start: of what '{sources}' proposed none can be reached through space "
+                "that is known to be free, so the episode ends with its first step",
+                InputWarning,
+                stacklevel=2,
+            )
         self._coverage = SurfaceCoverage(truth.observable_surface.points, self.reward_config)
         self._count(self._frame, self.reconstruction.pose)
         self._ended = False
@@ -336,22 +344,20 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
     if not np.isfinite(array).all():
         raise InputError(f"a start pose must be finite numbers, got {shown(value)}")
     if array.shape == (4, 4):
-        return _unrounded(array)
+        return _rigid(array)
     if array.shape == (4,):
         yaw = np.radians(array[3])
         return look_along(array[:3], np.array([np.cos(yaw), np.sin(yaw), 0.0]))
     raise InputError(f"a start pose is (x, y, z, yaw_deg) or a 4x4 matrix, got shape {array.shape}")
 
 
-def _unrounded(pose: np.ndarray) -> np.ndarray:  # [4, 4]
+def _rigid(pose: np.ndarray) -> np.ndarray:  # [4, 4]
     """The pose, with the nearest rotation where its own was written with few digits; what is farther off stays."""
     if np.abs(pose[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
         raise InputError(f"the last row of a start pose's 4x4 matrix is (0, 0, 0, 1), got {pose[3].tolist()}")
-    pose[3] = 0.0, 0.0, 0.0, 1.0
     rotation = pose[:3, :3]
-    if 1e-6 < np.abs(rotation @ rotation.T - np.eye(3)).max() <= POSE_ROUNDING and np.linalg.det(rotation) > 0:
-        pose[:3, :3] = Rotation.from_matrix(rotation).as_matrix()
-    return pose
+    nearly = np.abs(rotation @ rotation.T - np.eye(3)).max() <= POSE_ROUNDING and np.linalg.det(rotation) > 0
+    return unrounded(pose) if nearly else pose
 
 
 def _fields(what: str, value: Any) -> Mapping[str, Any]:

@@ -14,7 +14,7 @@ import pytest
 from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import observation_keys, observation_table
 from activestructure_gym.envs.reconstruction_env import as_pose
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.features import FEATURES
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
@@ -348,6 +348,14 @@ def test_an_accepted_start_in_a_narrow_place_has_views(box_options: dict[str, An
     before = env.reconstruction.frames
     _, _, _, _, info = env.step(int(np.flatnonzero(observation["action_mask"])[0]))
     assert not info["invalid_action"] and info["frames"] > before
+
+
+def test_who_is_offered_nothing_at_the_start_is_told(box_options: dict[str, Any]) -> None:
+    stages = (("frontier_facing?rows=4&nearest_m=98&farthest_m=99",),)
+    env = ReconstructionEnv(**{**box_options, "config": {"views": {"stages": stages}}})
+    with pytest.warns(InputWarning, match="no view is on offer at the start: of what 'frontier_facing"):
+        observation, _ = env.reset(seed=0)
+    assert not observation["action_mask"].any()
 
 
 def test_a_pose_of_the_callers_stays_the_callers(box_options: dict[str, Any]) -> None:

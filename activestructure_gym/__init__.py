@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig, configure
     from activestructure_gym.envs import ENV_IDS, ReconstructionEnv, register_envs
     from activestructure_gym.errors import InputError, InputWarning
-    from activestructure_gym.evaluation import compare, open_comparison
+    from activestructure_gym.evaluation import compare, open_comparison, read_run
     from activestructure_gym.features import FEATURES, FeatureContext
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.geometry.frame import Frame
@@ -46,7 +46,7 @@ _PLACES = {
     "config": ("ReconstructionConfig", "configure"),
     "envs": ("ENV_IDS", "ReconstructionEnv", "register_envs"),
     "errors": ("InputError", "InputWarning"),
-    "evaluation": ("compare", "open_comparison"),
+    "evaluation": ("compare", "open_comparison", "read_run"),
     "features": ("FEATURES", "FeatureContext"),
     "geometry": ("PinholeCamera",),
     "geometry.frame": ("Frame",),
@@ -92,6 +92,7 @@ __all__ = [
     "open_comparison",
     "rasterize",
     "read_map",
+    "read_run",
     "register_envs",
 ]
 

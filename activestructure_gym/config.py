@@ -153,6 +153,8 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     96
     """
     overridden = PRESETS[known_preset(preset)]
+    if overrides is not None and not isinstance(overrides, Mapping):
+        raise InputError(f"changes of a configuration are a dictionary with names as keys, got {shown(overrides)}")
     try:
         changes = _nested(overrides or {})
         config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), overridden)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -66,7 +67,7 @@ def each_run(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:
     return [replace(run, scene=labels[run.job.scene]) for run in runs], refused
 
 
-def open_comparison(directory: Path) -> list[Run]:
+def open_comparison(directory: str | os.PathLike[str]) -> list[Run]:
     """All finished runs of a comparison's directory.
 
     Parameters
@@ -84,6 +85,7 @@ def open_comparison(directory: Path) -> list[Run]:
     InputError
         The record, or a run, cannot be read.
     """
+    directory = Path(directory)
     record = read_record(directory)
     if record is None:
         raise InputError(f"'{directory}' cannot be read as a comparison: it has no {store.COMPARISON}")

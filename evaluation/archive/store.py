@@ -196,7 +196,7 @@ def finish(directory: Path, job: Job) -> None:
     (directory / DONE).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_run(directory: Path, scene: str | None = None) -> Run:
+def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run:
     """Open a finished job's directory.
 
     Parameters
@@ -216,6 +216,7 @@ def read_run(directory: Path, scene: str | None = None) -> Run:
     InputError
         It is not finished, of another format, or damaged.
     """
+    directory = Path(directory)
     if not (directory / DONE).is_file():
         raise InputError(f"'{directory}' is not a finished run: {_unlike_a_run(directory)}")
     return open_run(directory, scene)

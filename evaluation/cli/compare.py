@@ -140,10 +140,12 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     if options.shard is not None and not options.out:
         raise InputError("--shard needs --out: the directory that all shards share")
     bare = options.resume and options == Compare(**{name: getattr(options, name) for name in _MANNER})
-    demo = not options.scenes and not bare
+    directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
+    if comparison is None and options.resume and not bare:
+        comparison = _added_to(directory, options)
+    demo = comparison is None and not options.scenes and not bare
     if demo:
         options = _with_demo_defaults(options)
-    directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
 
     from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
@@ -207,6 +209,51 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         if isinstance(error, OSError):
             raise
         return 130
+
+
+def _added_to(directory: Path, options: Compare) -> Comparison | None:
+    """What is added to the comparison in a directory: what is not given is as it was begun; None without a record."""
+    from activestructure_gym.config import known_preset
+    from activestructure_gym.evaluation.archive.jobs import refuse_code
+    from activestructure_gym.evaluation.archive.store import COMPARISON
+    from activestructure_gym.evaluation.running.comparison import Comparison
+    from activestructure_gym.evaluation.running.following import with_mappers
+    from activestructure_gym.evaluation.running.resuming import recorded_jobs
+
+    jobs = recorded_jobs(directory)
+    if not jobs:
+        return None
+    refuse_code(jobs, directory / COMPARISON)
+    begun, usual = Comparison.of(jobs), Compare()
+
+    def given(*names: str) -> bool:
+        return any(getattr(options, name) != getattr(usual, name) for name in names)
+
+    asked = dataclasses.replace(options, scenes=options.scenes or begun.scenes)
+    new = comparison_of(asked)
+    measured = {
+        field: getattr(new.protocol, field)
+        for name, field in (("views", "views"), ("samples", "surface_samples"), ("view_source", "view_source"))
+        if given(name)
+    }
+    policies, references = begun.policies, begun.references
+    if given("policies", "references"):  # who is added, and nobody else
+        planners = split_policies(options.policies) if given("policies") else ()
+        policies, references = with_mappers(planners, split_list(options.mappers)), new.references
+    return dataclasses.replace(
+        begun,
+        scenes=new.scenes,
+        policies=policies,
+        references=references,
+        seeds=new.seeds if given("seeds") else begun.seeds,
+        preset=begun.preset if options.preset is None else known_preset(options.preset),
+        terms=new.terms if given("terms") else begun.terms,
+        frame_budget=begun.frame_budget if options.frames is None else options.frames,
+        overrides=new.overrides if given("set") else begun.overrides,
+        start_pose=new.start_pose if given("start") else begun.start_pose,
+        protocol=dataclasses.replace(begun.protocol, **measured),
+        also_protocols=new.also_protocols if given("protocols") else begun.also_protocols,
+    )
 
 
 def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:

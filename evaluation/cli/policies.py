@@ -63,7 +63,7 @@ def _describe(facts: dict[str, Any]) -> None:
         table.add_row(escape(name), escape("must be given" if name in facts["required"] else str(default)))
     print_whole(console, table)
     example = f"{facts['name'].partition('?')[0]}?{next(iter(facts['options']))}=..."
-    console.print(escape(f"They are written as in {example}"))
+    console.print(escape(f"They are written as in '{example}', in quotes, or a shell reads the ? and the &"))
 
 
 def gains_asked(name: str) -> tuple[str, ...]:

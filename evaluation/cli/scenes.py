@@ -47,8 +47,9 @@ class Scenes:
                 table.add_row(escape(row["name"]), escape(", ".join(shown)))
             print_whole(console, table)
             console.print(
-                "Options are written as in apartment?seed=3&rooms=4. Any glb, gltf, obj, ply, stl or dae file is a "
-                "scene too, and so are folders of published datasets (guide: own_scene): asg scenes FILE checks it."
+                "Options are written as in 'apartment?seed=3&rooms=4', in quotes, or a shell reads the ? and the &. "
+                "Any glb, gltf, obj, ply, stl or dae file is a scene too, and so are folders of published datasets "
+                "(guide: own_scene): asg scenes FILE checks it."
             )
             return 0
         _check_picture(self.picture)

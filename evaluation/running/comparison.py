@@ -204,7 +204,8 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
         if (directory / store.COMPARISON).is_file():
             if not (resume or shared):
                 raise InputError(
-                    f"'{directory}' holds a comparison already; add --resume to go on, or choose another one"
+                    f"'{directory}' holds a comparison already; add --resume (in Python resume=True) to go on, or "
+                    "choose another one"
                 )
         elif (resume and (directory / store.JOBS).is_dir()) or (shared and (directory / CLAIMS).is_dir()):
             pass  # its record is lost, its runs are not; or it is just being written
@@ -288,7 +289,10 @@ def run_comparison(
     chosen, limits = get_engine(engine), limits or Limits()
     recorded = recorded_jobs(directory)
     if recorded and not resume:
-        raise InputError(f"'{directory}' holds a comparison already; add --resume to go on, or choose another one")
+        raise InputError(
+            f"'{directory}' holds a comparison already; add --resume (in Python resume=True) to go on, or choose "
+            "another one"
+        )
     everything = merged(recorded, jobs, directory)
     store.remove_parts(directory / store.JOBS)
     for path in directory.glob(f".{store.COMPARISON}.*"):

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -112,6 +113,9 @@ def compare(
     ...     [(run.policy, run.metrics["metrics"]["psnr"] > 0) for run in result.runs]
     [('random', True)]
     """
+    for name, given in (("scenes", scenes), ("policies", policies), ("also_protocols", also_protocols)):
+        if isinstance(given, str):
+            raise InputError(f"{name} are a list of names, as ['{given}'], got the text {shown(given)}")
     comparison = Comparison(
         scenes=scenes,
         policies=policies,

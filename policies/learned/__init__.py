@@ -6,9 +6,18 @@ dependency) by `MaskableCandidatePolicy`.
 
 from typing import Any
 
+from activestructure_gym.policies.learned.config import USED_KEYS
 from activestructure_gym.policies.learned.policy import SHIPPED, Learned, learned_from
 
-__all__ = ["SHIPPED", "CandidatePolicy", "Learned", "MaskableCandidatePolicy", "learned_from", "with_used_keys"]
+__all__ = [
+    "SHIPPED",
+    "USED_KEYS",
+    "CandidatePolicy",
+    "Learned",
+    "MaskableCandidatePolicy",
+    "learned_from",
+    "with_used_keys",
+]
 
 
 def __getattr__(name: str) -> Any:

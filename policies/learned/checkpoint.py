@@ -46,11 +46,20 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
             cut = sorted(path.name for path in path.absolute().parent.glob(f"{glob.escape(path.name)}[?]*"))
             if cut:
                 raise InputError(f"'{place}' is no checkpoint, but '{cut[0]}' is there: {_NO_QUESTION_MARK}")
+            hint = "; a model of stable-baselines3 becomes one by model.policy.save_learned(PLACE)"
             raise InputError(
                 f"'{place}' is no checkpoint of a learned policy: it is no folder that asg train wrote, and there is "
-                f"no file '{file}'"
+                f"no file '{file}'{hint if path.suffix == '.zip' else ''}"
             )
     return weights
+
+
+def weights_at(place: str | os.PathLike[str]) -> Path:
+    """The weights' file of a checkpoint that is to be called ``place``; raises `InputError` for a name with a '?'."""
+    path = Path(os.path.expanduser(place))
+    if "?" in str(path.absolute()):
+        raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
+    return path if path.suffix == WEIGHTS else path.with_name(path.name + WEIGHTS)
 
 
 def digest(weights: Path) -> str:

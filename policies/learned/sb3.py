@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -21,7 +22,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network
+from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint, weights_at
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.network import CandidateNetwork
 
@@ -102,7 +103,7 @@ class CandidateHeads(BasePolicy):
     """Mixin before an actor-critic policy of stable-baselines3 that makes it one of the candidate-set network.
 
     ``policy_kwargs={"network": NetworkConfig(...).as_dict()}`` sets the network's sizes and the names of its gains;
-    `begin_from` copies a checkpoint of ours.
+    `begin_from` copies a checkpoint of ours, and `save_learned` writes one.
     """
 
     features_dim: Any
@@ -140,6 +141,28 @@ class CandidateHeads(BasePolicy):
         if start.config != self.network.config:
             raise InputError(f"'{place}' holds another network: {start.config}, expected {self.network.config}")
         self.network.load_state_dict(start.state_dict())
+
+    def save_learned(self, place: str | os.PathLike[str]) -> Path:
+        """Write the network as a checkpoint, ``PLACE.safetensors`` and ``PLACE.json``: it plays as ``learned:PLACE``.
+
+        Parameters
+        ----------
+        place
+            The checkpoint's name, with its folder; what is there already is replaced.
+
+        Returns
+        -------
+        Path
+            The file of the weights.
+
+        Raises
+        ------
+        InputError
+            A name that holds a '?'.
+        """
+        weights = weights_at(place)
+        save_checkpoint(weights, self.network, {"method": "stable-baselines3"})
+        return weights
 
 
 class CandidatePolicy(CandidateHeads, MultiInputActorCriticPolicy):

@@ -1,3 +1,4 @@
+import dataclasses
 import errno
 import json
 import os
@@ -14,10 +15,12 @@ from activestructure_gym.evaluation.archive.store import COMPARISON
 from activestructure_gym.evaluation.cli import compare as module
 from activestructure_gym.evaluation.cli import main, replay
 from activestructure_gym.evaluation.cli.compare import Compare
+from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.comparison import Comparison, Result
 from activestructure_gym.evaluation.running.engines import Limits, Outcome
 from activestructure_gym.splatting import rasterizers
+from tests.evaluation.written_runs import write_comparison
 
 
 @pytest.fixture
@@ -28,7 +31,7 @@ def asked(monkeypatch, tmp_path):
 
     def prepare(self, notify):
         calls.append(self)
-        return [Job(self.scenes[0], self.policies[0], self.seeds[0])]
+        return [Job(self.scenes[0], (self.policies or ("random",))[0], self.seeds[0])]
 
     def run(jobs, directory, listener, **options):
         calls.append((jobs, directory, options))
@@ -178,6 +181,36 @@ def test_resume_alone_goes_on_with_what_the_record_says(asked, monkeypatch, tmp_
     assert options["limits"] == Limits(workers=1, timeout=9.0, retries=4)
 
 
+@pytest.mark.parametrize(
+    ("words", "scenes", "policies", "seeds"),
+    [
+        ("--policies frontier", ("box", "room"), ("frontier",), (3, 4)),
+        ("--seeds 7", ("box", "room"), ("random", "hole_area"), (7,)),
+        ("--scenes apartment", ("apartment",), ("random", "hole_area"), (3, 4)),
+        ("--references oracle", ("box", "room"), (), (3, 4)),
+        ("--scenes apartment --policies frontier --seeds 5", ("apartment",), ("frontier",), (5,)),
+    ],
+)
+def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, words, scenes, policies, seeds, capsys):
+    protocol = dataclasses.replace(StandardProtocol(), views=3)
+    grid = [
+        Job(scene, policy, seed, "", "fast", 60, (("mapper.iterations", 2),), protocol=protocol)
+        for seed in (3, 4) for scene in ("box", "room") for policy in ("random", "hole_area")
+    ]  # fmt: skip
+    write_comparison(tmp_path / "here", grid)
+    main(f"compare --out here --resume {words}".split())
+    wanted = asked[0]
+    assert (wanted.scenes, wanted.policies, wanted.seeds) == (scenes, policies, seeds)
+    assert (wanted.preset, wanted.frame_budget, wanted.overrides) == ("fast", 60, {"mapper.iterations": 2})
+    assert wanted.protocol == protocol and "demo" not in capsys.readouterr().out
+
+
+def test_another_condition_that_is_given_is_not_ignored(asked, tmp_path):
+    write_comparison(tmp_path / "here", [Job("box", "random", 0, preset="fast")])
+    main("compare --out here --resume --policies frontier --preset default --frames 9 --views 2".split())
+    assert (asked[0].preset, asked[0].frame_budget, asked[0].protocol.views) == ("default", 9, 2)  # to be refused
+
+
 def test_the_baseline_must_take_part(asked, capsys):
     assert main("compare --scenes box --policies random --baseline pixel_only --out here".split()) == 2
     assert "--baseline is one of the policies, random; got 'pixel_only'" in capsys.readouterr().err
@@ -186,9 +219,8 @@ def test_the_baseline_must_take_part(asked, capsys):
 
 def test_the_baseline_may_be_of_an_earlier_sitting(asked, tmp_path):
     (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "compare.json").write_text(
-        json.dumps({"jobs": {"one": Job("box", "pixel_only", 0).as_dict()}})
-    )
+    earlier = Job("box", "pixel_only", 0)
+    (tmp_path / "here" / "compare.json").write_text(json.dumps({"jobs": {earlier.name: earlier.as_dict()}}))
     words = "compare --scenes box --policies random --baseline pixel_only --out here --resume"
     assert main(words.split()) == 0 and len(asked) == 2  # prepared and run
 

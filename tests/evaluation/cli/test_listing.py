@@ -43,7 +43,7 @@ def test_a_policy_is_described(name, capsys):
 
 def test_a_policy_s_options_stand_with_their_defaults(capsys):
     out = said(capsys, "policies", "activeinr?uncertainty=proxy")
-    assert "uncertainty" in out and "perturbation" in out and "written as in activeinr?travel=..." in out
+    assert "uncertainty" in out and "perturbation" in out and "written as in 'activeinr?travel=...', in quotes" in out
     assert "activeinr_proxy" in out
     facts = json.loads(said(capsys, "policies", "activeinr", "--json"))
     assert facts["options"] == {"travel": "native", "uncertainty": "perturbation"}

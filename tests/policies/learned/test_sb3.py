@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from activestructure_gym.envs.observation import Table
 from activestructure_gym.errors import InputError
+from activestructure_gym.policies import make_policy
 from activestructure_gym.policies.learned import CandidatePolicy, with_used_keys
 from activestructure_gym.policies.learned.checkpoint import load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
@@ -126,6 +127,23 @@ def test_a_policy_begins_from_a_checkpoint(model: OnPolicyAlgorithm, tmp_path: P
     save_checkpoint(tmp_path / "other.safetensors", other, {})
     with pytest.raises(InputError, match="another network"):
         policy.begin_from(tmp_path / "other")
+
+
+def test_what_was_trained_takes_part_in_comparisons(model: OnPolicyAlgorithm, tmp_path: Path) -> None:
+    assert isinstance(model.policy, CandidateHeads)
+    place = tmp_path / "folder" / "mine.v2"
+    assert model.policy.save_learned(place) == tmp_path / "folder" / "mine.v2.safetensors"
+    policy = make_policy(f"learned:{place}")
+    assert policy.required_gains == GAINS
+    env = RandomCandidates(images=True)
+    policy.bind(env)  # type: ignore[arg-type]
+    policy.reset(0)
+    observation, _ = env.reset(seed=3)
+    assert policy.act(observation) == int(model.predict(observation, deterministic=True)[0])
+    with pytest.raises(InputError, match=r"may hold no '\?'"):
+        model.policy.save_learned(tmp_path / "what?")
+    with pytest.raises(InputError, match=r"becomes one by model.policy.save_learned\(PLACE\)"):
+        make_policy(f"learned:{tmp_path / 'ppo.zip'}")
 
 
 def test_unused_entries_can_be_dropped() -> None:

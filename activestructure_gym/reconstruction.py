@@ -19,6 +19,7 @@ import numpy as np
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FeatureContext, evaluate_features
+from activestructure_gym.geometry import unrounded
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
@@ -98,6 +99,7 @@ class Reconstruction:
         if start_pose.shape != (4, 4):
             raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
         check_start_pose(truth.free_space, scene.bounds, start_pose, config.motion.body_radius)
+        start_pose = unrounded(start_pose)
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))

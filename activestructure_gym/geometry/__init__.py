@@ -13,6 +13,7 @@ from activestructure_gym.geometry.rigid import (
     rotation_angle,
     se3_exp,
     transform_points,
+    unrounded,
 )
 
 __all__ = [
@@ -23,4 +24,5 @@ __all__ = [
     "rotation_angle",
     "se3_exp",
     "transform_points",
+    "unrounded",
 ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+_ROUNDED = 1e-6  # by which a rotation's axes may fail to be orthonormal before it counts as written with few digits
+
 
 def invert_rigid(transform: np.ndarray) -> np.ndarray:
     """Inverse of rigid motions ``[..., 4, 4]`` (transposes the rotation: exact where a general inverse is not)."""
@@ -23,6 +25,20 @@ def transform_points(
 ) -> np.ndarray:  # [..., 3]
     """``R p + t`` for every point."""
     return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def unrounded(poses: np.ndarray) -> np.ndarray:
+    """Poses ``[..., 4, 4]`` as they are, with the nearest rotation where theirs was written with few digits.
+
+    Nearly rigid motions are expected; their last rows become (0, 0, 0, 1).
+    """
+    poses = np.array(poses, dtype=np.float64)
+    rotations = poses[..., :3, :3]
+    off = np.abs(rotations @ np.swapaxes(rotations, -1, -2) - np.eye(3)).max(axis=(-2, -1)) > _ROUNDED
+    if off.any():
+        poses[off, :3, :3] = Rotation.from_matrix(rotations[off]).as_matrix()
+    poses[..., 3, :] = 0.0, 0.0, 0.0, 1.0
+    return poses
 
 
 def look_along(

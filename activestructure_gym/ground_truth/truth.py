@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from weakref import WeakValueDictionary
@@ -65,11 +66,13 @@ def free_space_of(scene: Scene) -> FreeSpace:
     )
 
 
-_known: WeakValueDictionary[str, GroundTruth] = WeakValueDictionary()
+_known: WeakValueDictionary[Hashable, GroundTruth] = WeakValueDictionary()
 
 
 def ground_truth_of(scene: Scene) -> GroundTruth:
-    """The truth of a scene; the same object for the same content, as long as somebody holds it.
+    """The truth of a scene; the same object for the same scene, loaded again, as long as somebody holds it.
+
+    Scenes of one content that differ in their name, their source or their recorded views have one each.
 
     Parameters
     ----------
@@ -90,7 +93,16 @@ def ground_truth_of(scene: Scene) -> GroundTruth:
     >>> truth.free_space.start_poses.shape[1:]
     (4, 4)
     """
-    truth = _known.get(scene.content_hash)
+    key = (scene.content_hash, scene.name, scene.source, _views_of(scene))
+    truth = _known.get(key)
     if truth is None:
-        truth = _known[scene.content_hash] = GroundTruth(scene)
+        truth = _known[key] = GroundTruth(scene)
     return truth
+
+
+def _views_of(scene: Scene) -> Hashable:
+    """What tells the recorded views of a scene from others."""
+    views = scene.evaluation_views
+    if views is None:
+        return None
+    return views.camera, views.world_from_camera.tobytes(), views.rgb_files, views.depth_files, views.depth_scale

@@ -79,11 +79,12 @@ def _slopes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:  # [X, Y, Z], [
         here[axis], there[axis] = slice(None, -1), slice(1, None)
         low, high = tuple(here), tuple(there)
         both = seen[low] & seen[high]
-        difference, sides = np.where(both, values[high] - values[low], 0.0), np.zeros(values.shape)
+        difference = np.where(both, values[high] - values[low], 0.0)
+        total, sides = slopes[..., axis], np.zeros(values.shape)
         for side in (low, high):
-            slopes[(*side, axis)] += difference
+            total[side] += difference
             sides[side] += both
-        slopes[..., axis] /= np.maximum(sides, 1.0)
+        total /= np.maximum(sides, 1.0)
     return slopes
 
 

@@ -38,8 +38,7 @@ _ABANDONED = 3600.0  # seconds: a file in work that is older was left by a proce
 
 def cache_directory() -> Path:
     """``$ASG_CACHE_DIR``, or ``~/.cache/activestructure_gym``."""
-    given = os.environ.get("ASG_CACHE_DIR")
-    return Path(given) if given else Path(os.path.expanduser("~/.cache/activestructure_gym"))
+    return Path(os.path.expanduser(os.environ.get("ASG_CACHE_DIR") or "~/.cache/activestructure_gym"))
 
 
 def cache_limit() -> int:  # bytes

@@ -10,7 +10,7 @@ from typing import Literal
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.ply_header import NUMPY_TYPES, PlyProperty, read_header
-from activestructure_gym.scenes.datasets import Dataset
+from activestructure_gym.scenes.datasets import REPLICA, Dataset
 
 State = Literal["there", "missing", "damaged"]
 
@@ -47,24 +47,18 @@ def check_dataset(dataset: Dataset, root: Path) -> list[SceneState]:
     look = {"replica": _replica, "matterport3d": _matterport3d}[dataset.kind]
     found = []
     for title, folder in dataset.scenes.items():
-        places = dataset.places(root, folder)
-        place = next((p for p in places if p.is_dir() or _beside(p).is_file()), None)
+        place = dataset.place_in(root, folder)
         found.append(SceneState(title, folder, place, () if place is None else tuple(look(place))))
     return found
 
 
-def _beside(place: Path) -> Path:
-    """The mesh that NICE-SLAM's download has beside a sequence's folder."""
-    return place.with_name(f"{place.name}_mesh.ply")
-
-
 def _replica(place: Path) -> Iterator[FileState]:
-    meshes = [place / "mesh.ply", place / "habitat" / "mesh_semantic.ply", _beside(place)]
+    meshes = [place / "mesh.ply", place / "habitat" / "mesh_semantic.ply", *REPLICA.meshes_beside(place)]
     there = [mesh for mesh in meshes if mesh.is_file()]
     if there:
         for mesh in there:
             why = _wrong_with_ply(mesh)
-            name = mesh.relative_to(place.parent if mesh == _beside(place) else place)
+            name = mesh.relative_to(place if mesh.is_relative_to(place) else place.parent)
             yield FileState(str(name), "damaged" if why else "there", mesh == there[0], why)
     else:
         yield FileState("mesh.ply", "missing", True, "nor habitat/mesh_semantic.ply: the surface itself")
@@ -128,7 +122,7 @@ def _wrong_with_glb(path: Path) -> str:
     if len(head) < 12 or head[:4] != b"glTF":
         return "it does not begin as a .glb file does"
     told, size = int.from_bytes(head[8:12], "little"), path.stat().st_size
-    return "" if told == size else f"it has {size:,} bytes and says {told:,}: cut off?"
+    return "" if told <= size else f"it has {size:,} bytes and says {told:,}: cut off?"
 
 
 def _wrong_with_json(path: Path) -> str:

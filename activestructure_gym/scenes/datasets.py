@@ -30,6 +30,7 @@ class Dataset:
     # x, y, z metres and yaw degrees by folder, in the dataset's axes; of scenes without one the first pose of the
     # recorded sequence is where papers start.
     starts: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    endings: tuple[str, ...] = ()  # of a mesh that lies beside a scene's folder, behind the folder's name
 
     def folder_of(self, name: str) -> str | None:
         """The folder that a scene's name means: its own, its title in tables, or ``office2`` for ``office_2``."""
@@ -43,6 +44,16 @@ class Dataset:
         """Where a scene may lie below the dataset's folder, in the layouts that are common."""
         names = dict.fromkeys((folder, folder.replace("_", "")))
         return [root / inner / name for inner in ("", "mp3d", "scans", "replica_v1", "Replica") for name in names]
+
+    def meshes_beside(self, place: Path) -> list[Path]:
+        """The meshes of a scene that are there and not in its folder."""
+        meshes = [place.parent / f"{place.name}{ending}" for ending in self.endings]
+        return [mesh for mesh in meshes if mesh.is_file()]
+
+    def place_in(self, root: Path, folder: str) -> Path | None:
+        """The folder of a scene below the dataset's, or where it would be if only its mesh lies there."""
+        places = self.places(root, folder)
+        return next((p for p in places if p.exists()), None) or next((p for p in places if self.meshes_beside(p)), None)
 
 
 REPLICA = Dataset(
@@ -60,6 +71,7 @@ REPLICA = Dataset(
         "R1": "room_1",
         "R2": "room_2",
     },
+    endings=("_mesh.ply", ".ply"),  # NICE-SLAM's download puts the mesh beside the sequence
 )
 MATTERPORT3D = Dataset(
     kind="matterport3d",
@@ -100,9 +112,9 @@ def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
             f"the {dataset.title} scene '{path}' is looked for in the folder that the environment variable "
             f"{dataset.variable} names, which is not set; get the dataset from {dataset.source}"
         )
-    for place in dataset.places(Path(os.path.expanduser(root)), folder):
-        if place.exists() or place.with_name(f"{place.name}_mesh.ply").is_file():
-            return place
+    place = dataset.place_in(Path(os.path.expanduser(root)), folder)
+    if place is not None:
+        return place
     raise InputError(
         f"{dataset.variable} is '{root}', but there is no scene '{folder}' in it; "
         f"`asg doctor --dataset {dataset.kind} {root}` says what is there"

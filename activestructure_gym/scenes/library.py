@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+from collections.abc import Callable, Hashable, Mapping
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.registry import Registry
@@ -62,10 +64,32 @@ _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
 )
 
 
-# Generated scenes take seconds to build and never change: the last two of each kind are shared by all envs of a
-# process, ray caster and all.
+def _shared(make: Callable[..., Scene]) -> Callable[..., Scene]:
+    """Generated scenes take seconds to build and never change: the last two of each kind are shared by all envs of a
+    process, ray caster and all.
+    """
+    kept = lru_cache(maxsize=2)(make)
+
+    @wraps(make)
+    def shared(**options: Any) -> Scene:
+        return kept(**{key: _hashable(key, value) for key, value in options.items()})
+
+    return shared
+
+
+def _hashable(key: str, value: Any) -> Any:
+    """The option as it is, lists and arrays as tuples."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list):
+        return tuple(_hashable(key, one) for one in value)
+    if not isinstance(value, Hashable):
+        raise InputError(f"the option {key} of a scene is a number, a truth value or a few numbers, got {shown(value)}")
+    return value
+
+
 @SCENES.register("box")
-@lru_cache(maxsize=2)
+@_shared
 def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -> Scene:
     from activestructure_gym.scenes.procedural.apartment import make_box_room
 
@@ -73,7 +97,7 @@ def _box(*, seed: int = 0, size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -
 
 
 @SCENES.register("room")
-@lru_cache(maxsize=2)
+@_shared
 def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
     from activestructure_gym.scenes.procedural.apartment import make_apartment
 
@@ -81,7 +105,7 @@ def _room(*, seed: int = 0, furnished: bool = True, lit: bool = True) -> Scene:
 
 
 @SCENES.register("apartment")
-@lru_cache(maxsize=2)
+@_shared
 def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bool = True) -> Scene:
     from activestructure_gym.scenes.procedural.apartment import make_apartment
 
@@ -211,6 +235,13 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
     """The factory that loads a bare path, and the path."""
     check_printable(str(path))
+    try:
+        return _layout_of(path)
+    except OSError as error:
+        raise InputError(f"a scene cannot be read: {error.strerror or error}: {shown(str(path))}") from error
+
+
+def _layout_of(path: Path) -> tuple[Callable[..., Scene], str]:
     for belongs, load in _LAYOUTS:
         if belongs(path):
             return load, str(path)
@@ -242,4 +273,7 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
         raise InputError(f"{label} cannot be read: {error.strerror or error}: {shown(path)}") from error
     if not isinstance(scene, Scene):
         raise InputError(f"{label}: its factory must return a Scene, and returned {shown(scene)}")
+    wrong = scene.mesh.wrong()
+    if wrong:
+        raise InputError(f"{label}: its mesh cannot be used: {wrong}")
     return scene

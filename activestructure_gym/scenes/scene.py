@@ -40,6 +40,37 @@ class SceneMesh:
     texture_wrap: tuple[tuple[int, int], ...] = ()  # of each texture across and down; () = all of them repeat
     linear_colors: bool = False
 
+    def wrong(self) -> str:
+        """What is wrong with the arrays, empty if nothing is; who casts rays or shades checks no bounds."""
+        vertices, faces, textures = len(self.vertices), len(self.faces), self.textures
+        if np.shape(self.vertices) != (vertices, 3):
+            return f"vertices must be [V, 3], got {np.shape(self.vertices)}"
+        if not np.isfinite(self.vertices).all():
+            broken = int((~np.isfinite(self.vertices).all(axis=1)).sum())
+            return f"{broken} of {vertices} vertices are not finite (NaN or infinite)"
+        if np.shape(self.faces) != (faces, 3):
+            return f"faces must be [F, 3], got {np.shape(self.faces)}"
+        if faces and not (0 <= np.min(self.faces) and np.max(self.faces) < vertices):
+            return (
+                f"faces must point to the {vertices} vertices, got indices {np.min(self.faces)} to {np.max(self.faces)}"
+            )
+        if len(self.face_texture) != faces:
+            return f"face_texture needs one entry for each of {faces} faces, got {len(self.face_texture)}"
+        if faces and not (-1 <= np.min(self.face_texture) and np.max(self.face_texture) < len(textures)):
+            return (
+                f"face_texture must lie in -1 .. {len(textures) - 1}, got {np.min(self.face_texture)} .. "
+                f"{np.max(self.face_texture)}"
+            )
+        if np.shape(self.colors) != (vertices, 3) or np.shape(self.uv) != (vertices, 2):
+            shapes = f"{np.shape(self.colors)} and {np.shape(self.uv)}"
+            return f"colors and uv need one row per vertex ({vertices}), got {shapes}"
+        for texture in textures:
+            if texture.ndim != 3 or texture.shape[2] != 3 or texture.dtype != np.uint8 or not texture.size:
+                return f"a texture must be [h, w, 3] uint8, got {texture.shape} {texture.dtype}"
+        if len(self.texture_wrap) not in (0, len(textures)):
+            return f"texture_wrap needs one entry for each of {len(textures)} textures, or none at all"
+        return ""
+
 
 @dataclass(frozen=True)
 class PartLabels:

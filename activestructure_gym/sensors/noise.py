@@ -72,20 +72,22 @@ def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:
     return np.where(disparity > 1e-5, _DISPARITY_METRES / np.maximum(disparity, 1e-5), 0.0)
 
 
-def _jittered(depth: np.ndarray, sigma: np.ndarray | float, rng: np.random.Generator) -> np.ndarray:
-    """Each pixel's depth read at a place ``sigma`` pixels off, rounded to the nearest pixel."""
-    height, width = depth.shape
+def _jittered(
+    shape: tuple[int, ...], sigma: np.ndarray | float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:  # [H, W] rows, [H, W] columns
+    """For each pixel a place ``sigma`` pixels off, rounded to the nearest pixel."""
+    height, width = shape
     off = np.rint(rng.standard_normal((2, height, width)) * sigma).astype(int)
     rows = np.clip(np.arange(height)[:, None] + off[0], 0, height - 1)
     columns = np.clip(np.arange(width)[None, :] + off[1], 0, width - 1)
-    return depth[rows, columns]
+    return rows, columns
 
 
 def _kinect(depth: np.ndarray, camera: PinholeCamera, rng: np.random.Generator, multiplier: float) -> np.ndarray:
     incidence = incidence_angles(depth, camera)
     theta = np.minimum(incidence, _MAX_INCIDENCE)
     lateral = (0.8 + 0.035 * theta / (np.pi / 2.0 - theta)) * camera.fx / _SOURCE_FOCAL
-    moved = _jittered(depth, multiplier * lateral, rng)
+    moved = depth[_jittered(depth.shape, multiplier * lateral, rng)]
     safe = np.where(moved > 0, moved, 1.0)
     noisy = safe + multiplier * kinect_sigma(safe, incidence) * rng.standard_normal(depth.shape)
     measured = _quantised(_DISPARITY_METRES / np.maximum(noisy, 1e-3), multiplier * _DISPARITY_STEP)
@@ -94,10 +96,9 @@ def _kinect(depth: np.ndarray, camera: PinholeCamera, rng: np.random.Generator, 
 
 def _redwood(depth: np.ndarray, camera: PinholeCamera, rng: np.random.Generator, multiplier: float) -> np.ndarray:
     scale = multiplier * camera.fx / _SOURCE_FOCAL
-    moved = _jittered(depth, 0.25 * scale, rng)
+    rows, columns = _jittered(depth.shape, 0.25 * scale, rng)
     block = max(1, round(2.0 * scale))  # the source camera measures one depth per 2 x 2 pixels
-    rows, columns = np.arange(depth.shape[0]) // block * block, np.arange(depth.shape[1]) // block * block
-    moved = moved[rows[:, None], columns[None, :]]
+    moved = depth[rows // block * block, columns // block * block]
     seen = (moved > 0) & (moved < _REDWOOD_RANGE)
     disparity = _DISPARITY_METRES / np.where(seen, moved, 1.0)
     disparity = disparity + multiplier * _DISPARITY_SIGMA * rng.standard_normal(depth.shape)
@@ -117,6 +118,7 @@ def noisy_depth(
     ``kinect``: axial noise of `kinect_sigma`, lateral noise of 0.8 px and more, disparity in steps of 1/8 px.
     ``redwood``: the simulation of [choi2015] without its table of lens distortion: disparity
     35.13 / z + N(0, 0.0278) px in steps of 1/8 px, lateral noise of 0.25 px, one value per 2 x 2 px, 10 m of range.
+    The source's own multiplier leaves the step as it is.
     """
     if model not in DEPTH_NOISE:
         raise ValueError(f"model must be one of {', '.join(DEPTH_NOISE)}, got {model!r}")
@@ -126,8 +128,13 @@ def noisy_depth(
     return apply(depth.astype(np.float64), camera, rng, multiplier).astype(np.float32)
 
 
-def drop_edges(depth: np.ndarray, camera: PinholeCamera, rng: np.random.Generator) -> np.ndarray:  # [H, W] float32
-    """Depth with holes (0) where structured light finds none: beside depth edges and on surfaces seen at a slant.
+def drop_edges(
+    measured: np.ndarray,  # [H, W] float32 metres, 0 = no return
+    depth: np.ndarray,  # [H, W] the same without noise, whose steps would pass for edges and slants
+    camera: PinholeCamera,
+    rng: np.random.Generator,
+) -> np.ndarray:  # [H, W] float32
+    """Measured depth with holes (0) where structured light finds none: beside edges and on surfaces seen at a slant.
 
     At risk are pixels within 2 px (of a 640-wide camera, at least 1) of a jump of more than 5 % in depth and pixels
     whose surface is met at more than 75 deg; half of them, chosen at random, are lost.
@@ -146,7 +153,7 @@ def drop_edges(depth: np.ndarray, camera: PinholeCamera, rng: np.random.Generato
         jump = cv2.dilate(jump.astype(np.uint8), np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0
     at_risk = jump | (incidence_angles(depth, camera) > _DROPOUT_INCIDENCE)
     lost = at_risk & (rng.random(depth.shape) < _DROPOUT_SHARE)
-    return np.where(lost, np.float32(0.0), depth)
+    return np.where(lost, np.float32(0.0), measured)
 
 
 def noisy_pose(

@@ -106,10 +106,10 @@ class RGBDSensor:
     def capture(self, world_from_camera: np.ndarray) -> Frame:
         """The frame seen from the true pose ``world_from_camera`` [4, 4]; ValueError unless it is a rigid motion."""
         pose, config = _checked_pose(world_from_camera), self.config
-        rgb, depth = self._renderer.render(self.camera, pose, supersample=config.supersample)
-        depth = noisy_depth(depth, self.camera, self._rng, model=config.depth_noise, multiplier=config.noise_multiplier)
+        rgb, true = self._renderer.render(self.camera, pose, supersample=config.supersample)
+        depth = noisy_depth(true, self.camera, self._rng, model=config.depth_noise, multiplier=config.noise_multiplier)
         if config.edge_dropout:
-            depth = drop_edges(depth, self.camera, self._rng)
+            depth = drop_edges(depth, true, self.camera, self._rng)
         # Noise first: the range is a promise about what is reported.
         depth = self._within_range(depth)
         reported = noisy_pose(pose, self._rng, sigma_m=config.pose_noise_m, sigma_deg=config.pose_noise_deg)

@@ -34,36 +34,18 @@ class ShadingTables:
 
 
 def make_shading_tables(mesh: SceneMesh) -> ShadingTables:
-    """Bring a mesh into the kernel's form; raises ValueError where an index points outside its array.
-
-    The kernel does not check bounds, so this is the one place where a wrong mesh is caught.
-    """
-    vertices, faces, textures = len(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int32), mesh.textures
-    face_texture = np.ascontiguousarray(mesh.face_texture, np.int32)
-    if len(faces) and not (0 <= faces.min() and faces.max() < vertices):
-        raise ValueError(f"faces must point to the {vertices} vertices, got indices {faces.min()} to {faces.max()}")
-    if len(face_texture) != len(faces):
-        raise ValueError(f"face_texture needs one entry for each of {len(faces)} faces, got {len(face_texture)}")
-    if len(faces) and not (-1 <= face_texture.min() and face_texture.max() < len(textures)):
-        raise ValueError(
-            f"face_texture must lie in -1 .. {len(textures) - 1}, got {face_texture.min()} .. {face_texture.max()}"
-        )
-    if mesh.colors.shape != (vertices, 3) or mesh.uv.shape != (vertices, 2):
-        raise ValueError(
-            f"colors and uv need one row per vertex ({vertices}), got {mesh.colors.shape} and {mesh.uv.shape}"
-        )
-    for texture in textures:
-        if texture.ndim != 3 or texture.shape[2] != 3 or texture.dtype != np.uint8 or not texture.size:
-            raise ValueError(f"a texture must be [h, w, 3] uint8, got {texture.shape} {texture.dtype}")
-    if len(mesh.texture_wrap) not in (0, len(textures)):
-        raise ValueError(f"texture_wrap needs one entry for each of {len(textures)} textures, or none at all")
+    """Bring a mesh into the kernel's form; raises ValueError for a wrong one, since the kernel checks no bounds."""
+    wrong = mesh.wrong()
+    if wrong:
+        raise ValueError(wrong)
+    textures = mesh.textures
     sizes = np.array([texture.shape[:2] for texture in textures], np.int64).reshape(-1, 2)
     counts = sizes.prod(axis=1)
     appearance = Appearance(
-        faces=faces,
+        faces=np.ascontiguousarray(mesh.faces, np.int32),
         colors=np.ascontiguousarray(mesh.colors, np.float32),
         uv=np.ascontiguousarray(mesh.uv, np.float32),
-        face_texture=face_texture,
+        face_texture=np.ascontiguousarray(mesh.face_texture, np.int32),
         texels=np.concatenate([texture.reshape(-1, 3) for texture in textures] or [np.zeros((1, 3), np.uint8)]),
         texture_start=np.cumsum(counts) - counts,
         texture_size=sizes,

@@ -94,7 +94,9 @@ class LiveView:
             ) from None
         host, port = str(self._server.server_address[0]), self._server.server_address[1]
         host = f"[{host}]" if ":" in host else host
-        self.hosts = {f"{host}:{port}", f"localhost:{port}"} if ip_address(address).is_loopback else None
+        # Browsers leave the port away where it is HTTP's own.
+        names = {f"{name}{end}" for name in (host, "localhost") for end in (f":{port}", *[""] * (port == 80))}
+        self.hosts = names if ip_address(address).is_loopback else None
         self.url = f"http://{host}:{port}/?key={self._key}"
         serve = partial(self._server.serve_forever, poll_interval=0.02)  # seconds that closing waits
         threading.Thread(target=serve, name="live view", daemon=True).start()

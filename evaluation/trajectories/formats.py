@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError, InputWarning, unknown_name
 from activestructure_gym.evaluation.archive import schema
+from activestructure_gym.geometry import unrounded
 from activestructure_gym.npz import read_npz
 from activestructure_gym.scenes.loaders.json_files import read_json
 from activestructure_gym.scenes.loaders.scannet import axis_alignment
@@ -90,6 +91,7 @@ def find_file(place: str | os.PathLike[str], kind: str = "auto") -> tuple[Path, 
 def read_poses(place: str | os.PathLike[str], kind: str = "auto") -> np.ndarray:  # [T, 4, 4] float64
     """The poses of a file as it has them; raises `InputError` where it cannot be read, or a pose is no rigid motion.
 
+    A rotation that was written with few digits is taken as the nearest one.
     ``auto`` tells formats apart by the ending and by the numbers in a line.
     """
     path, kind = find_file(place, kind)
@@ -284,4 +286,4 @@ def _rigid(poses: np.ndarray, path: Path) -> np.ndarray:
         )
     if not straight.all():
         raise InputError(f"pose {int(np.argmin(straight)) + 1} of '{path}' is no rigid motion (rotation, translation)")
-    return poses
+    return unrounded(poses)

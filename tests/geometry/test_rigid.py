@@ -7,7 +7,14 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from activestructure_gym.geometry import invert_rigid, look_along, rotation_angle, se3_exp, transform_points
+from activestructure_gym.geometry import (
+    invert_rigid,
+    look_along,
+    rotation_angle,
+    se3_exp,
+    transform_points,
+    unrounded,
+)
 
 
 def random_rigid(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -29,6 +36,20 @@ def test_transforming_points_is_homogeneous_multiplication(rng: np.random.Genera
     homogeneous = np.concatenate([points, np.ones((2, 5, 1))], axis=-1)
     expected = np.einsum("ij,abj->abi", transform, homogeneous)[..., :3]
     np.testing.assert_allclose(transform_points(transform, points), expected, atol=1e-12)
+
+
+def test_few_digits_are_taken_as_the_nearest_rotation_and_many_as_they_are(rng: np.random.Generator) -> None:
+    exact = random_rigid(rng, 20)
+    rounded = exact.round(3)
+    rounded[5:, :, :] = exact[5:]
+    given = rounded.copy()
+    found = unrounded(rounded)
+    assert found[5:].tobytes() == exact[5:].tobytes() and rounded.tobytes() == given.tobytes()
+    products = found[:, :3, :3] @ found[:, :3, :3].transpose(0, 2, 1)
+    np.testing.assert_allclose(products, np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(found, exact, atol=2e-3)
+    np.testing.assert_array_equal(unrounded(rounded[0]), found[0])
+    np.testing.assert_array_equal(found[:, :3, 3], rounded[:, :3, 3])
 
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, -2, 0.5), (0.1, 0.2, -5), (0, 0, 1), (0, 0, -1)])

@@ -132,6 +132,12 @@ def test_the_default_place_is_the_user_s_cache(monkeypatch):
     assert cache_directory().parts[-2:] == (".cache", "activestructure_gym")
 
 
+def test_a_tilde_is_the_user_s_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("ASG_CACHE_DIR", "~/kept")
+    assert cache_directory() == tmp_path / "kept"
+
+
 def filled(keys, size=1000):
     for number, key in enumerate(keys):
         cached_arrays(key, lambda: {"a": np.full(size, 7, np.uint8)})

@@ -42,6 +42,17 @@ def test_what_is_there_by_that_path_comes_first(replica, tmp_path, monkeypatch):
     assert load_scene("replica:office_2").name == "office_2"
 
 
+@pytest.mark.parametrize("name", ["room0_mesh.ply", "room0.ply"])
+def test_a_mesh_beside_the_sequence_is_found_under_either_name_and_by_itself(replica, name):
+    mesh = (replica / "Replica" / "room0_mesh.ply").rename(replica / "Replica" / name)
+    for left in ("with its views", "alone"):
+        scene = next(scene for scene in check_dataset(REPLICA, replica) if scene.title == "R0")
+        assert scene.usable and scene.files[0].name == mesh.name
+        assert load_scene("replica:R0").name == "room0"
+        if left != "alone":
+            shutil.rmtree(replica / "Replica" / "room0")
+
+
 def test_a_scene_that_is_not_found_is_one_sentence(replica, monkeypatch):
     with pytest.raises(InputError, match="no scene 'office_4' in it; `asg doctor --dataset replica"):
         load_scene("replica:Off4")
@@ -61,6 +72,9 @@ def test_a_house_is_found_by_its_title(tmp_path, gltf, make_box, monkeypatch):
     states = {scene.title: scene for scene in check_dataset(MATTERPORT3D, tmp_path)}
     assert states["gZ6f"].usable and states["gZ6f"].place == folder and not states["Gdv"].usable
     whole = (folder / "gZ6f7yhEvPG.glb").read_bytes()
+    (folder / "gZ6f7yhEvPG.glb").write_bytes(whole + b"more")  # which readers do not look at
+    assert next(scene for scene in check_dataset(MATTERPORT3D, tmp_path) if scene.title == "gZ6f").usable
+    assert load_scene("matterport3d:gZ6f").name == "gZ6f7yhEvPG"
     for damaged, why in ((whole[:-1], "cut off"), (b"glTX" + whole[4:], "does not begin"), (b"", "does not begin")):
         (folder / "gZ6f7yhEvPG.glb").write_bytes(damaged)
         (state,) = next(scene for scene in check_dataset(MATTERPORT3D, tmp_path) if scene.title == "gZ6f").files

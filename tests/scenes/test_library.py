@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +167,65 @@ def test_embedded_scenes_by_name():
     scene = load_scene("box?size=5,4,3")
     np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], [5, 4, 3], atol=0.2)
     assert {"box", "room", "apartment"} <= set(SCENES)
+
+
+@pytest.mark.parametrize("size", [[5.0, 4.0, 3.0], np.array([5.0, 4.0, 3.0]), (5, 4, 3), "5,4,3"])
+def test_the_size_of_a_box_may_be_any_three_numbers(size):
+    assert load_scene("box", size=size) is load_scene("box?size=5,4,3")
+
+
+@pytest.mark.parametrize(
+    ("spec", "options", "said"),
+    [
+        ("box", {"size": ("a", 1, 2)}, "a box room needs three sizes"),
+        ("box", {"size": [[1, 2], 3, 4]}, "a box room needs three sizes"),
+        ("box", {"size": {"x": 1}}, "the option size of a scene is a number"),
+        ("room", {"seed": [1]}, "a scene's seed is a whole number"),
+        ("apartment", {"rooms": {1}}, "the option rooms of a scene is a number"),
+    ],
+)
+def test_options_that_are_no_numbers_are_one_sentence(spec, options, said):
+    with pytest.raises(InputError, match=said):
+        load_scene(spec, **options)
+
+
+@pytest.mark.parametrize(
+    "path", ["a" * 300 + ".obj", "/tmp/" + "a" * 300 + "/x.obj", "a" * 300 + ".stage_config.json", "b" * 300 + ".glb"]
+)
+def test_a_name_that_no_file_can_have_is_one_sentence(path):
+    for spec in (path, Path(path)):
+        with pytest.raises(InputError, match="a scene cannot be read: File name too long"):
+            load_scene(spec)
+    with pytest.raises(InputError, match="File name too long"):
+        with_options(path, {"seed": 1})
+
+
+def test_a_folder_that_may_not_be_looked_into_is_one_sentence(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)  # root may look into any
+    with pytest.raises(InputError, match="a scene cannot be read: Permission denied"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"vertices": np.full((8, 3), np.nan, np.float32)}, "8 of 8 vertices are not finite"),
+        ({"vertices": np.zeros((8, 2), np.float32)}, r"vertices must be \[V, 3\], got \(8, 2\)"),
+        ({"faces": np.full((12, 3), 5000, np.int32)}, "faces must point to the 8 vertices"),
+        ({"colors": np.zeros((3, 3), np.float32)}, r"colors and uv need one row per vertex \(8\)"),
+    ],
+)
+def test_the_mesh_of_a_third_party_is_looked_at(hut, change, said):
+    @SCENES.register("ruin")
+    def make_ruin() -> Scene:
+        scene = hut()
+        return replace(scene, mesh=replace(scene.mesh, **change))
+
+    with pytest.raises(InputError, match=f"scene 'ruin': its mesh cannot be used: {said}"):
+        load_scene("ruin")
 
 
 def test_options_are_added_to_a_text_or_refused(hut, mesh_file, furnished_room):

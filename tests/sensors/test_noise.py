@@ -105,8 +105,11 @@ def test_redwood_reads_one_value_per_block_of_the_source_camera():
     camera = PinholeCamera(64, 64, 525.0, 525.0, 32.0, 32.0)
     depth = np.tile(np.where(np.arange(64) % 2, 1.0, 5.0).astype(np.float32), (64, 1))  # odd columns near
     noisy = noisy_depth(depth, camera, np.random.default_rng(0), model="redwood")
-    # Every pixel takes the value of its block's even column, 5 m, but for jitter of 2 sigma (5 %).
-    assert (noisy > 4.0).mean() > 0.9
+    assert (noisy > 4.0).all()  # jitter chooses the block; of each the even column is read, 5 m
+    ramp = np.tile(np.linspace(1.0, 9.0, 64, dtype=np.float32), (64, 1))
+    noisy = noisy_depth(ramp, camera, np.random.default_rng(0), model="redwood")
+    apart = np.abs(np.diff(noisy, axis=1))[:, ::2] > 0.15  # a block of the ramp is 0.25 m, noise and step 0.1 m
+    assert 0.02 < apart[:, :16].mean() < 0.2  # every pixel jitters by itself: 0.25 px exceed half a pixel in 4.6 %
     coarse = PinholeCamera(64, 64, 160.0, 160.0, 32.0, 32.0)
     noisy = noisy_depth(depth, coarse, np.random.default_rng(0), model="redwood")
     np.testing.assert_allclose(noisy, depth, rtol=0.03)
@@ -142,7 +145,7 @@ def test_unknown_model_is_a_value_error():
 def test_half_of_the_pixels_beside_an_edge_are_lost_and_no_others():
     depth = wall(2.0)
     depth[60:180, 100:220] = 1.0
-    lost = drop_edges(depth, CAMERA, np.random.default_rng(0)) == 0
+    lost = drop_edges(depth, depth, CAMERA, np.random.default_rng(0)) == 0
     rim = np.zeros_like(lost)
     rim[59:181, 99:221] = True
     rim[61:179, 101:219] = False
@@ -156,8 +159,17 @@ def test_slanted_surfaces_lose_half_of_their_pixels():
     for angle, share in ((60.0, 0.0), (86.5, 0.5)):
         depth = slanted(camera, np.radians(angle), 3.0)[0]
         depth[depth > 8.0] = 0.0
-        lost = drop_edges(depth, camera, np.random.default_rng(0))[5:-5, 40:60] == 0
+        lost = drop_edges(depth, depth, camera, np.random.default_rng(0))[5:-5, 40:60] == 0
         assert lost.mean() == pytest.approx(share, abs=0.05)
+
+
+def test_noise_is_no_edge_and_no_slant():
+    depth = wall(8.0)
+    depth[60:180, 100:220] = 4.0
+    noisy = noisy_depth(depth, CAMERA, np.random.default_rng(0), model="kinect")
+    lost = drop_edges(noisy, depth, CAMERA, np.random.default_rng(1)) == 0
+    np.testing.assert_array_equal(lost, drop_edges(depth, depth, CAMERA, np.random.default_rng(1)) == 0)
+    assert not lost[70:170, 110:210].any()
 
 
 def test_pose_errors_have_the_stated_spread():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import rotation_angle
+from activestructure_gym.geometry import look_along, rotation_angle
 from activestructure_gym.sensors import RGBDSensor, SensorConfig
 
 NOISY = SensorConfig(
@@ -61,6 +61,12 @@ def test_a_copy_goes_on_where_the_original_was(cluttered_room, room_poses, dupli
     original.capture(room_poses[0])
     twin = duplicate(original)
     assert same(original.capture(room_poses[1]), twin.capture(room_poses[1]))
+
+
+def test_a_wall_ahead_has_no_holes_whatever_its_noise(box_room):
+    ahead = look_along(np.array([2.0, 1.5, 1.25]), np.array([1.0, 0.0, 0.0]))
+    config = SensorConfig(width=640, height=360, horizontal_fov_deg=40.0, depth_noise="kinect", edge_dropout=True)
+    assert (sensor(box_room, config).capture(ahead).depth > 0).all()
 
 
 def test_pose_noise_is_on_the_report_and_not_in_the_picture(cluttered_room, room_poses):

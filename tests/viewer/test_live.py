@@ -231,6 +231,24 @@ def test_nobody_is_asked_for_the_name_of_this_machine(monkeypatch: pytest.Monkey
     LiveView("a test").close()
 
 
+def test_at_the_port_that_browsers_leave_away_it_is_known_without_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Server:
+        """Port 80 belongs to root."""
+
+        server_address = ("127.0.0.1", 80)
+
+        def __init__(self, place: tuple[str, int], view: LiveView) -> None:
+            pass
+
+        def serve_forever(self, poll_interval: float) -> None:
+            pass
+
+    monkeypatch.setattr("activestructure_gym.viewer.live._Server", Server)
+    assert LiveView("box", port=80).hosts == {"127.0.0.1", "127.0.0.1:80", "localhost", "localhost:80"}
+    Server.server_address = ("127.0.0.1", 8080)
+    assert LiveView("box", port=8080).hosts == {"127.0.0.1:8080", "localhost:8080"}
+
+
 def test_what_cannot_be_served_is_said() -> None:
     taken = LiveView("a test")
     port = urlsplit(taken.url).port

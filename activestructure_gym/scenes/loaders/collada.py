@@ -198,7 +198,10 @@ class _Document:
                 self.textures.without_uv.append(symbol or "without a name")
                 texture = -1
             # A texture is all that is seen of a surface: exporters leave its vertex colours at black.
-            if "COLOR" in inputs and texture < 0:
+            painted = "COLOR" in inputs and texture < 0
+            if color is None:
+                color = np.full(3, 1.0 if painted else PLAIN_GREY)
+            if painted:
                 color = color * inputs["COLOR"].of(corners, 3)
             yield MeshPart(
                 vertices=placed(inputs["VERTEX"].of(corners, 3), world_from_node),
@@ -232,26 +235,25 @@ class _Document:
             raise UnreadableMesh(f"the source '{element.get('source')}' is missing")
         return self._once(_array, source)
 
-    def _material(self, name: str) -> tuple[np.ndarray, int]:
-        """Diffuse colour [3] and texture of a material; COLLADA's colours are display-referred."""
-        plain = np.full(3, PLAIN_GREY)
+    def _material(self, name: str) -> tuple[np.ndarray | None, int]:
+        """Diffuse colour [3], None where it has none, and texture of a material; the colours are display-referred."""
         material = self.target(name)
         instance = material.find("instance_effect") if material is not None else None
         effect = self.target(instance.get("url")) if instance is not None else None
         profile = effect.find("profile_COMMON") if effect is not None else None
         if profile is None:
-            return plain, -1
+            return None, -1
         shader = next((s for s in profile.iterfind("technique/*") if s.tag in _SHADERS), None)
         # <constant> has no diffuse; its emission is all one sees.
         channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
         if channel is None:
-            return plain, -1
+            return None, -1
         reference = channel.find("texture")
         if reference is not None:
             index = self._texture(profile, reference.get("texture", ""))
-            return (np.ones(3) if index >= 0 else plain), index
+            return (np.ones(3) if index >= 0 else None), index
         color = _floats(channel.findtext("color"))
-        return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else plain), -1
+        return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else None), -1
 
     def _texture(self, profile: Element, name: str) -> int:
         """Follow sampler -> surface -> image (1.4), sampler -> image (1.5), or the image itself (sloppy exporters)."""

@@ -220,6 +220,8 @@ class _Document:
         material = self._material(primitive.get("material"))
         if "COLOR_0" in attributes:
             colors = self.accessor(attributes["COLOR_0"])[used]
+            if colors.dtype.kind in "iu":  # some exporters forget to say that they are normalised
+                colors = colors / np.iinfo(colors.dtype).max
             linear = colors[:, :3] * np.asarray(material.get("factor", [1.0] * 4)[:3])
         else:
             linear = np.asarray(material.get("factor", _PLAIN)[:3], dtype=np.float64)

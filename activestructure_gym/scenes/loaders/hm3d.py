@@ -41,11 +41,16 @@ def load_hm3d_scene(path: str | os.PathLike[str], *, max_texture: int = 512) -> 
 
 
 def is_hm3d(path: Path) -> bool:
-    """Whether the path is a folder of HM3D, by its name and a mesh of that name (used to tell what a bare path is)."""
-    named = _FOLDER.fullmatch(path.name)
+    """Whether the path is a folder of HM3D, by its name and a mesh of that name, or the mesh (used to tell what a bare
+    path is).
+    """
+    path = Path(os.path.abspath(path))
+    folder = path if path.is_dir() else path.parent
+    named = _FOLDER.fullmatch(folder.name)
     if named is None:
         return False
-    return any((path / f"{named[1]}{ending}").is_file() for ending in (".glb", _BASIS))
+    meshes = [folder / f"{named[1]}{ending}" for ending in (".glb", _BASIS)]
+    return any(mesh.is_file() and path in (folder, mesh) for mesh in meshes)
 
 
 def _mesh_in(folder: Path) -> Path:

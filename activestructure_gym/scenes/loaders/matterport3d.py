@@ -24,6 +24,8 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
     Raises `InputError` where the mesh is missing or cannot be read.
     """
     path = find_scene(MATTERPORT3D, path)
+    if path.name in ("", ".."):  # "." has a name too
+        path = Path(os.path.abspath(path))
     if path.is_dir():
         mesh_file = path / f"{path.name}.glb"
         if not mesh_file.is_file():
@@ -43,6 +45,7 @@ def load_matterport3d_scene(path: str | os.PathLike[str], *, max_texture: int = 
 
 def is_matterport3d(path: Path) -> bool:
     """Whether the path is a Matterport3D scene, by the files of the dataset (used to tell what a bare path is)."""
+    path = Path(os.path.abspath(path))
     mesh_file = path / f"{path.name}.glb" if path.is_dir() else path
     if mesh_file.suffix.lower() != ".glb" or not mesh_file.is_file():
         return False

@@ -79,7 +79,7 @@ def load_mesh_scene(
     scale = declared_scale if units is None else _metres_per_unit(units)
     _check_parts(path, parts)
     mesh = assemble(parts, textures.images)
-    mesh, unpainted = _painted(mesh)
+    mesh, unpainted = painted(mesh)
     vertices = mesh.vertices.astype(np.float64) * scale
     try:
         up, doubts = choose_up(path, vertices, mesh.faces, given=up, declared=declared_up)
@@ -87,9 +87,7 @@ def load_mesh_scene(
         _check_extent(path, vertices, scale)  # a wrong unit is the likelier reason
         raise
     mesh = replace(mesh, vertices=upright(vertices, up).astype(np.float32))
-    doubts = [*texture_notes(textures), *doubts]
-    if unpainted:
-        doubts.append(f"{unpainted} vertices have colours or texture coordinates that are not finite: painted grey")
+    doubts = [*texture_notes(textures), *doubts, *unpainted]
     return finished_scene(mesh, path, name=name or path.stem, doubts=doubts, scale=scale)
 
 
@@ -256,15 +254,17 @@ def _check_parts(path: Path, parts: Sequence[MeshPart]) -> None:
         )
 
 
-def _painted(mesh: SceneMesh) -> tuple[SceneMesh, int]:
-    """The mesh with plain grey at vertices whose colour or uv is not finite, and how many those are."""
+def painted(mesh: SceneMesh) -> tuple[SceneMesh, list[str]]:
+    """The mesh with plain grey at vertices whose colour or uv is not finite, and a sentence on them if any are."""
     from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY
 
     broken = ~(np.isfinite(mesh.colors).all(axis=1) & np.isfinite(mesh.uv).all(axis=1))
     if not broken.any():
-        return mesh, 0
+        return mesh, []
     colors = np.where(broken[:, None], np.float32(PLAIN_GREY), mesh.colors)
-    return replace(mesh, colors=colors, uv=np.where(broken[:, None], np.float32(0), mesh.uv)), int(broken.sum())
+    mesh = replace(mesh, colors=colors, uv=np.where(broken[:, None], np.float32(0), mesh.uv))
+    said = f"{int(broken.sum())} vertices have colours or texture coordinates that are not finite: painted grey"
+    return mesh, [said]
 
 
 def _without_loose_vertices(mesh: SceneMesh) -> SceneMesh:

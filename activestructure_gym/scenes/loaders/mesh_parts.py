@@ -107,11 +107,33 @@ class TextureStore:
 def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint8
     from PIL import Image as images
 
+    image = _eight_bits(image)
     if max(image.size) > max_size:
         scale = max_size / max(image.size)
         size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
         image = (image if image.mode == "RGB" else image.convert("RGB")).resize(size, images.Resampling.BOX)
     return np.ascontiguousarray(image.convert("RGB"), dtype=np.uint8)
+
+
+def _eight_bits(image: Image) -> Image:
+    """The picture, with numbers of more bits brought to 8 (Pillow cuts them off); `LimitError` if no scale fits."""
+    from PIL import Image as images
+
+    if not image.mode.startswith(("I", "F")):
+        return image
+    values = np.asarray(image, dtype=np.float32)
+    low, high = values.min(), values.max()
+    if image.mode.startswith("I;16") or (image.mode == "I" and 255 < high <= 65535):
+        scale = 1.0 / 257.0
+    elif image.mode == "F" and high <= 1.0:
+        scale = 255.0
+    else:
+        scale = 1.0
+    if not (low >= 0 and high * scale <= 255.5):
+        raise LimitError(
+            f"has values from {low:g} to {high:g}; at most 65535 of whole numbers and 255 of floats is read"
+        )
+    return images.fromarray(np.rint(values * np.float32(scale)).astype(np.uint8))
 
 
 def find_reference(base: Path, reference: str, *, climb: int = 1) -> Path:
@@ -149,6 +171,18 @@ def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # 
     """Vertices after the transform of their node; what is not finite stays so, and is reported by the loader."""
     with np.errstate(invalid="ignore", over="ignore"):
         return vertices @ world_from_part[:3, :3].T + world_from_part[:3, 3]
+
+
+def full_scale(colors: Sequence[np.ndarray]) -> float:
+    """The number that stands for 1 in the colours of one file: 255 or 65535 of whole numbers, 1 or 255 of floats."""
+    if all(one.dtype == np.uint8 for one in colors):
+        return 255.0
+    seen = np.concatenate([one[np.isfinite(one) & (one > 0)] for one in colors])
+    highest = seen.max(initial=0)
+    if all(one.dtype.kind in "iu" for one in colors):
+        return 65535.0 if highest > 255 else 255.0
+    # Rounding exceeds 1, and baked light does here and there.
+    return 255.0 if highest > 1.5 and np.median(seen) > 1.0 else 1.0
 
 
 def srgb_from_linear(linear: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Wavefront OBJ as trimesh can read it: absolute indices, concave polygons as triangles, no leading blanks.
+"""Wavefront OBJ as trimesh can read it: absolute indices, concave polygons as triangles, nothing beside numbers.
 
 trimesh counts a negative index from the end of the file; the format counts it from the line that holds it, so files
 whose vertices stand in blocks (tinyobjloader's and three.js's examples, CAD exporters) lose their shape. It also makes
@@ -16,13 +16,15 @@ from activestructure_gym.scenes.loaders.polygons import triangulated_if_concave
 
 _RELATIVE = re.compile(r"^f[^\n]*-\d", re.MULTILINE)
 _POLYGON = re.compile(r"^f(?: +[-\d/]+){4}", re.MULTILINE)
+_COMMENT = re.compile(r"#[^\n]*")
 _COUNTED = ("v", "vt", "vn")  # what the three numbers of a corner count
 
 
 def plain_obj(text: str) -> str:
-    """The same surface without relative indices and concave polygons."""
-    text = text.replace("\r\n", "\n").replace("\\\n", "").replace("\t", " ")
+    """The same surface without relative indices, concave polygons, leading blanks and comments behind numbers."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "").replace("\t", " ")
     text = re.sub(r"^ +", "", text, flags=re.MULTILINE)
+    text = _COMMENT.sub(_without_numbers_comment, text)
     relative, polygons = bool(_RELATIVE.search(text)), bool(_POLYGON.search(text))
     if not relative and not polygons:
         return text
@@ -34,6 +36,12 @@ def plain_obj(text: str) -> str:
     return "\n".join(lines)
 
 
+def _without_numbers_comment(comment: re.Match[str]) -> str:
+    """Nothing for a comment behind numbers, which trimesh would read; any other one as it is."""
+    line = comment.string.rfind("\n", 0, comment.start()) + 1
+    return "" if comment.string.startswith(("f ", "v ", "vt ", "vn "), line, comment.start()) else comment[0]
+
+
 def _make_absolute(lines: list[str]) -> None:
     """Rewrite relative indices, which count back from the entries above their line, as absolute ones."""
     above = [0, 0, 0]
@@ -42,7 +50,7 @@ def _make_absolute(lines: list[str]) -> None:
         if kind in _COUNTED:
             above[_COUNTED.index(kind)] += 1
         elif kind == "f" and "-" in line:
-            corners = [corner.split("/") for corner in line.partition("#")[0].split()[1:]]
+            corners = [corner.split("/") for corner in line.split()[1:]]
             lines[number] = "f " + " ".join("/".join(map(_absolute, corner, above)) for corner in corners)
 
 
@@ -57,7 +65,7 @@ def _absolute(index: str, above: int) -> str:
 
 def _split_concave(lines: list[str]) -> None:
     faces = [number for number, line in enumerate(lines) if line.startswith("f ") and line.count(" ") > 3]
-    corners = [lines[number].partition("#")[0].split()[1:] for number in faces]
+    corners = [lines[number].split()[1:] for number in faces]
     index = np.array([int(c.partition("/")[0]) for face in corners for c in face], dtype=np.int64) - 1
     vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64)
     if not len(index) or index.min() < 0 or index.max() >= len(vertices):  # said by the loader

@@ -31,13 +31,17 @@ from activestructure_gym.scenes.datasets import REPLICA, find_scene
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh, in_words
 from activestructure_gym.scenes.loaders.json_files import read_json
-from activestructure_gym.scenes.loaders.mesh_loader import check_mesh_file, finished_scene
-from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, assemble, find_reference
+from activestructure_gym.scenes.loaders.mesh_loader import check_mesh_file, finished_scene, painted
+from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, assemble, find_reference, full_scale
 from activestructure_gym.scenes.loaders.sequence import load_sequence
+from activestructure_gym.scenes.loaders.upright import DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene
 
 # Replica's class names that are the building itself; everything else stands or hangs in it.
 STRUCTURAL_CLASSES = frozenset(("wall", "floor", "ceiling", "door", "window", "beam", "pillar", "stair"))
+
+_OWN_FILES = ("habitat", "textures", "traj.txt", "semantic.json", "preseg.json", "glass.sur")  # beside mesh.ply
+_FIRST_FACE = 256  # bytes that hold its number of corners
 
 
 def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathLike[str] | None = None) -> Scene:
@@ -67,25 +71,47 @@ def load_replica_scene(path: str | os.PathLike[str], *, sequence: str | os.PathL
             f"'{mesh_file}' has {broken} of {len(vertices)} vertices that are not finite (NaN or infinite); "
             "repair the mesh first"
         )
-    mesh = assemble([MeshPart(vertices, faces, colors)], ())
+    mesh, doubts = painted(assemble([MeshPart(vertices, faces, colors)], ()))
+    up = DeclaredUp("z", "in Replica", explicit=True)
+    doubts += choose_up(mesh_file, vertices, faces, given=None, declared=up)[1]
     labels = None if object_ids is None else _labels(mesh_file.with_name("info_semantic.json"), object_ids)
-    return replace(finished_scene(mesh, mesh_file, name=root.name, labels=labels), evaluation_views=views)
+    scene = finished_scene(mesh, mesh_file, name=root.name, labels=labels, doubts=doubts)
+    return replace(scene, evaluation_views=views)
 
 
 def is_replica(path: Path) -> bool:
-    """Whether the path looks like a part of a Replica scene (used to guess what a bare path is)."""
-    if path.is_dir():
-        return any((path / name).is_file() for name in ("mesh.ply", "habitat/mesh_semantic.ply", "mesh_semantic.ply"))
-    return path.name == "mesh_semantic.ply" or path.name.endswith(".stage_config.json")
+    """Whether the path looks like a part of a Replica scene (used to guess what a bare path is).
+
+    Many tools call their mesh mesh.ply: with nothing of the dataset beside it, only one of quads is Replica's.
+    """
+    if not path.is_dir():
+        return path.name == "mesh_semantic.ply" or path.name.endswith(".stage_config.json")
+    if any((path / name).is_file() for name in ("habitat/mesh_semantic.ply", "mesh_semantic.ply")):
+        return True
+    if not (path / "mesh.ply").is_file():
+        return False
+    named = REPLICA.folder_of(Path(os.path.abspath(path)).name) is not None
+    return named or any((path / name).exists() for name in _OWN_FILES) or _has_quads(path / "mesh.ply")
+
+
+def _has_quads(mesh_file: Path) -> bool:
+    """Whether this is a binary PLY whose first face is a quad."""
+    try:
+        with open(mesh_file, "rb") as file:
+            vertices, faces = _elements(read_header(file))
+            file.seek(vertices.count * _vertex_dtype(vertices).itemsize, os.SEEK_CUR)
+            return _corner_count(file.read(_FIRST_FACE), 0, faces.properties) == 4
+    except (ValueError, KeyError, OverflowError, OSError):
+        return False
 
 
 def _mesh_file(path: Path) -> tuple[Path, Path]:
     """The mesh to read, and the scene's folder (which names the scene)."""
     if path.name.endswith(".json"):
         return _from_stage_config(path)
-    if not path.exists():
+    if not path.exists() and not REPLICA.meshes_beside(path):
         raise InputError(f"there is no Replica scene '{path}': neither such a folder nor such a file")
-    if not path.is_dir():
+    if path.is_file():
         mesh_file = check_mesh_file(path)
         if mesh_file.suffix.lower() != ".ply":
             raise InputError(f"'{path}' is not a Replica mesh, which is a .ply file; load it as mesh:{path}")
@@ -95,9 +121,7 @@ def _mesh_file(path: Path) -> tuple[Path, Path]:
         (path / "mesh.ply", path),
         (path / "habitat" / "mesh_semantic.ply", path),
         (path / "mesh_semantic.ply", path.parent),
-        # NICE-SLAM's download puts the mesh beside the sequence.
-        (path.parent / f"{path.name}_mesh.ply", path),
-        (path.parent / f"{path.name}.ply", path),
+        *((mesh, path) for mesh in REPLICA.meshes_beside(path)),
     ):
         if candidate.is_file():
             return candidate, root
@@ -136,7 +160,7 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         data = budget.read(path)
         vertices_of, faces_of = _elements(read_header(stream := io.BytesIO(data)))
         start, vertex_count, face_count = stream.tell(), vertices_of.count, faces_of.count
-        vertex_dtype = np.dtype([(one.name, _number(one.kind)) for one in vertices_of.properties])
+        vertex_dtype = _vertex_dtype(vertices_of)
         face_start = start + vertex_count * vertex_dtype.itemsize
         if not face_count:
             raise UnreadableMesh("it has no faces")
@@ -162,7 +186,8 @@ def _read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
         colors = np.full(3, PLAIN_GREY)
         if "red" in (vertex_dtype.names or ()):
-            colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1) / 255.0
+            colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
+            colors = colors / full_scale([colors])
     except (ValueError, KeyError, IndexError, TypeError, OverflowError, OSError) as error:
         raise InputError(
             f"'{path}' is not a Replica mesh (binary PLY of quads or triangles): {in_words(error)}"
@@ -187,6 +212,10 @@ def _elements(header: PlyHeader | None) -> tuple[PlyElement, PlyElement]:
     if names[:2] != ["vertex", "face"]:
         raise UnreadableMesh(f"its elements are {', '.join(names) or 'none'}, not vertex and face")
     return header.elements[0], header.elements[1]
+
+
+def _vertex_dtype(vertices: PlyElement) -> np.dtype:
+    return np.dtype([(one.name, _number(one.kind)) for one in vertices.properties])
 
 
 def _number(kind: str) -> str:

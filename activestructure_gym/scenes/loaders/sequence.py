@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry import PinholeCamera, unrounded
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.images import opened_image
@@ -107,7 +107,7 @@ def _poses(file: Path) -> np.ndarray:  # [T, 4, 4]
     if not rigid.all():
         line = int(np.argmin(rigid)) + 1
         raise InputError(f"pose {line} of '{file}' is no rigid motion (a rotation and a translation)")
-    return poses
+    return unrounded(poses)
 
 
 def _is_rigid(poses: np.ndarray) -> np.ndarray:  # [T, 4, 4] -> [T] bool

@@ -6,6 +6,8 @@ import io
 import logging
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -21,9 +23,12 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     MeshPart,
     TextureStore,
     find_reference,
+    full_scale,
 )
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
 from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
+
+_COLORS = ("vertex_colors", "face_colors")
 
 
 def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
@@ -35,9 +40,11 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
     data = textures.budget.read(path)
     with np.errstate(invalid="ignore"):  # what is not finite is reported by the loader
         if path.suffix.lower() == ".obj":
-            text = _obj_text(data)
+            text, libraries = _with_one_library(_obj_text(data))
             _check_materials(text)
-            loaded = obj.load_obj(io.StringIO(text), resolver=_resolver(path, textures))
+            resolver = _resolver(path, textures, libraries)
+            loaded = obj.load_obj(io.StringIO(text), resolver=resolver)
+            _note_unknown_materials(text, resolver.materials, textures)
         else:
             _check_ply(data, textures)
             try:
@@ -51,8 +58,30 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
                 ) from error
         # Points and lines come without faces.
         meshes = [given for given in loaded.get("geometry", {"": loaded}).values() if given.get("faces") is not None]
+        unpainted = _in_range(meshes)
         geometries = [trimesh.Trimesh(**given, process=False) for given in meshes]
-    return [_part(path, geometry, textures) for geometry in geometries if len(geometry.faces)]
+    return [
+        _part(path, geometry, textures, broken)
+        for geometry, broken in zip(geometries, unpainted)
+        if len(geometry.faces)
+    ]
+
+
+def _in_range(meshes: list[dict[str, Any]]) -> list[np.ndarray]:  # of each [N] bool
+    """Bring colours into the range that trimesh reads, in place; returns which ones of each mesh are not finite.
+
+    It takes floats for 0 to 1 and whole numbers for 0 to 255; files have floats up to 255 too, and 16 bits.
+    """
+    kinds = [next((kind for kind in _COLORS if kind in mesh and np.ndim(mesh[kind]) == 2), "") for mesh in meshes]
+    colors = [
+        np.asarray(mesh[kind])[:, :3] if kind else np.zeros((0, 3), np.uint8) for mesh, kind in zip(meshes, kinds)
+    ]
+    broken = [np.logical_not(np.isfinite(one).all(axis=1)) for one in colors]
+    scale = full_scale(colors)
+    for mesh, kind, one in zip(meshes, kinds, colors):
+        if kind and scale != (1.0 if one.dtype.kind == "f" else 255.0):
+            mesh[kind] = one / scale
+    return broken
 
 
 def _decoded(data: bytes) -> str:
@@ -68,6 +97,31 @@ def _obj_text(data: bytes) -> str:
     if "\0" in text:
         raise UnreadableMesh("it is a binary file and no OBJ text, or UTF-16 without a mark: save it as UTF-8")
     return plain_obj(text)
+
+
+_LIBRARY = re.compile(r"^mtllib +(.*)\n?", re.MULTILINE)
+_BETWEEN_LIBRARIES = re.compile(r"(?<=\.mtl) +", re.IGNORECASE)
+_ALL_LIBRARIES = "all libraries.mtl"
+
+
+def _with_one_library(text: str) -> tuple[str, list[str]]:
+    """The text with at most one library of materials, since trimesh reads one, and the names of those it stands for."""
+    lines = (line.strip() for line in _LIBRARY.findall(text))
+    names = list(dict.fromkeys(name for line in lines for name in _BETWEEN_LIBRARIES.split(line)))
+    if len(names) < 2:
+        return text, names
+    return f"mtllib {_ALL_LIBRARIES}\n{_LIBRARY.sub('', text)}", names
+
+
+def _note_unknown_materials(text: str, known: set[str], textures: TextureStore) -> None:
+    """Remember the materials that are in none of the libraries; where no library was read, that is said already."""
+    used = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl (.*)", text, re.MULTILINE))
+    for name in used if known else ():
+        if name not in known and name not in _NO_MATERIAL:
+            textures.note_unreadable(f"material {name}")
+
+
+_NO_MATERIAL = ("", "None", "(null)")  # as exporters write it
 
 
 # Materials times vertices: trimesh goes over all vertices for every material, 2 ns each.
@@ -93,18 +147,32 @@ def _check_ply(data: bytes, textures: TextureStore) -> None:
 # trimesh would decode an image for every material that names it: it gets the name as a word that it only keeps.
 _MAP = re.compile(r"^[ \t]*map_kd[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
 _TEXTURE = "texture_reference"
+_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+(.*)", re.MULTILINE | re.IGNORECASE)
 
 
-def _resolver(path: Path, textures: TextureStore) -> Any:
+def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ()) -> Any:
     """Finds what the file refers to where `find_reference` looks; trimesh's own keeps silent about what is missing."""
     from trimesh.resolvers import FilePathResolver
 
     class NearbyResolver(FilePathResolver):
+        materials: set[str] = set()  # of the libraries that were read
+
         def get(self, name: str) -> bytes:
+            if name != _ALL_LIBRARIES or len(libraries) < 2:
+                return self._file(name)
+            texts = []
+            for library in libraries:
+                with suppress(Exception):  # noted, and others may be there
+                    texts.append(self._file(library))
+            return b"\n".join(texts)
+
+        def _file(self, name: str) -> bytes:
             try:
                 data = textures.budget.read(find_reference(path.parent, name))
                 if name.lower().endswith(".mtl"):
-                    return _MAP.sub(lambda found: f"{_TEXTURE} {quote(found[1])}", _decoded(data)).encode()
+                    text = _decoded(data)
+                    self.materials = self.materials | {" ".join(name.split()) for name in _MATERIAL.findall(text)}
+                    return _MAP.sub(lambda found: f"{_TEXTURE} {quote(found[1])}", text).encode()
                 opened_image(data)  # trimesh would open any kind of picture
                 return data
             except LimitError as error:
@@ -117,17 +185,18 @@ def _resolver(path: Path, textures: TextureStore) -> Any:
     return NearbyResolver(str(path))
 
 
-def _part(path: Path, geometry: Any, textures: TextureStore) -> MeshPart:
+def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray) -> MeshPart:
+    """The geometry; ``broken`` [N] tells the vertices or faces whose colour is not finite."""
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces, polygon = _triangles(geometry)
     visual = geometry.visual
     colors: np.ndarray = np.full(3, PLAIN_GREY)
     uv, texture = None, -1
     if visual.kind == "vertex":
-        colors = _srgb(visual.vertex_colors)
+        colors = _srgb(visual.vertex_colors, broken)
     elif visual.kind == "face":
         # A vertex can carry only one colour, so every face gets its own three.
-        colors = np.repeat(_srgb(visual.face_colors)[polygon], 3, axis=0)
+        colors = np.repeat(_srgb(visual.face_colors, broken)[polygon], 3, axis=0)
         vertices, faces = vertices[faces.reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
     elif visual.kind == "texture":
         material = visual.material
@@ -190,5 +259,6 @@ def _polygon_sizes(elements: Any) -> np.ndarray:  # [P] corners of each face of 
     return np.zeros(0, np.int64)
 
 
-def _srgb(rgba: np.ndarray) -> np.ndarray:  # uint8 [..., 4] -> float [..., 3]
-    return np.asarray(rgba, dtype=np.float64)[..., :3] / 255.0
+def _srgb(rgba: np.ndarray, broken: np.ndarray | bool = False) -> np.ndarray:  # uint8 [..., 4] -> float [..., 3]
+    colors = np.asarray(rgba, dtype=np.float64)[..., :3] / 255.0
+    return np.where(np.asarray(broken)[..., None], np.nan, colors) if np.any(broken) else colors

@@ -62,7 +62,10 @@ def make_box_room(*, seed: int = 0, size: Sequence[float] = (4.0, 3.0, 2.5)) -> 
     Raises `InputError` for sizes outside 0.5 to 50 m.
     """
     _check_seed(seed)
-    extent = np.asarray(size, dtype=float)
+    try:
+        extent = np.asarray(size, dtype=float)
+    except (TypeError, ValueError):
+        extent = np.zeros(0)
     if extent.shape != (3,) or not np.isfinite(extent).all() or extent.min() < 0.5 or extent.max() > 50:
         raise InputError(f"a box room needs three sizes between 0.5 and 50 m (width, depth, height), got {size!r}")
     # Two triangles per cell; the largest pitch that keeps the whole box under the limit, found from its area.

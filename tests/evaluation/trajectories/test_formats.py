@@ -48,6 +48,13 @@ def test_an_npz_is_read_to_the_last_bit(tmp_path: Path) -> None:
     assert read_poses(tmp_path).tobytes() == poses.tobytes(), "a folder that has one"
 
 
+def test_a_rotation_with_three_digits_is_taken_as_the_nearest_one(tmp_path: Path) -> None:
+    path = write(tmp_path, "kitti", "0.936 -0.275 0.218 1 0.29 0.956 -0.037 2 -0.199 0.098 0.975 3\n")
+    rotation = read_poses(path)[0, :3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotation[0], [0.936, -0.275, 0.218], atol=1e-3)
+
+
 @pytest.mark.parametrize(("kind", "name"), [("nice_slam", "traj.txt"), ("replica", "traj_w_c.txt")])
 def test_a_folder_of_a_sequence_has_its_file(kind: str, name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(LINES["nice_slam"])

@@ -163,6 +163,27 @@ def test_a_texture_replaces_vertex_colours_and_a_plain_colour_takes_them(documen
 
 
 @pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('<instance_material symbol="second" target="#red"/>', ""),
+        ("<diffuse><color>0.8 0.1 0.2 1</color></diffuse>", ""),
+        ("<color>0.8 0.1 0.2 1</color>", '<texture texture="gone" texcoord="UV"/>'),
+    ],
+)
+def test_vertex_colours_without_a_material_s_own_are_seen_as_they_are(document, before, after):
+    source = f'<source id="own"><float_array>{"0.8 0.4 0.2 " * 4}</float_array><technique_common>'
+    source += '<accessor stride="3"/></technique_common></source>'
+    text = DOCUMENT.replace('<vertices id="corners">', source + '<vertices id="corners">').replace(before, after)
+    document.write_text(text)
+    grey = read_collada(document, TextureStore()).parts[1]
+    np.testing.assert_allclose(np.broadcast_to(grey.colors, (6, 3)), 0.7)
+    colors = '<input semantic="COLOR" source="#own" offset="0"/>'
+    document.write_text(text.replace("<p>0 1 2 0 2 3", colors + "<p>0 1 2 0 2 3"))
+    painted = read_collada(document, TextureStore()).parts[1]
+    np.testing.assert_allclose(painted.colors, np.tile([0.8, 0.4, 0.2], (6, 1)))
+
+
+@pytest.mark.parametrize(
     "before, after, said",
     [
         ("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 0 1,0 0 0 1 1 0 0 1 0", "written with commas"),

@@ -79,6 +79,15 @@ def test_factors_are_linear_and_multiply_vertex_colours_and_textures(tmp_path, g
     np.testing.assert_array_equal(part.uv, UV)
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_colours_of_whole_numbers_are_shares_though_it_is_not_said(tmp_path, gltf, kind):
+    primitive = gltf.triangle_mesh(TRIANGLE, FACE)
+    shares = np.tile([0.5, 0.25, 0.125, 1.0], (3, 1))
+    primitive["attributes"]["COLOR_0"] = gltf.accessor((shares * np.iinfo(kind).max).astype(kind))
+    (part,) = read_gltf(gltf.write(tmp_path / "a.glb"), TextureStore()).parts
+    np.testing.assert_allclose(part.colors, shares[:, :3], atol=1 / 255)
+
+
 def test_quantised_positions_and_uv_are_normalised(tmp_path, gltf):
     primitive = gltf.triangle_mesh(TRIANGLE, FACE, material=0)
     quantised = np.array([[0, 0, 0, 0], [32767, 0, 0, 0], [0, -32767, 0, 0]], np.int16)

@@ -39,6 +39,15 @@ def test_a_bare_folder_of_hm3d_is_known(scan):
     assert load_hm3d_scene(scan.with_name("somewhere")).name == "TEEsavR23oF"  # the one mesh in it
 
 
+def test_the_mesh_of_hm3d_and_the_folder_one_stands_in_are_known(scan, monkeypatch):
+    for name in ("TEEsavR23oF.glb", "TEEsavR23oF.basis.glb"):
+        np.testing.assert_allclose(load_scene(str(scan / name)).bounds, BOUNDS, atol=1e-6)
+    assert not is_hm3d(scan / "TEEsavR23oF.basis.navmesh") and not is_hm3d(scan / "TEEsavR23oF.semantic.glb")
+    monkeypatch.chdir(scan)
+    for form in (".", "./", "TEEsavR23oF.glb", "../00800-TEEsavR23oF"):
+        np.testing.assert_allclose(load_scene(form).bounds, BOUNDS, atol=1e-6)
+
+
 @pytest.mark.parametrize("form", ["", "TEEsavR23oF.glb", "TEEsavR23oF.basis.glb"])
 def test_the_copy_for_habitat_alone_is_refused_with_what_to_get(scan, form):
     (scan / "TEEsavR23oF.glb").unlink()

@@ -27,6 +27,12 @@ def test_folder_and_file_are_the_same_scene_with_z_up(house, form):
     np.testing.assert_allclose(scene.bounds, [[-3, -2, 0], [3, 2, 2.6]], atol=1e-6)
 
 
+def test_the_folder_one_stands_in(house, monkeypatch):
+    monkeypatch.chdir(house)
+    for form in (".", "./", "matterport3d:.", "../17DRP5sb8fy"):
+        assert load_scene(form).name == "17DRP5sb8fy"
+
+
 def test_a_folder_with_another_name_and_one_mesh(house):
     renamed = house.rename(house.with_name("my_house"))
     assert load_matterport3d_scene(renamed).name == "17DRP5sb8fy"

@@ -36,6 +36,32 @@ def test_large_pictures_shrink_and_keep_their_shape(tmp_path):
     assert (store.images[0] == [255, 0, 0]).all()
 
 
+@pytest.mark.parametrize(
+    ("values", "ending", "shade"),
+    [
+        (np.full((4, 6), 30000, np.uint16), "png", 117),  # 30000 / 65535 * 255
+        (np.full((4, 6), 65535, np.uint16), "png", 255),
+        (np.full((4, 6), 30000, np.int32), "tiff", 117),
+        (np.full((4, 6), 200, np.int32), "tiff", 200),  # 8 bits in a wide type
+        (np.full((4, 6), 0.5, np.float32), "tiff", 128),
+        (np.full((4, 6), 120.0, np.float32), "tiff", 120),
+    ],
+)
+@pytest.mark.parametrize("max_size", [512, 3])
+def test_grey_of_more_bits_is_brought_to_eight(tmp_path, values, ending, shade, max_size):
+    Image.fromarray(values).save(tmp_path / f"a.{ending}")
+    store = TextureStore(max_size)
+    assert store.add_file(tmp_path, f"a.{ending}") == 0
+    assert (store.images[0] == shade).all() and store.images[0].shape[2] == 3
+
+
+@pytest.mark.parametrize("value", [np.int32(1 << 20), np.float32(1000), np.float32(-1), np.float32(np.nan)])
+def test_grey_of_no_scale_is_said_and_not_guessed(tmp_path, value):
+    Image.fromarray(np.full((4, 4), value)).save(tmp_path / "a.tiff")
+    store = TextureStore()
+    assert store.add_file(tmp_path, "a.tiff") == -1 and "a.tiff: has values from" in store.unreadable[0]
+
+
 def test_what_cannot_be_read_is_remembered_once(tmp_path):
     (tmp_path / "broken.png").write_bytes(b"no picture")
     store = TextureStore()

@@ -42,6 +42,19 @@ def test_lines_that_go_on_blanks_tabs_and_comments(tmp_path):
     assert area_of(tmp_path / "a.obj", text) == pytest.approx(4.0)
 
 
+@pytest.mark.parametrize("face", ["f 1 2 3 4", "f -4 -3 -2 -1"])
+def test_a_comment_behind_numbers_is_none_of_them(tmp_path, face):
+    text = square(2, 0)[0].replace(" 0\n", " 0 # 1 2 3\n", 1) + f"# f 9 9 9\ng a#1\n{face} # wall 7\nf 1 2 3# 4\n"
+    assert area_of(tmp_path / "a.obj", text) == pytest.approx(6.0)
+    assert "# f 9 9 9\ng a#1\n" in plain_obj(text)
+
+
+def test_lines_that_end_as_on_old_computers(tmp_path):
+    (tmp_path / "a.obj").write_bytes((square(2, 0)[0] + "f 1 2 3 4\n").replace("\n", "\r").encode())
+    (part,) = read_with_trimesh(tmp_path / "a.obj", TextureStore())
+    assert len(part.faces) == 2
+
+
 def test_counting_back_beyond_the_first_vertex_is_refused():
     with pytest.raises(UnreadableMesh, match="counts back 5 entries where only 4 stand"):
         plain_obj(square(1, 0)[0] + "f -5 -3 -2 -1\n")

@@ -5,9 +5,10 @@ import shutil
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.scenes import load_scene
 from activestructure_gym.scenes.loaders.mesh_loader import load_mesh_scene
-from activestructure_gym.scenes.loaders.replica import load_replica_scene
+from activestructure_gym.scenes.loaders.replica import is_replica, load_replica_scene
 
 FORMS = ["", "mesh.ply", "habitat", "habitat/mesh_semantic.ply", "habitat/replica_stage.stage_config.json"]
 
@@ -41,6 +42,83 @@ def test_trimesh_reads_the_same_surface_and_colours(replica_folder):
     np.testing.assert_allclose(ours.colors, theirs.colors, atol=1e-6)
     triangles = [np.sort(np.sort(mesh.faces, axis=1).view("i4,i4,i4").ravel()) for mesh in (ours, theirs)]
     np.testing.assert_array_equal(*triangles)
+
+
+def write_triangles(path, vertices, faces, colors):
+    """A binary PLY with vertex colours of the given type, as reconstruction tools write it."""
+    kind = {"u1": "uchar", "u2": "ushort", "f4": "float"}[colors.dtype.str[1:]]
+    vertex = np.zeros(len(vertices), [("p", "<f4", 3), ("c", colors.dtype, 3)])
+    vertex["p"], vertex["c"] = vertices, colors
+    face = np.zeros(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    face["count"], face["corners"] = 3, faces
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertex)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    header += [f"property {kind} {name}" for name in ("red", "green", "blue")]
+    header += [f"element face {len(face)}", "property list uchar int vertex_indices", "end_header", ""]
+    path.write_bytes("\n".join(header).encode() + vertex.tobytes() + face.tobytes())
+
+
+@pytest.mark.parametrize(
+    "colors",
+    [
+        np.array([[51, 102, 204]], np.uint8),
+        np.array([[51, 102, 204]], np.uint16) * np.uint16(257),
+        np.array([[0.2, 0.4, 0.8]], np.float32),
+        np.array([[51, 102, 204]], np.float32),
+    ],
+)
+def test_colours_are_shares_whatever_their_type(tmp_path, make_box, colors):
+    vertices, faces = make_box((0, 0, 0), (4, 3, 2.5))
+    write_triangles(tmp_path / "mesh.ply", vertices, faces, np.repeat(colors, 8, axis=0))
+    scene = load_replica_scene(tmp_path)
+    np.testing.assert_allclose(scene.mesh.colors, np.tile([[0.2, 0.4, 0.8]], (8, 1)), atol=1e-6)
+
+
+def test_a_colour_that_is_none_is_painted_grey(tmp_path, make_box):
+    colors = np.full((8, 3), 0.2, np.float32)
+    colors[0] = np.nan
+    write_triangles(tmp_path / "mesh.ply", *make_box((0, 0, 0), (4, 3, 2.5)), colors)
+    with pytest.warns(InputWarning, match="1 vertices have colours .* painted grey"):
+        scene = load_replica_scene(tmp_path)
+    np.testing.assert_allclose(scene.mesh.colors[0], 0.7)
+
+
+@pytest.fixture
+def lying_down():
+    """A furnished flat with y up."""
+    mesh = load_scene("apartment?rooms=2&seed=1&lit=no").mesh
+    return mesh.vertices[:, [0, 2, 1]] * np.float32([1, 1, -1]), mesh.faces
+
+
+def test_anybody_s_mesh_ply_is_read_as_any_other_mesh(tmp_path, lying_down):
+    folder = tmp_path / "my_flat"
+    folder.mkdir()
+    write_triangles(folder / "mesh.ply", *lying_down, np.full((len(lying_down[0]), 3), 100, np.uint8))
+    assert not is_replica(folder)
+    with pytest.raises(InputError, match="the geometry says y"):
+        load_scene(str(folder))
+    assert load_scene(str(folder), up="y").bounds[1, 2] < 3.0
+    with pytest.warns(InputWarning, match="z is up in Replica, though the geometry says y"):
+        load_scene(f"replica:{folder}")
+    (folder / "mesh.ply").write_bytes(b"ply\n")
+    assert not is_replica(folder)
+
+
+@pytest.mark.parametrize("beside", ["textures/", "traj.txt", "semantic.json", "habitat/"])
+def test_a_folder_with_files_of_the_dataset_is_replica_s(tmp_path, make_box, beside):
+    write_triangles(tmp_path / "mesh.ply", *make_box((0, 0, 0), (4, 3, 2.5)), np.full((8, 3), 100, np.uint8))
+    assert not is_replica(tmp_path)
+    (tmp_path / beside).mkdir() if beside.endswith("/") else (tmp_path / beside).touch()
+    assert is_replica(tmp_path)
+
+
+def test_a_mesh_of_quads_or_a_scene_s_name_is_enough(tmp_path, make_box, replica_folder):
+    shutil.copy(replica_folder / "room_a" / "mesh.ply", tmp_path)
+    assert is_replica(tmp_path)
+    room = tmp_path / "room_0"
+    room.mkdir()
+    write_triangles(room / "mesh.ply", *make_box((0, 0, 0), (4, 3, 2.5)), np.full((8, 3), 100, np.uint8))
+    assert is_replica(room)
 
 
 def test_a_sequence_comes_along_when_asked_for(replica_folder):

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.scenes.loaders.replica import load_replica_scene
@@ -95,6 +96,18 @@ def test_trajectories_that_are_none(copy, line, said):
     (copy / "traj.txt").write_text("\n".join([line, *text[1:]]))
     with pytest.raises(InputError, match=said):
         load_sequence(copy)
+
+
+def test_poses_with_four_digits_are_rotations_and_exact_ones_stay(copy):
+    exact = load_sequence(copy).world_from_camera
+    given = np.loadtxt(copy / "traj.txt").reshape(-1, 4, 4)
+    assert exact.tobytes() == given.tobytes()
+    turn = Rotation.from_euler("xyz", [0.1, 0.7, 0.3]).as_matrix()
+    given[:, :3, :3] = given[:, :3, :3] @ turn
+    np.savetxt(copy / "traj.txt", given.reshape(-1, 16), fmt="%.4f")
+    rotations = load_sequence(copy).world_from_camera[:, :3, :3]
+    np.testing.assert_allclose(rotations, given[:, :3, :3], atol=2e-4)
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
 
 
 def test_camera_files_that_are_none(copy):

@@ -47,7 +47,7 @@ def test_obj_and_materials_in_latin_1(tmp_path):
     (tmp_path / "room.obj").write_bytes(OBJ.replace("../materials/", "").replace("red", "grün").encode("latin-1"))
     (tmp_path / "room.mtl").write_bytes("newmtl grün\nKd 0.2 0.8 0.4\n".encode("latin-1"))
     parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
-    assert not textures.unreadable and sum(len(part.faces) for part in parts) == 3
+    assert textures.unreadable == ["material wood"] and sum(len(part.faces) for part in parts) == 3
     green = next(part for part in parts if len(part.faces) == 1)
     np.testing.assert_allclose(green.colors, [0.2, 0.8, 0.4], atol=1 / 255)
 
@@ -80,6 +80,72 @@ def test_ply_colours_of_vertices_and_of_faces(tmp_path, element):
         np.testing.assert_allclose(corner_colors[0], np.eye(3))
     else:
         np.testing.assert_allclose(corner_colors, [[[1, 0, 0]] * 3, [[0, 1, 0]] * 3])
+
+
+def ply_of_colors(kind, rows):
+    """A triangle with the given colours, as text."""
+    lines = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz")]
+    lines += [f"property {kind} {name}" for name in ("red", "green", "blue")]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    lines += [f"{place} {color}" for place, color in zip(("0 0 0", "1 0 0", "0 1 0"), rows)]
+    return "\n".join([*lines, "3 0 1 2", ""])
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows", "expected"),
+    [
+        ("uchar", ["200 100 50", "0 0 1", "255 255 255"], [[200, 100, 50], [0, 0, 1], [255] * 3]),
+        ("float", ["200 100 50", "0 0 1", "255 255 255"], [[200, 100, 50], [0, 0, 1], [255] * 3]),
+        ("float", ["0.8 0.4 0.2", "0 0 1", "1.0001 1 1"], [[204, 102, 51], [0, 0, 255], [255] * 3]),
+        ("float", ["3 0.4 0.2", "0 0 1", "0.6 0.6 0.6"], [[255, 102, 51], [0, 0, 255], [153] * 3]),  # baked light
+        ("ushort", ["30000 25700 12850", "0 0 257", "65535 65535 65535"], [[117, 100, 50], [0, 0, 1], [255] * 3]),
+        ("int", ["200 100 50", "0 0 1", "255 255 255"], [[200, 100, 50], [0, 0, 1], [255] * 3]),
+    ],
+)
+def test_ply_colours_of_any_type_are_shares(tmp_path, kind, rows, expected):
+    (tmp_path / "a.ply").write_text(ply_of_colors(kind, rows))
+    (part,) = read_with_trimesh(tmp_path / "a.ply", TextureStore())
+    np.testing.assert_allclose(part.colors, np.array(expected) / 255)
+
+
+def test_a_colour_that_is_none_stays_for_the_loader_to_paint(tmp_path):
+    (tmp_path / "a.ply").write_text(ply_of_colors("float", ["nan 0 0", "0 inf 0", "0.2 0.4 0.6"]))
+    (part,) = read_with_trimesh(tmp_path / "a.ply", TextureStore())
+    assert np.isnan(part.colors[:2]).all()
+    np.testing.assert_allclose(part.colors[2], [0.2, 0.4, 0.6])
+
+
+def test_obj_colours_up_to_255_are_shares_in_all_of_its_parts(tmp_path):
+    lines = ["v 0 0 0 200 100 50", "v 1 0 0 255 255 255", "v 0 1 0 100 100 100", "f 1 2 3", "usemtl dark"]
+    lines += ["v 5 0 0 1 0 0", "v 6 0 0 0 0 0", "v 5 1 0 0 1 1", "f 4 5 6"]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    colors = np.concatenate([part.colors for part in read_with_trimesh(tmp_path / "a.obj", TextureStore())])
+    expected = [[200, 100, 50], [255] * 3, [100] * 3, [1, 0, 0], [0, 0, 0], [0, 1, 1]]
+    assert sorted(map(tuple, np.rint(colors * 255).tolist())) == sorted(map(tuple, np.array(expected, float).tolist()))
+
+
+@pytest.mark.parametrize(
+    "named",
+    ["mtllib a.mtl\nmtllib b b.mtl\n", "mtllib a.mtl b b.mtl\n", "mtllib a.mtl\nmtllib b b.mtl\nmtllib a.mtl\n"],
+)
+def test_materials_of_several_libraries(tmp_path, named):
+    (tmp_path / "a.mtl").write_bytes(b"newmtl red\r\nKd 1 0 0\r\n")
+    (tmp_path / "b b.mtl").write_text("newmtl blue\nKd 0 0 1")
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\nusemtl blue\nf 1 3 2\n"
+    (tmp_path / "a.obj").write_text(named + text)
+    parts = read_with_trimesh(tmp_path / "a.obj", textures := TextureStore())
+    assert sorted(part.colors.tolist() for part in parts) == [[0, 0, 1], [1, 0, 0]] and not textures.unreadable
+    (tmp_path / "b b.mtl").unlink()
+    read_with_trimesh(tmp_path / "a.obj", textures := TextureStore())
+    assert textures.unreadable == ["b b.mtl", "material blue"]
+
+
+def test_a_material_that_the_library_lacks_is_said(tmp_path):
+    text = OBJ.replace("../materials/", "") + "usemtl None\nf 1 3 4\nusemtl stone\nf 2 3 4\n"
+    (tmp_path / "room.obj").write_text(text)
+    (tmp_path / "room.mtl").write_text(MTL.replace("map_Kd ..\\images\\wood.png\n", ""))
+    read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
+    assert textures.unreadable == ["material stone"]
 
 
 DOORWAY = [(0, 0), (1, 0), (1, 2), (2, 2), (2, 0), (5, 0), (5, 3), (0, 3)]  # 13 m2; a fan over it has 19

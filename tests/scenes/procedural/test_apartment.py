@@ -148,7 +148,7 @@ def test_box_rooms_of_any_shape_stay_small(size: tuple[float, float, float]) -> 
     assert np.allclose(scene.bounds, [[0, 0, 0], size])
 
 
-@pytest.mark.parametrize("size", [(4, 3), (4, 3, 0), (4, 3, np.nan), (1000, 3, 3)])
+@pytest.mark.parametrize("size", [(4, 3), (4, 3, 0), (4, 3, np.nan), (1000, 3, 3), ("a", 3, 3)])
 def test_impossible_boxes_are_refused(size: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match="box room"):
         make_box_room(size=size)

@@ -214,21 +214,25 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 def _added_to(directory: Path, options: Compare) -> Comparison | None:
     """What is added to the comparison in a directory: what is not given is as it was begun; None without a record."""
     from activestructure_gym.config import known_preset
-    from activestructure_gym.evaluation.archive.jobs import refuse_code
+    from activestructure_gym.evaluation.archive.jobs import code_of
     from activestructure_gym.evaluation.archive.store import COMPARISON
     from activestructure_gym.evaluation.running.comparison import Comparison
     from activestructure_gym.evaluation.running.following import with_mappers
     from activestructure_gym.evaluation.running.resuming import recorded_jobs
+    from activestructure_gym.registry import refuse_code
 
     jobs = recorded_jobs(directory)
     if not jobs:
         return None
-    refuse_code(jobs, directory / COMPARISON)
     begun, usual = Comparison.of(jobs), Compare()
 
     def given(*names: str) -> bool:
         return any(getattr(options, name) != getattr(usual, name) for name in names)
 
+    words = {"scene": "scenes", "policy": "policies"}  # what the user says himself needs no trust
+    for kind, name in (code for job in jobs for code in code_of(job)):
+        if not given(words.get(kind, "set")):
+            refuse_code(kind, name, directory / COMPARISON)
     asked = dataclasses.replace(options, scenes=options.scenes or begun.scenes)
     new = comparison_of(asked)
     measured = {

@@ -205,6 +205,15 @@ def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, wo
     assert wanted.protocol == protocol and "demo" not in capsys.readouterr().out
 
 
+def test_code_that_only_the_record_names_is_refused(asked, tmp_path, capsys, monkeypatch):
+    write_comparison(tmp_path / "here", [Job("box", "my_policy:Mine", 0), Job("box", "random", 0)])
+    assert main("compare --out here --resume --seeds 4".split()) == 2
+    assert "my_policy:Mine" in capsys.readouterr().err and not asked
+    assert main("compare --out here --resume --seeds 4 --trust-code".split()) == 0
+    assert main("compare --out here --resume --policies my_policy:Mine,frontier".split()) == 0  # the user's own words
+    assert [call.policies for call in asked if isinstance(call, Comparison)][-1] == ("my_policy:Mine", "frontier")
+
+
 def test_another_condition_that_is_given_is_not_ignored(asked, tmp_path):
     write_comparison(tmp_path / "here", [Job("box", "random", 0, preset="fast")])
     main("compare --out here --resume --policies frontier --preset default --frames 9 --views 2".split())

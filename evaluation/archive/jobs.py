@@ -160,7 +160,7 @@ def scene_label(spec: str, parts: int = 1) -> str:
 
     ``parts`` > 1 keeps that many of the last folder names, to tell files of one name apart.
     """
-    kind, path, options = _split_spec(spec)
+    kind, path, options = split_spec(spec)
     place = PurePath(path)
     names = place.with_suffix("").parts[bool(place.anchor) :] if "/" in path or "." in path else (path,)
     label = "/".join(names[-parts:]) or path or kind
@@ -174,7 +174,7 @@ def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the c
     Where the names of folders tell two files apart no better than the file's own, the first digits of their content do,
     ``house@01234567``; of one content under several names, and of unknown content, their order.
     """
-    deepest = max((len(PurePath(_split_spec(spec)[1]).parts) for spec in hashes), default=1)
+    deepest = max((len(PurePath(split_spec(spec)[1]).parts) for spec in hashes), default=1)
     for parts in range(1, max(4, deepest - 1)):
         labels = {spec: scene_label(spec, parts) for spec in hashes}
         if len(set(labels.values())) == len(labels):
@@ -238,7 +238,7 @@ def absolute_spec(spec: str) -> str:
 
     if is_scene_name(spec):
         return spec
-    kind, path, options = _split_spec(spec)
+    kind, path, options = split_spec(spec)
     if not path or not Path(os.path.expanduser(path)).exists():
         return spec
     places = "&".join(f"{key}={_absolute(value) if '/' in value else value}" for key, value in _pairs(options))
@@ -254,7 +254,7 @@ def _pairs(options: str) -> list[tuple[str, str]]:
     return [(key, value) for key, _, value in (option.partition("=") for option in options.split("&") if option)]
 
 
-def _split_spec(spec: str) -> tuple[str, str, str]:
+def split_spec(spec: str) -> tuple[str, str, str]:
     """``kind:path?options`` taken apart; what is missing is empty."""
     if Path(os.path.expanduser(spec)).exists():
         return "", spec, ""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -14,7 +16,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
+from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory, split_spec
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.metrics.planning import planning_scores
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
 
+SCENE_FOLDERS = "ASG_SCENES"  # variable: where files are looked for that have moved since a record was made
 CHECKPOINTS = 20  # points of the convergence curve, besides the first
 CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
@@ -124,7 +127,8 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
     """The scene of a record, known by its content; an empty hash is that of any.
 
     A record may name a mesh without the axis that was up then. Where the file turned to that axis is the scene of the
-    record to the last bit, it is used, and said. Raises `InputError` for every other content.
+    record to the last bit, it is used, and said. So is a file of the same name and content in the working directory or
+    a folder of ``ASG_SCENES``, where the record's own is not there. Raises `InputError` for every other content.
     """
     from activestructure_gym.scenes import load_scene
     from activestructure_gym.scenes.loaders.upright import UP_AXES
@@ -150,7 +154,37 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
             told = f"scene '{spec}': this record was made with {up} up, and is gone on with so; name it with up={up}"
             warnings.warn(told, InputWarning, stacklevel=2)
             return turned
+    for other in moved_specs(spec):
+        with suppress(InputError):
+            found = scene_as_recorded(other, content_hash)
+            warnings.warn(f"scene '{spec}' is not there: '{other}' has its content", InputWarning, stacklevel=2)
+            return found
+    if _is_gone(spec):
+        raise InputError(
+            f"{refusal}; a file that has moved is found by its name in the working directory and in the folders of "
+            f"{SCENE_FOLDERS}, if its content is the same"
+        )
     raise refusal
+
+
+def moved_specs(spec: str) -> list[str]:
+    """Specs of files called as the one of ``spec``, which is not there, in the folders where they are looked for."""
+    kind, path, options = split_spec(spec)
+    if not _is_gone(spec):
+        return []
+    folders = [os.getcwd(), *filter(None, os.environ.get(SCENE_FOLDERS, "").split(os.pathsep))]
+    places = [Path(os.path.expanduser(folder)) / Path(path).name for folder in folders]
+    return [
+        (f"{kind}:" if kind else "") + str(place) + (f"?{options}" if options else "")
+        for place in places
+        if place.exists()
+    ]
+
+
+def _is_gone(spec: str) -> bool:
+    """Whether a spec names a file or folder by its whole path, and nothing is there."""
+    path = split_spec(spec)[1]
+    return os.path.isabs(path) and not os.path.exists(path)
 
 
 def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 
@@ -82,3 +83,23 @@ def test_a_record_of_another_mesh_is_refused(rooms):
         scene_as_recorded(f"{rooms}/box.glb", "0" * 64)
     with pytest.raises(InputError, match="has changed"):
         scene_as_recorded("box", "0" * 64)
+
+
+def test_a_mesh_that_has_moved_is_known_by_its_content(rooms, tmp_path, monkeypatch):
+    expected = load_scene(f"{rooms}/box.glb", up="z")
+    record, other = tmp_path / "gone" / "box.glb", tmp_path / "elsewhere"
+    other.mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(
+        InputError, match="has moved is found by its name in the working directory and in .* ASG_SCENES"
+    ):
+        scene_as_recorded(f"{record}?up=z", expected.content_hash)
+    (other / "box.glb").write_bytes((rooms / "box.glb").read_bytes())
+    for folder, variable in ((other, ""), (tmp_path, f"/nowhere{os.pathsep}{other}")):
+        monkeypatch.chdir(folder)
+        monkeypatch.setenv("ASG_SCENES", variable)
+        with pytest.warns(InputWarning, match=rf"gone/box.glb\?up=z' is not there: '{other}/box.glb\?up=z' has its"):
+            found = scene_as_recorded(f"{record}?up=z", expected.content_hash)
+        assert found.content_hash == expected.content_hash
+    with pytest.raises(InputError, match="gone"):
+        scene_as_recorded(f"{record}?up=z", "0" * 64)

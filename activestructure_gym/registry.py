@@ -100,13 +100,20 @@ class Registry(Generic[T]):
             raise InputError(
                 f"{self.kind} '{path}': there is no module called '{error.name}' on sys.path{hint}"
             ) from error
+        except SyntaxError as error:
+            where = f"'{error.filename}', line {error.lineno}"
+            raise InputError(f"{self.kind} '{path}' cannot be imported: {where}: {error.msg}") from error
         try:  # apart from the import: an AttributeError inside the module is its author's to see
             return getattr(module, attribute)
         except AttributeError as error:
             names = [name for name in dir(module) if not name.startswith("_")]
             close = difflib.get_close_matches(attribute, names, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
-            raise InputError(f"{self.kind} '{path}': module '{module_name}' has no '{attribute}'{hint}") from error
+            file = getattr(module, "__file__", None)  # it may be another one than was meant, as one of Python's own
+            where = f", which is {file}," if file else ""
+            raise InputError(
+                f"{self.kind} '{path}': module '{module_name}'{where} has no '{attribute}'{hint}"
+            ) from error
 
 
 def refuse_code(kind: str, name: str, file: object) -> None:

@@ -1,6 +1,6 @@
 """Names that plug in."""
 
-from __future__ import annotations
+from __future__ import json
 
 import importlib.metadata
 
@@ -32,7 +32,11 @@ def test_registered_imported_and_installed_names_are_found(monkeypatch: pytest.M
         ("nowhere.at_all:x", "thing 'nowhere.at_all:x': there is no module called 'nowhere' on sys.path"),
         (":", "thing ':' is neither a known name nor of the form package.module:Name"),
         ("a:b:c", "thing 'a:b:c' is neither a known name nor of the form package.module:Name"),
-        ("math:tau_and_a_half", "thing 'math:tau_and_a_half': module 'math' has no 'tau_and_a_half'"),
+        ("sys:tau_and_a_half", "thing 'sys:tau_and_a_half': module 'sys' has no 'tau_and_a_half'"),
+        (
+            "json:lods",
+            f"thing 'json:lods': module 'json', which is {json.__file__}, has no 'lods'; did you mean 'loads'?",
+        ),
     ],
 )
 def test_a_wrong_name_gets_one_sentence(name: str, message: str) -> None:
@@ -41,6 +45,13 @@ def test_a_wrong_name_gets_one_sentence(name: str, message: str) -> None:
     with pytest.raises(InputError) as error:
         things.get(name)
     assert str(error.value) == message
+
+
+def test_a_slip_of_the_pen_is_named_with_its_line(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "asg_misspelt_plug_in.py").write_text("import math\ndef x(:\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(InputError, match=r"cannot be imported: '.*asg_misspelt_plug_in.py', line 2: "):
+        Registry("thing", "things").get("asg_misspelt_plug_in:x")
 
 
 def test_an_error_inside_a_plug_in_stays_what_it_is(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,9 @@
 """Names that plug in."""
 
-from __future__ import json
+from __future__ import annotations
 
 import importlib.metadata
+import json
 
 import pytest
 

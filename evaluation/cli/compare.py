@@ -233,7 +233,7 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
     for kind, name in (code for job in jobs for code in code_of(job)):
         if not given(words.get(kind, "set")):
             refuse_code(kind, name, directory / COMPARISON)
-    asked = dataclasses.replace(options, scenes=options.scenes or begun.scenes)
+    asked = dataclasses.replace(options, scenes=options.scenes or tuple(begun.scenes))
     new = comparison_of(asked)
     measured = {
         field: getattr(new.protocol, field)

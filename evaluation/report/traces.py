@@ -81,8 +81,8 @@ def trace_table(run: Run) -> Table:
         row += [_term(values[k]) for values in terms.values()]
         if second:
             row.append(_term((trace.get("runner_up") or {}).get("total")))
-        kinds = [graph.get("structural"), graph.get("objects")]
-        planes = sum(kinds) if None not in kinds else step.get("planes")
+        structural, objects = graph.get("structural"), graph.get("objects")
+        planes = step.get("planes") if structural is None or objects is None else structural + objects
         for _, key, digits in _GRAPH:
             row.append(number(planes if key is None else graph.get(key), digits, ""))
         row.append(number(step.get("gaussians"), 0, ""))

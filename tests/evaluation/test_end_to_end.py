@@ -184,7 +184,7 @@ def test_a_further_protocol_is_measured_kept_and_reproduced(runs, capsys, monkey
     content["metrics"]["accuracy_cm"] += 1e-9
     path.write_text(json.dumps(content))
     assert main(["evaluate", str(copy)]) == 1
-    assert "1 of 1 differ" in capsys.readouterr().out
+    assert "1 of 2 differ" in capsys.readouterr().out
 
 
 def test_a_job_that_asks_for_a_further_protocol_writes_its_numbers(runs, monkeypatch, tmp_path):

@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.comparison import Comparison, Result
 from activestructure_gym.evaluation.running.engines import Limits, Outcome
+from activestructure_gym.registry import TRUST
 from activestructure_gym.splatting import rasterizers
 from tests.evaluation.written_runs import write_comparison
 
@@ -206,10 +207,12 @@ def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, wo
 
 
 def test_code_that_only_the_record_names_is_refused(asked, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv(TRUST, "0")  # the option sets it: so it is what it was when this test ends
     write_comparison(tmp_path / "here", [Job("box", "my_policy:Mine", 0), Job("box", "random", 0)])
     assert main("compare --out here --resume --seeds 4".split()) == 2
     assert "my_policy:Mine" in capsys.readouterr().err and not asked
     assert main("compare --out here --resume --seeds 4 --trust-code".split()) == 0
+    monkeypatch.setenv(TRUST, "0")
     assert main("compare --out here --resume --policies my_policy:Mine,frontier".split()) == 0  # the user's own words
     assert [call.policies for call in asked if isinstance(call, Comparison)][-1] == ("my_policy:Mine", "frontier")
 

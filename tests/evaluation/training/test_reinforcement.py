@@ -73,6 +73,7 @@ def test_a_killed_run_that_is_resumed_equals_one_that_was_not(tmp_path: Path) ->
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_the_parents() -> None:
     envs = vector_env([partial(RandomCandidates, 16, 5)] * 2, processes=True)
     try:

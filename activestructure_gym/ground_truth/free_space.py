@@ -110,7 +110,8 @@ def compute_free_space(scene: Scene) -> FreeSpace:
     else:
         raise InputError(
             f"scene '{scene.name}' has no free space: no region of {MIN_VOLUME} m^3 that is enclosed by surfaces and "
-            f"{BODY_CLEARANCE} m away from them; check its units and up axis"
+            f"{BODY_CLEARANCE} m away from them; a scene is rooms seen from inside, with walls, floor and ceiling: "
+            "check its units and up axis"
         )
     height = _heights(scene, clearance, origin, voxel_size)
     return FreeSpace(origin, voxel_size, clearance, height, np.zeros((0, 4, 4)))

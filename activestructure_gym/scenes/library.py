@@ -185,7 +185,8 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
         return target, SCENES.get(target), None, said
     if os.sep in target:
         raise InputError(f"there is no scene file or folder {shown(target)}")
-    raise unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
+    unknown = unknown_name("scene", target, (name for name in SCENES if not _reads_files(SCENES.get(name))))
+    raise InputError(f"{unknown}; a file or folder is a scene, too, and there is none of that name")
 
 
 def imports_code(spec: str) -> bool:

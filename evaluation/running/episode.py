@@ -154,7 +154,7 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
             told = f"scene '{spec}': this record was made with {up} up, and is gone on with so; name it with up={up}"
             warnings.warn(told, InputWarning, stacklevel=2)
             return turned
-    for other in moved_specs(spec):
+    for other in _moved_specs(spec):
         with suppress(InputError):
             found = scene_as_recorded(other, content_hash)
             warnings.warn(f"scene '{spec}' is not there: '{other}' has its content", InputWarning, stacklevel=2)
@@ -167,7 +167,7 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
     raise refusal
 
 
-def moved_specs(spec: str) -> list[str]:
+def _moved_specs(spec: str) -> list[str]:
     """Specs of files called as the one of ``spec``, which is not there, in the folders where they are looked for."""
     kind, path, options = split_spec(spec)
     if not _is_gone(spec):

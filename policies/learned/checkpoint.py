@@ -35,12 +35,7 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
     Raises `InputError` where one of the two files is missing, and for a path that a policy's name cannot hold.
     """
     path = Path(os.path.expanduser(place))
-    if "?" in str(path.absolute()):
-        raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
-    if path.is_dir():
-        path = path / _BEST
-    weights = path if path.suffix == WEIGHTS else path.with_suffix("") if path.suffix == ".json" else path
-    weights = weights if weights.suffix == WEIGHTS else weights.with_name(weights.name + WEIGHTS)
+    weights = weights_at(path / _BEST if path.is_dir() else path)
     for file in (weights, weights.with_suffix(".json")):
         if not file.is_file():
             cut = sorted(path.name for path in path.absolute().parent.glob(f"{glob.escape(path.name)}[?]*"))
@@ -55,11 +50,16 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
 
 
 def weights_at(place: str | os.PathLike[str]) -> Path:
-    """The weights' file of a checkpoint that is to be called ``place``; raises `InputError` for a name with a '?'."""
+    """The weights' file of a checkpoint called ``place``, with or without an ending, whether or not it is there.
+
+    Raises `InputError` for a path with a '?'.
+    """
     path = Path(os.path.expanduser(place))
     if "?" in str(path.absolute()):
         raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
-    return path if path.suffix == WEIGHTS else path.with_name(path.name + WEIGHTS)
+    if path.suffix == WEIGHTS:
+        return path
+    return path.with_suffix(WEIGHTS) if path.suffix == ".json" else path.with_name(path.name + WEIGHTS)
 
 
 def digest(weights: Path) -> str:

@@ -16,7 +16,7 @@ from activestructure_gym.envs.observation import Table
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import make_policy
 from activestructure_gym.policies.learned import CandidatePolicy, with_used_keys
-from activestructure_gym.policies.learned.checkpoint import load_network, save_checkpoint
+from activestructure_gym.policies.learned.checkpoint import find_checkpoint, load_network, save_checkpoint
 from activestructure_gym.policies.learned.config import USED_KEYS, NetworkConfig
 from activestructure_gym.policies.learned.sb3 import CandidateHeads
 from tests.policies.learned.toys import GAINS, RandomCandidates
@@ -133,6 +133,7 @@ def test_what_was_trained_takes_part_in_comparisons(model: OnPolicyAlgorithm, tm
     assert isinstance(model.policy, CandidateHeads)
     place = tmp_path / "folder" / "mine.v2"
     assert model.policy.save_learned(place) == tmp_path / "folder" / "mine.v2.safetensors"
+    assert model.policy.save_learned(tmp_path / "b.json") == find_checkpoint(tmp_path / "b.json")
     policy = make_policy(f"learned:{place}")
     assert policy.required_gains == GAINS
     env = RandomCandidates(images=True)

@@ -31,7 +31,10 @@ def first_blocked_edge(
     Edges without length (turning on the spot) are never blocked.
     """
     points = np.ascontiguousarray((np.asarray(path, dtype=np.float64) - volume.origin) / volume.voxel_size - 0.5)
-    edge = _first_blocked_edge(volume.clearance, points, min_clearance, ESCAPE_REACH / volume.voxel_size)
+    if len(points) < 2:
+        return None
+    field = volume.clearance_around(points, enough=min_clearance)
+    edge = _first_blocked_edge(field, points, min_clearance, ESCAPE_REACH / volume.voxel_size)
     return None if edge < 0 else int(edge)
 
 

@@ -252,19 +252,52 @@ class VoxelVolume:
             self._clearance = np.zeros(self.shape, dtype=np.float32)
             free = self.state == FREE
             if free.any():
-                slack = self.config.unknown_slack / self.voxel_size
-                # What lies further outside than the slack cannot be nearer than the shell around the box.
-                border = int(np.ceil(slack)) + 1
-                lower, upper = distance_field.bounding_box(free)
-                box = tuple(slice(a, b) for a, b in zip(lower, upper))
-                state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
-                inner = (slice(border, -border),) * 3
-                any_kind = distance_field.distance_to_cubes(state != FREE)
-                farthest = float(any_kind[inner].max()) + slack
-                occupied = distance_field.distance_to_cubes(state == OCCUPIED, at_most=farthest)
-                scale = np.float32(slack), np.float32(self.voxel_size)
-                distance_field.join_distances(any_kind[inner], occupied[inner], *scale, self._clearance[box])
+                self._measure_clearance(self._clearance, *distance_field.bounding_box(free))
         return self._clearance
+
+    def clearance_around(
+        self,
+        points: np.ndarray,  # [N, 3] voxels; the centre of voxel (0, 0, 0) is (0, 0, 0)
+        *,
+        enough: float,  # metres
+    ) -> np.ndarray:  # [X, Y, Z] float32 metres
+        """`clearance` for whoever asks between these points alone whether it is at least ``enough``.
+
+        Interpolated within their box it is equal wherever it is lower, and at least ``enough`` elsewhere; outside of
+        the box it means nothing. After a change of a large volume this costs a fraction of `clearance`.
+        """
+        if self._clearance is not None:
+            return self._clearance
+        # Where one corner of a cell has this much, all eight are free and have enough.
+        reach = (enough + self.config.unknown_slack) / self.voxel_size + np.sqrt(3.0)
+        border = int(np.ceil(reach)) + 1
+        lower = np.maximum(np.floor(points.min(axis=0)).astype(np.int64), 0)
+        upper = np.minimum(np.floor(points.max(axis=0)).astype(np.int64) + 2, self.shape)
+        field = np.zeros(self.shape, dtype=np.float32)
+        if (lower < upper).all():
+            self._measure_clearance(field, lower, upper, border=border, at_most=reach)
+        return field
+
+    def _measure_clearance(
+        self,
+        field: np.ndarray,  # [X, Y, Z] float32 metres, written to inside the box
+        lower: np.ndarray,  # [3] int64 indices of the box
+        upper: np.ndarray,  # [3] int64, exclusive
+        *,
+        border: int = 0,  # voxels around the box that may hold what is nearest; more if the slack asks for it
+        at_most: float = np.inf,  # voxels
+    ) -> None:
+        slack = self.config.unknown_slack / self.voxel_size
+        # What lies further outside of all that is free than the slack cannot be nearer than the shell around it.
+        border = max(border, int(np.ceil(slack)) + 1)
+        state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
+        inner = (slice(border, -border),) * 3
+        any_kind = distance_field.distance_to_cubes(state != FREE, at_most=at_most)
+        farthest = min(float(any_kind[inner].max()) + slack, at_most)
+        occupied = distance_field.distance_to_cubes(state == OCCUPIED, at_most=farthest)
+        box = tuple(slice(a, b) for a, b in zip(lower, upper))
+        scale = np.float32(slack), np.float32(self.voxel_size)
+        distance_field.join_distances(any_kind[inner], occupied[inner], *scale, field[box])
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
         """Clearance interpolated between voxel centres; 0 beyond the grid. Within an eighth of a voxel of the exact

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 
@@ -23,7 +25,10 @@ def distance_to_path(points, path):
 
 
 def bent_plainly(wanted, start, goal, most):
-    """What `_limit_turns` does, with numpy."""
+    """What `_limit_turns` does, with numpy; not so lengths, which BLAS rounds otherwise on every processor."""
+
+    def length_of(turn):
+        return math.sqrt(turn[0] * turn[0] + turn[1] * turn[1])
 
     def difference(to, from_):
         turn = to - from_
@@ -31,18 +36,18 @@ def bent_plainly(wanted, start, goal, most):
         return turn
 
     def at_most(turn):
-        length = np.sqrt(turn @ turn)
+        length = length_of(turn)
         return turn if length <= most else turn * (most / length)
 
     angles, here = np.empty_like(wanted), start
     for n in range(len(wanted)):
         towards, home = at_most(difference(wanted[n], here)), difference(goal, here)
         budget = most * (len(wanted) - 1 - n)
-        if np.linalg.norm(home - towards) > budget:
+        if length_of(home - towards) > budget:
             straight, low, high = at_most(home), 0.0, 1.0
             for _ in range(40):
                 middle = 0.5 * (low + high)
-                too_far = np.linalg.norm(home - (towards + middle * (straight - towards))) > budget
+                too_far = length_of(home - (towards + middle * (straight - towards))) > budget
                 low, high = (middle, high) if too_far else (low, middle)
             towards = towards + high * (straight - towards)
         angles[n] = here = here + towards

@@ -1,3 +1,4 @@
+import copy
 import pickle
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import PinholeCamera, look_along
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume
+from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VolumeConfig, VoxelVolume, distance_field
 
 CAMERA = PinholeCamera.from_size(160, 90)
 ROOM = np.array([[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]])
@@ -248,6 +249,29 @@ def test_clearance_equals_plain_distances_on_random_states():
         gaps = np.maximum(np.abs(cubes - voxel) - 0.5, 0.0)
         distance = 0.1 * np.linalg.norm(gaps, axis=1) + np.where(kinds == UNKNOWN, 0.12, 0.0)
         assert volume.clearance[tuple(voxel)] == pytest.approx(distance.min(), abs=1e-5)
+
+
+@pytest.mark.parametrize("slack", [0.0, 0.12, 0.3])
+def test_clearance_around_some_points_is_the_whole_ones_as_far_as_it_is_asked(slack):
+    rng = np.random.default_rng(4)
+    for share in (0.002, 0.01, 0.05):
+        volume = VoxelVolume(np.array([[0.0, 0.0, 0.0], [2.4, 1.9, 1.3]]), VolumeConfig(unknown_slack=slack))
+        kinds = [UNKNOWN, FREE, OCCUPIED]
+        volume.state[:] = rng.choice(kinds, p=[share, 1 - 2 * share, share], size=volume.shape)
+        everywhere = copy.copy(volume).clearance
+        points = rng.uniform(-1.0, volume.shape, size=(40, 3))  # some beyond the grid
+        for enough in (0.1, 0.157, 0.2):
+            for ends in points.reshape(-1, 2, 3):
+                between = rng.uniform(ends.min(axis=0), ends.max(axis=0), size=(60, 3))
+                field = volume.clearance_around(ends, enough=enough)
+                found = distance_field.sample_points(field, between)
+                whole = distance_field.sample_points(everywhere, between)
+                low = whole < np.float32(enough)
+                np.testing.assert_array_equal(found[low], whole[low])
+                assert (found[~low] >= np.float32(enough)).all()
+        assert volume.clearance_around(points, enough=0.2) is not volume.clearance_around(points, enough=0.2)
+        whole = volume.clearance
+        assert volume.clearance_around(points, enough=0.2) is whole  # measured already: nothing to do
 
 
 def test_tsdf_vanishes_on_the_wall(room_volume):

@@ -20,11 +20,12 @@ TINY = {
 }
 
 
-def test_gains_agree() -> None:
+def test_gains_of_the_same_map_agree() -> None:
+    # Not optimised: a step of Adam's makes of a rounding as much as of a gradient (tests/mapping/test_backends.py).
     gains = []
     for backend in ("cpu", "reference"):
         names = {"gains": ["pixel", "hole_area", "gauss_mi_cov", "fisherrf_cov", "activeinr"]}
-        overrides = {**TINY, **names, "mapper.backend": backend, "mapper.adam_epsilon": 1e-8, "frame_budget": 30}
+        overrides = {**TINY, **names, "mapper.backend": backend, "mapper.iterations": 0, "frame_budget": 30}
         episode = Reconstruction(configure("fast", overrides))
         episode.start(ground_truth_of(load_scene("box")), seed=0)
         episode.visit(0)
@@ -33,7 +34,7 @@ def test_gains_agree() -> None:
     assert kernels.shape == reference.shape and (np.ptp(kernels[:, :2], axis=0) > 0.05).all()
     pixels = 16 * 9
     assert np.abs(kernels[:, 0] - reference[:, 0]).max() <= 1.5 / pixels  # a pixel at the limit may fall on either side
-    assert np.abs(kernels[:, 1] - reference[:, 1]).max() <= 1e-4
+    assert np.abs(kernels[:, 1] - reference[:, 1]).max() <= 1e-5
 
 
 def test_an_environment_by_the_reference_passes_the_checker() -> None:

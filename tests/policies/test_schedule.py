@@ -39,9 +39,11 @@ def test_what_a_policy_brings_is_a_configuration_that_it_can_play(name: str) -> 
     env.close()
 
 
-def begin(name: str, scene: str = "room", **changes: Any) -> tuple[Any, Policy, dict[str, np.ndarray]]:
+def begin(
+    name: str, scene: str = "room", frame_budget: int = 60, **changes: Any
+) -> tuple[Any, Policy, dict[str, np.ndarray]]:
     env, policy = make_env_and_policy(
-        name, scene, terms="native", preset="fast", frame_budget=60, config={**SMALL, **changes}
+        name, scene, terms="native", preset="fast", frame_budget=frame_budget, config={**SMALL, **changes}
     )
     policy.reset(0)
     return env.unwrapped, policy, env.reset(seed=0)[0]

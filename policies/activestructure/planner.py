@@ -23,7 +23,7 @@ from activestructure_gym.policies.schedule import SPLATAM
 from activestructure_gym.policies.unseen import SIDE_DEPTH
 
 Discovery = Literal["pixel", "hole_area", "unknown_volume", "unseen"]
-_SIDES = "unseen_sides"
+_SIDES, _END = "unseen_sides", "finish"
 _ON_BASE = replace(PHASES[0].weights, sides=1.0)
 # The columns that stand for IG_px and what of each counts 1: a whole image, the largest hole area, and the volume (m^3)
 # that a view into nothing but unknown space opens: its solid angle, 1.42 sr at 90 x 59 degrees, times the integral of
@@ -84,8 +84,8 @@ class StructurePolicy(Policy):
 
     def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
         travel = travel_discount(observation)
-        # Where nothing is left to gain the floor leaves the choice to the distance.
-        scores = np.maximum(gain, 1e-6) * travel
+        # Where nothing is left to gain the floor leaves the choice to the distance; that of the row that ends is none.
+        scores = np.where(self._ending(observation), 0.0, np.maximum(gain, 1e-6) * travel)
         choice = best_valid(scores, observation)
         others = observation["action_mask"].astype(bool)
         others[choice] = False
@@ -94,6 +94,13 @@ class StructurePolicy(Policy):
             second = int(np.argmax(np.where(others, scores, -np.inf)))
             self._trace["runner_up"] = {"row": second, **terms.row(second), "travel": float(travel[second])}
         return choice
+
+    def _ending(self, observation: Observation) -> np.ndarray:  # [K] bool
+        """The row that ends the episode, where the environment has the source ``finish``."""
+        candidates = self.candidates(observation)
+        return (
+            candidates.valid & candidates.source(_END) if candidates.offers(_END) else np.zeros(len(candidates), bool)
+        )
 
     def trace(self) -> dict[str, Any]:
         """The terms of the chosen view and of the runner-up, and for the full model the phase."""
@@ -177,9 +184,10 @@ class ActiveStructure(StructurePolicy):
         return self._choose(discovering(gain, observation), terms, observation, more)
 
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
-        """The nearest of the worst rendered keyframes that it was not sent to yet; without one, discovery again.
+        """The nearest of the worst rendered keyframes that it was not sent to yet.
 
-        Then, or once nine tenths of all are good, the episode is settled, and the trace says so.
+        Without one, or once nine tenths of all are good, the episode is settled, and the trace says so: it ends where
+        the environment offers that (source ``finish``), and discovers again where it does not.
         """
         candidates = self.candidates(observation)
         views = np.concatenate([candidates.xyz, candidates.look], axis=1)
@@ -187,6 +195,9 @@ class ActiveStructure(StructurePolicy):
         lowest = float(observation["fidelity"][0])
         settled = not open_.any() or lowest >= GOOD_PSNR
         more = {**more, "fidelity": lowest, "settled": settled}
+        if settled and (ending := self._ending(observation)).any():
+            self._trace = more
+            return int(np.argmax(ending))
         if settled:
             return self._choose(discovering(terms.total, observation), terms, observation, more)
         choice = self._choose(open_.astype(np.float64), terms, observation, more)

@@ -14,7 +14,7 @@ from activestructure_gym.envs.observation import CANDIDATE_FEATURES
 from activestructure_gym.errors import InputError
 from activestructure_gym.features.unknown_volume import MEAN_DEPTH, REACH
 from activestructure_gym.planes import PLANE_FEATURES
-from activestructure_gym.policies import PixelOnly, Policy, make_policy
+from activestructure_gym.policies import PixelOnly, Policy, make_env_and_policy, make_policy
 from activestructure_gym.policies.activestructure import (
     PHASES,
     ActiveStructure,
@@ -387,3 +387,26 @@ def test_reset_begins_again_with_the_first_phase_and_a_pickle_does_not() -> None
     policy.reset(1)
     assert policy.act(observed) == 0
     assert policy.trace()["phase"] == PHASES[0].name
+
+
+def test_the_full_model_ends_where_that_is_offered_and_nothing_moves_any_more() -> None:
+    env, policy = make_env_and_policy(
+        "activestructure",
+        "box",
+        preset="fast",
+        frame_budget=600,
+        coverage_target=None,
+        config={"sensor": {"width": 48, "height": 27}, "views.stages": [["pool", "finish"]]},
+    )
+    policy.reset(0)
+    observation, info = env.reset(seed=0)
+    phases, ended = [], False
+    while not ended:
+        row = policy.act(observation)
+        ends = bool(policy.candidates(observation).source("finish")[row])
+        phases.append(policy.trace()["phase"])
+        assert ends == bool(policy.trace().get("settled"))  # not before, though it is the nearest row
+        observation, _, terminated, truncated, info = env.step(row)
+        ended = terminated or truncated
+    assert terminated and ends and info["frames"] < 600
+    assert set(phases) == {phase.name for phase in PHASES}

@@ -428,14 +428,26 @@ class Mapper:
         return self.map.remove(unfit(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed))
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
-        parts = MapParts(self.map, kept=True) if len(indices) else None
+        if not len(indices):
+            return
+        parts, frames = MapParts(self.map, kept=True), self._store.frames
+        errors: dict[int, float] = {}
+        for first in range(0, len(indices), PSNR_RENDERS):
+            some = indices[first : first + PSNR_RENDERS]
+            for camera in dict.fromkeys(frames[index].camera for index in some):
+                alike = [index for index in some if frames[index].camera == camera]
+                for index, shown in zip(alike, self._colors([frames[index] for index in alike], parts)):
+                    off = np.square(np.clip(shown, 0.0, 1.0) - unit_rgb(frames[index]))
+                    errors[index] = float(np.mean(off, dtype=np.float64))
         for index in indices:
-            frame = self._store.frames[index]
-            camera, pose = frame.camera, frame.world_from_camera
-            unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
-            shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
-            error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - unit_rgb(frame)), dtype=np.float64))
-            self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
+            self._store.record_psnr(index, -10.0 * np.log10(max(errors[index], 1e-10)))
+
+    def _colors(self, frames: Sequence[Frame], parts: MapParts) -> np.ndarray:  # [n, H, W, 3]
+        """The map as frames of one camera show it."""
+        camera, poses = frames[0].camera, np.stack([frame.world_from_camera for frame in frames])
+        hints = [parts.unseen(camera, pose, self._hiding(frame)) for pose, frame in zip(poses, frames)]
+        unseen = None if hints[0] is None else np.stack(hints)  # of a small map there is none
+        return self.rasterizer.render_colors(self.map.parameters, self.map.count, camera, poses, unseen=unseen)
 
 
 def checked_frame(frame: Frame) -> Frame:

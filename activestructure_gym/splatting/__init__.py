@@ -17,6 +17,7 @@ from activestructure_gym.splatting.cpu import (
     mapping_step,
     pose_gradient,
     render,
+    render_colors,
     render_depth_alpha,
 )
 from activestructure_gym.splatting.ssim import ssim_and_gradient
@@ -40,6 +41,7 @@ __all__ = [
     "pose_gradient",
     "rasterize",
     "render",
+    "render_colors",
     "render_depth_alpha",
     "ssim_and_gradient",
 ]

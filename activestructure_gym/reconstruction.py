@@ -354,7 +354,7 @@ class Reconstruction:
         self._offer()
 
     def _offer(self) -> None:
-        """The table of the stage that is on, and its features; rows that ask for another stage have none."""
+        """The table of the stage that is on, and its features; rows that ask for a stage or end the episode have none."""
         config = self.config
         with self._timed("planning"):
             revisits, agent = self._revisits(), self.agent
@@ -401,6 +401,7 @@ class Reconstruction:
             )
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
             self.gains = np.pad(evaluate_features(config.gains, context), asks)
+            self.gains[self.candidates.ends] = 0.0  # it shows nothing, though it stands at a pose
             self.visible = np.pad(context.visible, asks)
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]

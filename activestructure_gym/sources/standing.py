@@ -30,7 +30,10 @@ class Stay(Source):
 @SOURCES.register("finish")
 @dataclass(frozen=True)
 class Finish(Source):
-    """One row that ends the episode and costs no frame; not offered before a frame was paid for a decision."""
+    """One row that ends the episode: no frame more is paid, and its ``frames`` are those that are given up.
+
+    Its gains are 0. Not offered before a frame was paid for a decision.
+    """
 
     rows: int = 1
 

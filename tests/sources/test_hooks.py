@@ -16,6 +16,7 @@ from activestructure_gym.envs import ReconstructionEnv
 from activestructure_gym.envs.observation import CANDIDATE_FEATURES, row_columns
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FEATURES
+from activestructure_gym.policies import make_env_and_policy
 from activestructure_gym.policies.base import Policy
 from activestructure_gym.sources import Proposals, Source
 
@@ -152,12 +153,32 @@ def test_finishing_ends_the_episode_once_something_was_paid(env: ReconstructionE
     observation, _ = env.reset(seed=0)
     assert not read(env, observation).source("finish").any()
     observation, *_, info = env.step(0)
-    (row,) = np.nonzero(read(env, observation).source("finish"))[0]
+    rows = read(env, observation)
+    (row,) = np.nonzero(rows.source("finish"))[0]
     paid = info["frames"]
+    assert rows.frames[row] == 40 - paid and not observation["candidate_gains"][row].any()
     *_, terminated, truncated, info = env.step(int(row))
     assert terminated and not truncated and info["frames"] == paid and info["is_success"] is False
     with pytest.raises(gym.error.ResetNeeded):
         env.step(0)
+
+
+@pytest.mark.parametrize("name", ["unknown_volume", "unseen", "hole_area", "pixel_only", "frontier", "anm_s"])
+def test_who_knows_nothing_of_it_does_not_end_the_episode_early(name: str) -> None:
+    env, policy = make_env_and_policy(
+        name,
+        "room",
+        preset="fast",
+        frame_budget=60,
+        config={"sensor": {"width": 48, "height": 27}, "views.stages": [["pool", "finish"]]},
+    )
+    policy.reset(0)
+    observation, info = env.reset(seed=0)
+    ended = False
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        ended = terminated or truncated
+    assert truncated and info["frames"] == 60
 
 
 @dataclass(frozen=True)

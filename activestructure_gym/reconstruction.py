@@ -354,7 +354,7 @@ class Reconstruction:
         self._offer()
 
     def _offer(self) -> None:
-        """The table of the stage that is on, and its features; rows that ask for a stage or end the episode have none."""
+        """The table of the stage that is on, and its features; what asks for a stage or ends the episode has none."""
         config = self.config
         with self._timed("planning"):
             revisits, agent = self._revisits(), self.agent

@@ -284,5 +284,5 @@ def _fill_hooks(rows: np.ndarray, columns: tuple[str, ...], reconstruction: Reco
     frames = np.minimum(table.stay * config.keyframe_every, MOST_FRAMES)
     rows[table.stay > 0, at["frames"]] = frames[table.stay > 0]
     rows[table.ask >= 0, at["frames"]] = 0.0
-    # Who ends the episode gives up all frames that are left, so that nobody who weighs frames takes that for a near view.
+    # Who ends the episode gives up all frames that are left: nobody who weighs frames takes that for a near view.
     rows[table.ends, at["frames"]] = min(max(0, config.frame_budget - reconstruction.frames), MOST_FRAMES)

@@ -41,6 +41,7 @@ def aiisrfe(context: FeatureContext) -> np.ndarray:  # [K, 4]
     clusters = int(cluster.max(initial=-1)) + 1
     if len(poses) and clusters:
         counts = sums_in_front(voxels, np.ones(len(voxels)), surface_within(context), context, cluster)
+        counts[context.revisits] = 0  # nobody is sent there for what it shows
         served = counts.max(axis=0) > 0
         middles = np.stack([voxels[cluster == c].mean(axis=0) for c in range(clusters)])
         here = keyframes[-1].world_from_camera[:3, 3] if context.agent is None else context.agent.pose[:3, 3]

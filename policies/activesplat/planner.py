@@ -76,15 +76,17 @@ class ActiveSplat(Planner):
         self._trace = {"nodes": len(nodes.rows), "mode": "node" if nodes.rows else "no node"}
         if not nodes.rows:  # nothing of the plan is known yet, or no view on offer stands at a node
             choice = best_valid(np.where(valid, self.scores(show, observation), -1.0), observation)
-            self._stop, self._looks = xyz[choice], 0
+            self._leave(xyz[choice])
             return choice
         if self.travel == "shared":
             nodes = self._aged(nodes)
             gain = np.zeros(len(valid))
-            for rows, score in zip(nodes.rows, node_scores(nodes, self._late)):
-                # What a view shows decides between those of a node.
-                gain[rows] = max(int(score), 0) + show[rows] / max(float(show[rows].max()), 1e-12)
-            return best_valid(self.scores(gain, observation), observation)
+            for rows, score, here in zip(nodes.rows, node_scores(nodes, self._late), nodes.here):
+                # What a view shows decides between those of a node, and where it stands already alone.
+                gain[rows] = (0 if here else max(int(score), 0)) + show[rows] / max(float(show[rows].max()), 1e-12)
+            choice = best_valid(self.scores(gain, observation), observation)
+            self._leave(xyz[choice])
+            return choice
         turn = candidates.look.astype(np.float64) @ forward(observation["pose"][3:])
         local = valid & (show > LOCAL_DEG2) & (turn < LOCAL_TURN)
         local &= (_apart(xyz, self._stop) <= LOCAL_M) & (length <= 2.0 * LOCAL_M)  # no wall between
@@ -101,9 +103,14 @@ class ActiveSplat(Planner):
         choice = int(rows[np.lexsort((length[rows], -show[rows]))[0]])
         if not repeated:
             self._stops = np.vstack([self._stops, self._stop])
-        self._spent = np.vstack([self._spent, self._stop])
-        self._stop, self._looks = xyz[choice], 0
+        self._leave(xyz[choice], even_if_near=True)
         return choice
+
+    def _leave(self, place: np.ndarray, *, even_if_near: bool = False) -> None:
+        """The stop that is left is spent; a view beside it is none of its own, unless a node was chosen."""
+        if even_if_near or _apart(place[None], self._stop)[0] > LOCAL_M:
+            self._spent = np.vstack([self._spent, self._stop])
+            self._stop, self._looks = place, 0
 
     def _aged(self, nodes: Nodes) -> Nodes:
         """Turn to the late weights, for good, and forget the failures once there has been nowhere to go for a while."""

@@ -44,6 +44,15 @@ def test_every_frontier_in_sight_has_the_view_that_sees_most_of_it(two_walls, lo
     assert (table[:, 0] == -1).all() and (table[:, 1:3] == 0).all()
 
 
+def test_a_frontier_that_a_revisit_sees_best_is_anothers(two_walls, looks) -> None:
+    free_cross(two_walls)
+    east = looks[0]
+    again = evaluate_features(("aiisrfe",), two_walls.context(east, east, revisit=np.array([True, False])))
+    assert again[0, 0] == -1 and again[1, 0] >= 0 and again[0, 2] >= 1
+    alone = evaluate_features(("aiisrfe",), two_walls.context(east, revisit=np.array([True])))
+    assert alone[0, 0] == -1 and alone[0, 2] == 0
+
+
 def test_the_error_of_a_voxel_is_that_of_the_pixels_in_it(two_walls, looks) -> None:
     mapper, volume = two_walls.mapper, two_walls.volume
     before = voxel_colour_errors(mapper, volume)

@@ -40,7 +40,7 @@ def holes(
 
 def context(
     poses: list, found: Deficiencies | None = None, alpha: np.ndarray | float = 0.0, state: np.ndarray | None = None,
-    coarse_ratio: float | None = 3.0, **changes: Any,
+    coarse_ratio: float | None = 3.0, keyframe_reduction: int = 1, **changes: Any,
 ) -> FeatureContext:  # fmt: skip
     volume = VoxelVolume(BOUNDS, VolumeConfig())
     volume.state[:] = FREE
@@ -49,7 +49,13 @@ def context(
     images = np.broadcast_to(np.asarray(alpha, np.float32), (len(poses), CAMERA.height, CAMERA.width)).copy()
     mapper = SimpleNamespace(
         render_depth_alpha=lambda camera, poses: (np.zeros_like(images), images),
-        config=SimpleNamespace(coarse_ratio=coarse_ratio, seed_spacing=0.05, seed_footprint=0.6, seed_pixels=2.0),
+        config=SimpleNamespace(
+            coarse_ratio=coarse_ratio,
+            seed_spacing=0.05,
+            seed_footprint=0.6,
+            seed_pixels=2.0,
+            keyframe_reduction=keyframe_reduction,
+        ),
         keyframes=[SimpleNamespace(camera=SENSOR, world_from_camera=ELSEWHERE)],
     )
     options: dict[str, Any] = {
@@ -130,6 +136,9 @@ def test_a_coarse_patch_counts_from_where_its_gaussians_would_be_replaced() -> N
         assert column("deficiency", context([nearer], found, coarse_ratio=None))[0] == 0.0  # nothing is ever replaced
     distances = refining_distance(context([AHEAD]), np.array([0.1, 0.2, np.inf]))
     np.testing.assert_allclose(distances, [0.1 * focal / 3.6, 0.2 * focal / 3.6, np.inf])
+    # Keyframes are kept with fewer pixels than they were seeded with.
+    fewer = refining_distance(context([AHEAD], keyframe_reduction=4), np.array([0.1, 0.2, np.inf]))
+    np.testing.assert_allclose(fewer, 4 * distances)
     assert column("deficiency", context([AHEAD], holes([[3.0, 2.0, 2.0]]), coarse_ratio=None))[0] > 0
 
 

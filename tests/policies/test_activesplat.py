@@ -176,18 +176,20 @@ def test_it_looks_around_before_it_goes_on_but_not_for_ever() -> None:
     assert policy().act(poor) == 1
 
 
-def test_it_goes_on_to_where_it_has_not_stopped() -> None:
+@pytest.mark.parametrize("travel", ["native", "shared"])
+def test_it_goes_on_to_where_it_has_not_stopped(travel: str) -> None:
     seen = observation(
         [(2.0, 0.0), (4.0, 0.0), (6.0, 0.0)], node=[0, 1, 2], show=[9.0, 5.0, 5.0], information=[9.0, 1.0, 1.0],
         visited=[0.0, 2 * UNARRIVED_M, 2 * UNARRIVED_M],
     )  # fmt: skip
     seen["candidate_gains"][:, COLUMNS.index("in_horizon")] = [1.0, 0.0, 0.0]
-    made, chosen = policy(), []
+    made, chosen = policy(travel), []
     for _ in range(3):
         chosen.append(made.act(seen))
         seen["pose"][:3] = seen["candidates"][chosen[-1], :3]
         lengths = np.linalg.norm(seen["candidates"][:, :2] - seen["pose"][:2], axis=1)
         seen["candidates"][:, CANDIDATE_FEATURES.index("path_length")] = lengths
+        seen["candidates"][:, CANDIDATE_FEATURES.index("frames")] = 10.0 * lengths + 1.0
     assert chosen == [0, 1, 2]  # and not back to the first, whose riches are more
 
 

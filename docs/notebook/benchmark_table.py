@@ -5,9 +5,9 @@
     python docs/notebook/benchmark_table.py --pairs A:B C:D          # A minus B and C minus D instead
     python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
 
-Means over scenes of means over seeds; differences are those of pairs with ``BASELINE`` on the same scene and seed, with
-bootstrap intervals of 95 % over the seeds within the scenes (`paired_difference`). The table is of the scenes
-and seeds that every policy played.
+References, who decide by the ground truth, stand on top and are never the best. Means over scenes of means over seeds;
+differences are those of pairs with ``BASELINE`` on the same scene and seed, with bootstrap intervals of 95 % over the
+seeds within the scenes (`paired_difference`). The table is of the scenes and seeds that every policy played.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.statistics.aggregates import mean
@@ -47,7 +48,8 @@ def added(place: Path, directories: Sequence[Path]) -> None:
     rows = {(r["policy"], r["scene"], r["seed"]): r for r in _rows(place)}
     for run in gather(directories).runs:
         values = {key: value_of(run, key) for key in KEPT}
-        row = {"policy": run.policy, "scene": run.scene, "seed": str(run.job.seed)}
+        policy = run.job.policy if is_reference(run.job.policy) else run.policy
+        row = {"policy": policy, "scene": run.scene, "seed": str(run.job.seed)}
         rows[row["policy"], row["scene"], row["seed"]] = row | {
             key: "" if value is None else f"{value:.6g}" for key, value in values.items()
         }
@@ -75,17 +77,19 @@ def markdown(table: Table) -> str:
         for policy, runs in table.items()
     }
     best = {
-        key: choose(round(numbers[key], digits) for numbers in means.values())
+        key: choose(round(numbers[key], digits) for policy, numbers in means.items() if not is_reference(policy))
         for key, (_, digits, choose) in SHOWN.items()
     }
     heads = [heading for heading, _, _ in SHOWN.values()]
     heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
     lines = ["| policy | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
-    for policy in sorted(means, key=lambda name: (-means[name]["completion_ratio"], name)):
-        cells = [f"`{policy}`"]
+    for policy in sorted(means, key=lambda name: (not is_reference(name), -means[name]["completion_ratio"], name)):
+        reference = is_reference(policy)
+        cells = [f"`{policy.removeprefix(REFERENCE)}`, a reference" if reference else f"`{policy}`"]
         for key, (_, digits, _) in SHOWN.items():
             text = f"{means[policy][key]:.{digits}f}"
-            cells.append(f"**{text}**" if round(means[policy][key], digits) == best[key] else text)
+            is_best = not reference and round(means[policy][key], digits) == best[key]
+            cells.append(f"**{text}**" if is_best else text)
         cells += [_difference(table, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"

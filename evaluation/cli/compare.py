@@ -10,13 +10,23 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
 
 from activestructure_gym.errors import InputError, counted
-from activestructure_gym.evaluation.cli.fields import Changes, Count, Names, NoNames, PathName, Switch, Text, option
+from activestructure_gym.evaluation.cli.fields import (
+    Changes,
+    Count,
+    NoNames,
+    PathName,
+    Switch,
+    Text,
+    ViewSource,
+    Words,
+    option,
+)
 from activestructure_gym.evaluation.cli.options import (
     parse_overrides,
     parse_seeds,
@@ -41,9 +51,12 @@ class Compare:
     Without any option: `random` against `pixel_only` in a furnished room, in less than a minute.
     """
 
+    # What is compared has None, or nothing, where it was not typed: the usual value is put in by `comparison_of`, and
+    # by the record where a comparison is gone on with. Nobody can type None.
+
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
     """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
-    policies: Names = ("random", "pixel_only")
+    policies: Annotated[Words, option("NAME [NAME ...]", "(default: random pixel_only)")] = None
     (
         "Who explores: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A to E), or "
         '`all`. Options stand behind a question mark: "active_gs?travel=shared" is a planner with everybody\'s travel '
@@ -54,14 +67,14 @@ class Compare:
         "Who maps the trajectories among the policies (trajectory:FILE, :sweep, :passive): default, splatam, monogs, "
         "gaussian_slam, co_slam, one run for each."
     )
-    seeds: Annotated[tuple[str, ...], option("N [N ...]")] = ("0",)
+    seeds: Annotated[Words, option("N [N ...]", "(default: 0)")] = None
     """Whole numbers from 0 on. Equal seeds start at the same place, so policies are compared in pairs."""
     references: NoNames = ()
     (
         "Who decides by the ground truth, to show what could be reached, and is no policy: oracle (one step, all views "
         "of the pool, what they show first), oracle-quality (later what they mend in the map)."
     )
-    terms: Terms = "shared"
+    terms: Annotated[Terms | None, option("{shared,native}", "(default: shared)")] = None
     (
         "shared: everybody gets the same candidates, keyframes and mapper; native: each brings its own, at 2000 frames "
         "of 320 x 180 (preset full) if not said otherwise."
@@ -102,13 +115,13 @@ class Compare:
     """Changes of the configuration (see `asg config`), e.g. sensor.depth_noise=kinect mapper.iterations=8."""
     views: Annotated[int | None, option("N", "(default: 64)")] = None
     """Held-out views that PSNR and SSIM are measured on."""
-    protocols: Names = ("standard",)
+    protocols: Annotated[Words, option("NAME [NAME ...]", "(default: standard)")] = None
     """What finished maps are measured by: standard always is, activegamer can be as well."""
     lpips_weights: PathName = None
     """Folder with AlexNet's and LPIPS's weights. Also looked for: ASG_LPIPS_WEIGHTS, torch's hub cache."""
     samples: Annotated[int | None, option("N", "(default: 200000)")] = None
     """Points of the true surface that geometry is measured on, seen or not."""
-    view_source: Literal["free_space", "recorded"] = "free_space"
+    view_source: Annotated[ViewSource | None, option("{free_space,recorded}", "(default: free_space)")] = None
     """Drawn in the scene's free space, or recorded with the scene."""
     replay: Switch = False
     """Also write a page to watch of every run, replay.html beside it; takes as long again as the runs explored."""
@@ -124,8 +137,8 @@ class Compare:
 DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples=50_000)
 
 
-# What decides how and where a comparison runs, or how it is told, and not what is compared.
-_MANNER = ("out", "resume", "engine", "workers", "shard", "timeout", "retries", "replay", "baseline", "trust_code")
+# What names cells of the grid. Where none of it is typed, those of the record are gone on with, and no others.
+_GRID = ("scenes", "policies", "mappers", "seeds", "references")
 
 
 def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
@@ -139,13 +152,8 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         raise InputError("--resume needs --out: the directory of the comparison to go on with")
     if options.shard is not None and not options.out:
         raise InputError("--shard needs --out: the directory that all shards share")
-    bare = options.resume and options == Compare(**{name: getattr(options, name) for name in _MANNER})
     directory = Path(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
-    if comparison is None and options.resume and not bare:
-        comparison = _added_to(directory, options)
-    demo = comparison is None and not options.scenes and not bare
-    if demo:
-        options = _with_demo_defaults(options)
+    use_lpips_weights(options.lpips_weights)
 
     from activestructure_gym.evaluation.archive.comparison import read_record
     from activestructure_gym.evaluation.archive.directory_lock import hold
@@ -159,20 +167,22 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     shard = None if options.shard is None else Shard.parse(options.shard)
     check_output(directory, resume=options.resume, shared=shard is not None)
     began = time.monotonic()
-    comparison = comparison or (None if bare else comparison_of(options))
-    if comparison and options.engine != "ray":
+    as_recorded = comparison is None and options.resume and not _typed(options, *_GRID)
+    if comparison is None and options.resume:
+        comparison = _added_to(directory, options)
+    demo = comparison is None and not options.scenes
+    comparison = comparison or comparison_of(_with_demo_defaults(options) if demo else options)
+    if options.engine != "ray" and not as_recorded:
         comparison.check_machine()
-    if (
-        comparison and not options.resume and options.baseline is not None
-    ):  # what would take part is known before anything is loaded
+    if not options.resume and options.baseline is not None:  # who would take part is known before anything is loaded
         options = _with_baseline(options, comparison.everybody())
     with working(console, "loading") as notify:
-        jobs = comparison.prepare(notify) if comparison else jobs_to_resume(directory, notify)
+        jobs = jobs_to_resume(directory, comparison, notify) if as_recorded else comparison.prepare(notify)
     policies = list(dict.fromkeys(job.policy for job in jobs))
     before = ((read_record(directory) or {}) if options.resume else {}).get("jobs", {}).values()
     known = list(dict.fromkeys((*policies, *(job["policy"] for job in before))))
     options = _with_baseline(options, known)
-    if comparison:
+    if not as_recorded:
         _announce(console, comparison, directory, len(jobs), len(policies), demo=demo)
 
     from activestructure_gym.evaluation.running.live_progress import LiveProgress
@@ -211,53 +221,38 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         return 130
 
 
+def _typed(options: Compare, *names: str) -> bool:
+    """Whether any of these options was typed, those of what is compared; a typed one may well say what is usual."""
+    return any(getattr(options, name) != getattr(Compare, name) for name in names)
+
+
 def _added_to(directory: Path, options: Compare) -> Comparison | None:
-    """What is added to the comparison in a directory: what is not given is as it was begun; None without a record."""
-    from activestructure_gym.config import known_preset
+    """The comparison in a directory with what was typed in place of what it has; None where it has no record.
+
+    Raises `InputError` where there is none and no scenes are named, which would begin another.
+    """
     from activestructure_gym.evaluation.archive.jobs import code_of
     from activestructure_gym.evaluation.archive.store import COMPARISON
     from activestructure_gym.evaluation.running.comparison import Comparison
-    from activestructure_gym.evaluation.running.following import with_mappers
     from activestructure_gym.evaluation.running.resuming import recorded_jobs
     from activestructure_gym.registry import refuse_code
 
     jobs = recorded_jobs(directory)
-    if not jobs:
+    if not jobs and options.scenes:
         return None
-    begun, usual = Comparison.of(jobs), Compare()
-
-    def given(*names: str) -> bool:
-        return any(getattr(options, name) != getattr(usual, name) for name in names)
-
+    if not jobs:
+        raise InputError(
+            f"there is no comparison in '{directory}' to go on with; name --scenes to compare on, or check --out"
+        )
     words = {"scene": "scenes", "policy": "policies"}  # what the user says himself needs no trust
     for kind, name in (code for job in jobs for code in code_of(job)):
-        if not given(words.get(kind, "set")):
+        if not _typed(options, words.get(kind, "set")):
             refuse_code(kind, name, directory / COMPARISON)
-    asked = dataclasses.replace(options, scenes=options.scenes or tuple(begun.scenes))
-    new = comparison_of(asked)
-    measured = {
-        field: getattr(new.protocol, field)
-        for name, field in (("views", "views"), ("samples", "surface_samples"), ("view_source", "view_source"))
-        if given(name)
-    }
-    policies, references = begun.policies, begun.references
-    if given("policies", "references"):  # who is added, and nobody else
-        planners = split_policies(options.policies) if given("policies") else ()
-        policies, references = with_mappers(planners, split_list(options.mappers)), new.references
-    return dataclasses.replace(
-        begun,
-        scenes=new.scenes,
-        policies=policies,
-        references=references,
-        seeds=new.seeds if given("seeds") else begun.seeds,
-        preset=begun.preset if options.preset is None else known_preset(options.preset),
-        terms=new.terms if given("terms") else begun.terms,
-        frame_budget=begun.frame_budget if options.frames is None else options.frames,
-        overrides=new.overrides if given("set") else begun.overrides,
-        start_pose=new.start_pose if given("start") else begun.start_pose,
-        protocol=dataclasses.replace(begun.protocol, **measured),
-        also_protocols=new.also_protocols if given("protocols") else begun.also_protocols,
-    )
+    begun = Comparison.of(jobs)
+    changes = _typed_fields(options, begun)
+    if {"policies", "references"} & changes.keys():  # who is added, and nobody else
+        changes = {"policies": (), "references": ()} | changes
+    return dataclasses.replace(begun, **changes)
 
 
 def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
@@ -279,7 +274,7 @@ def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
 def _with_demo_defaults(options: Compare) -> Compare:
     """The options as given, and the demo's where none is."""
     told = "frame_budget" in parse_overrides(options.set)
-    short = options.preset is None and options.terms == "shared"  # native terms have a preset of their own
+    short = options.preset is None and options.terms != "native"  # native terms have a preset of their own
     return dataclasses.replace(
         options,
         scenes=DEMO.scenes,
@@ -291,34 +286,54 @@ def _with_demo_defaults(options: Compare) -> Compare:
 
 
 def comparison_of(options: Compare) -> Comparison:
-    """The comparison that the options name."""
-    from activestructure_gym.config import known_preset
-    from activestructure_gym.evaluation.protocols import StandardProtocol
+    """The comparison that the options name; what was not typed is as usual."""
     from activestructure_gym.evaluation.running.comparison import Comparison
+
+    usual = Comparison(
+        scenes=("room",),
+        policies=("random", "pixel_only"),
+        preset=NATIVE_PRESET if options.terms == "native" else "default",
+    )
+    return dataclasses.replace(usual, **_typed_fields(options, usual))
+
+
+def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
+    """What was typed, and nothing else, as fields of a comparison that takes their place in ``begun``."""
+    from activestructure_gym.config import known_preset
+    from activestructure_gym.evaluation.archive.jobs import is_trajectory
     from activestructure_gym.evaluation.running.following import with_mappers
 
-    use_lpips_weights(options.lpips_weights)
     overrides = parse_overrides(options.set)
     if options.frames is not None and "frame_budget" in overrides:
         raise InputError(f"--frames {options.frames} and --set frame_budget={overrides['frame_budget']}: leave one out")
-    protocol = StandardProtocol(view_source=options.view_source)
-    if options.samples is not None:
-        protocol = dataclasses.replace(protocol, surface_samples=options.samples)
-    if options.views is not None:
-        protocol = dataclasses.replace(protocol, views=options.views)
-    return Comparison(
-        scenes=split_scenes(options.scenes),
-        policies=with_mappers(split_policies(options.policies), split_list(options.mappers)),
-        references=split_list(options.references),
-        seeds=parse_seeds(options.seeds),
-        preset=known_preset(options.preset or (NATIVE_PRESET if options.terms == "native" else "default")),
-        terms=options.terms,
-        frame_budget=options.frames,
-        overrides=overrides,
-        start_pose=start_of(options.start, split_scenes(options.scenes)),
-        protocol=protocol,
-        also_protocols=[name for name in split_list(options.protocols) if name != protocol.name],
-    )
+    typed: dict[str, Any] = {}
+    if options.scenes:
+        typed["scenes"] = split_scenes(options.scenes)
+    if options.policies is not None:
+        typed["policies"] = with_mappers(split_policies(options.policies), split_list(options.mappers))
+    elif options.mappers:
+        typed["policies"] = with_mappers(list(filter(is_trajectory, begun.policies)), split_list(options.mappers))
+    if options.references:
+        typed["references"] = split_list(options.references)
+    if options.seeds is not None:
+        typed["seeds"] = parse_seeds(options.seeds)
+    if options.preset is not None:
+        typed["preset"] = known_preset(options.preset)
+    if options.terms is not None:
+        typed["terms"] = options.terms
+    if options.frames is not None:
+        typed["frame_budget"] = options.frames
+    if options.set:
+        typed["overrides"] = overrides
+    if options.start is not None:
+        typed["start_pose"] = start_of(options.start, typed.get("scenes", begun.scenes))
+    measured = {"views": options.views, "surface_samples": options.samples, "view_source": options.view_source}
+    measured = {name: value for name, value in measured.items() if value is not None}
+    if measured:
+        typed["protocol"] = dataclasses.replace(begun.protocol, **measured)
+    if options.protocols is not None:
+        typed["also_protocols"] = [name for name in split_list(options.protocols) if name != begun.protocol.name]
+    return typed
 
 
 def _announce(

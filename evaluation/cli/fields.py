@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -16,6 +16,8 @@ Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Names = Annotated[tuple[str, ...], option("NAME [NAME ...]")]
 NoNames = Annotated[tuple[str, ...], option("NAME [NAME ...]", "")]
 Changes = Annotated[tuple[str, ...], option("FIELD=VALUE [FIELD=VALUE ...]", "")]
+Words = tuple[str, ...] | None  # None where the option was not typed, which is not the same as its usual value
+ViewSource = Literal["free_space", "recorded"]
 Text = Annotated[str | None, option("TEXT", "")]
 PathName = Annotated[str | None, option("PATH", "")]
 Count = Annotated[int | None, option("N", "")]

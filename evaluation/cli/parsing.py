@@ -9,7 +9,8 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from itertools import takewhile
-from typing import Any, TypeVar
+from types import NoneType
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -171,7 +172,32 @@ def _rule(kind: type, metavar: str, wanted: str, good: Callable[[Any], bool]) ->
     return rule
 
 
+def _choice(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """tyro's rule for one of some names, or None where the option is not typed; tyro's own takes the word None, too."""
+    names, *others = get_args(info.type) or (None,)
+    if others != [NoneType] or get_origin(names) is not Literal:
+        return None
+    choices = get_args(names)
+    return PrimitiveConstructorSpec(
+        1,
+        "{" + ",".join(choices) + "}",
+        lambda texts: texts[0],
+        lambda value: True,
+        lambda value: [str(value)],
+        choices,
+    )
+
+
+def _words(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """tyro's rule for any number of texts, or None where the option is not typed."""
+    if info.type != tuple[str, ...] | None:
+        return None
+    return PrimitiveConstructorSpec("*", "[TEXT ...]", tuple, lambda value: True, lambda value: list(value or ()))
+
+
 _VALUES = ConstructorRegistry()
 _VALUES.primitive_rule(_rule(int, "N", "a whole number", lambda value: abs(value) < _MOST))
 _VALUES.primitive_rule(_rule(float, "X", "a number", lambda value: abs(value) < _MOST))
 _VALUES.primitive_rule(_rule(str, "TEXT", "a text", bool))
+_VALUES.primitive_rule(_choice)
+_VALUES.primitive_rule(_words)

@@ -100,7 +100,7 @@ def _asked(options: Score, run: Run | None) -> tuple[Compare, Comparison]:
     )
     specs = [dataclasses.replace(given, mapper=name).spec for name in split_list(options.mapper) or ("",)]
     same = {name: getattr(options, name) for name in _SHARED}
-    asked = Compare(**same, scenes=(options.scene or "",), policies=tuple(specs), seeds=options.seeds or ("0",))
+    asked = Compare(**same, scenes=(options.scene or "",), policies=tuple(specs), seeds=options.seeds or None)
     if run is None or options.scene is not None:
         comparison = comparison_of(asked)
         if options.frames is None:

@@ -225,13 +225,20 @@ def _is_ours(path: Path) -> bool:
     return path.name == LOCK or path.name.startswith(f".{store.COMPARISON}.")
 
 
-def jobs_to_resume(directory: Path, notify: Callable[[str], None] = lambda _: None) -> list[Job]:
-    """The jobs of a comparison that was begun, checked like those of a new one; raises `InputError`."""
+def jobs_to_resume(
+    directory: Path, asked: Comparison | None = None, notify: Callable[[str], None] = lambda _: None
+) -> list[Job]:
+    """The jobs of a comparison that was begun, checked like those of a new one, and no others.
+
+    With ``asked``, the same grid under the conditions that the user says, code that it names is trusted. Raises
+    `InputError`, also where those are others than the comparison was begun under.
+    """
     recorded = recorded_jobs(directory)
     if not recorded:
         raise InputError(f"there is no comparison in '{directory}' to go on with; say what to compare, or check --out")
-    refuse_code(recorded, directory / store.COMPARISON)
-    prepared = {job.name: job for job in Comparison.of(recorded).prepare(notify)}
+    if asked is None:
+        refuse_code(recorded, directory / store.COMPARISON)
+    prepared = {job.name: job for job in (asked or Comparison.of(recorded)).prepare(notify)}
     # Raises for a scene that has changed.
     merged(recorded, list(prepared.values()), directory)
     return recorded

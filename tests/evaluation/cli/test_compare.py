@@ -19,6 +19,7 @@ from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison
 from activestructure_gym.evaluation.running.comparison import Comparison, Result
 from activestructure_gym.evaluation.running.engines import Limits, Outcome
+from activestructure_gym.evaluation.running.resuming import merged
 from activestructure_gym.registry import TRUST
 from activestructure_gym.splatting import rasterizers
 from tests.evaluation.written_runs import write_comparison
@@ -32,7 +33,11 @@ def asked(monkeypatch, tmp_path):
 
     def prepare(self, notify):
         calls.append(self)
-        return [Job(self.scenes[0], (self.policies or ("random",))[0], self.seeds[0])]
+        conditions = {
+            name: getattr(self, name) for name in ("preset", "frame_budget", "start_pose", "protocol", "terms")
+        }
+        same = {**conditions, "overrides": tuple(self.overrides.items()), "also": tuple(self.also_protocols)}
+        return [Job(self.scenes[0], (self.policies or ("random",))[0], self.seeds[0], **same)]
 
     def run(jobs, directory, listener, **options):
         calls.append((jobs, directory, options))
@@ -173,13 +178,42 @@ def test_without_ray_its_engine_says_what_to_install(monkeypatch, tmp_path, caps
     assert not any(tmp_path.iterdir())
 
 
-def test_resume_alone_goes_on_with_what_the_record_says(asked, monkeypatch, tmp_path):
-    recorded = [Job("box", "random", 7), Job("box", "pixel_only", 7)]
-    monkeypatch.setattr(comparison, "jobs_to_resume", lambda directory, notify: recorded)
-    assert main("compare --out here --resume --workers 1 --retries 4 --timeout 9".split()) == 0
-    ((jobs, _, options),) = asked  # no grid was made
+@pytest.mark.parametrize("words", ["", "--preset fast", "--lpips-weights weights", "--view-source free_space"])
+def test_where_no_cell_is_named_those_of_the_record_are_gone_on_with_and_no_others(asked, monkeypatch, tmp_path, words):
+    monkeypatch.setattr(module, "use_lpips_weights", lambda place: asked.append(place))
+    recorded = [Job("box", "random", 7, preset="fast"), Job("box", "pixel_only", 8, preset="fast")]  # no product
+    write_comparison(tmp_path / "here", recorded)
+    assert main(f"compare --out here --resume --workers 1 --retries 4 --timeout 9 {words}".split()) == 0
+    place, checked, (jobs, _, options) = asked
+    assert place == ("weights" if "weights" in words else None) and checked.preset == "fast"
     assert jobs == recorded and options["resume"]
     assert options["limits"] == Limits(workers=1, timeout=9.0, retries=4)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--preset default", "preset was fast, asked for is default"),
+        ("--terms shared", "terms was native, asked for is shared"),
+        ("--protocols standard", "also was activegamer, asked for is none"),
+        ("--view-source free_space", "view_source was recorded, asked for is free_space"),
+    ],
+)
+@pytest.mark.parametrize("cells", ["", "--policies frontier"])
+def test_a_condition_that_is_typed_is_not_ignored_where_it_is_the_usual_one(
+    asked, tmp_path, capsys, words, message, cells
+):
+    protocol = dataclasses.replace(StandardProtocol(), view_source="recorded")
+    begun = Job("box", "random", 0, preset="fast", terms="native", also=("activegamer",), protocol=protocol)
+    write_comparison(tmp_path / "here", [begun])
+    if cells:  # `run_comparison`, which refuses it, is replaced
+        main(f"compare --out here --resume {cells} {words}".split())
+        jobs = asked[1][0]
+        with pytest.raises(InputError, match=message):
+            merged([begun], jobs, tmp_path)
+    else:
+        assert main(f"compare --out here --resume {words}".split()) == 2
+        assert message in capsys.readouterr().err and len(asked) == 1
 
 
 @pytest.mark.parametrize(
@@ -187,6 +221,9 @@ def test_resume_alone_goes_on_with_what_the_record_says(asked, monkeypatch, tmp_
     [
         ("--policies frontier", ("box", "room"), ("frontier",), (3, 4)),
         ("--seeds 7", ("box", "room"), ("random", "hole_area"), (7,)),
+        ("--seeds 0", ("box", "room"), ("random", "hole_area"), (0,)),  # as if nothing were typed, for a new one
+        ("--policies random pixel_only", ("box", "room"), ("random", "pixel_only"), (3, 4)),
+        ("--policies frontier --seeds 0", ("box", "room"), ("frontier",), (0,)),
         ("--scenes apartment", ("apartment",), ("random", "hole_area"), (3, 4)),
         ("--references oracle", ("box", "room"), (), (3, 4)),
         ("--scenes apartment --policies frontier --seeds 5", ("apartment",), ("frontier",), (5,)),
@@ -204,6 +241,62 @@ def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, wo
     assert (wanted.scenes, wanted.policies, wanted.seeds) == (scenes, policies, seeds)
     assert (wanted.preset, wanted.frame_budget, wanted.overrides) == ("fast", 60, {"mapper.iterations": 2})
     assert wanted.protocol == protocol and "demo" not in capsys.readouterr().out
+
+
+def test_what_is_compared_has_a_default_that_nobody_can_type():
+    manner = {"out", "resume", "engine", "workers", "shard", "timeout", "retries", "replay", "baseline", "trust_code"}
+    defaults = {name: value for name, value in vars(Compare()).items() if name not in manner}
+    assert {name for name, value in defaults.items() if value not in (None, ())} == set()
+    assert not module._typed(Compare(), *defaults)
+    for name, value in (("seeds", ("0",)), ("terms", "shared"), ("view_source", "free_space")):
+        assert module._typed(Compare(**{name: value}), name)
+
+
+def test_what_was_not_typed_is_as_usual_and_help_says_so(asked, capsys):
+    usual = module.comparison_of(Compare())
+    assert (usual.scenes, usual.policies, usual.seeds) == (("room",), ("random", "pixel_only"), (0,))
+    assert usual == Comparison(["room"], ["random", "pixel_only"])
+    assert main(["compare", "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for default in ("random pixel_only", "0", "shared", "standard", "free_space", "room", "64"):
+        assert f"(default: {default})" in shown
+    assert "--terms {shared,native}" in shown and "--view-source {free_space,recorded}" in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--policies", "a comparison needs at least one of policies, got none"),  # of a variable that is empty, say
+        ("--seeds", "a comparison needs at least one of seeds, got none"),
+        ("--policies None", "unknown policy 'None'"),
+        ("--terms None", "invalid choice 'None' for argument '--terms'. Expected one of ('shared', 'native');"),
+    ],
+)
+def test_an_option_without_a_value_is_typed_and_none_is_no_word(asked, capsys, words, message):
+    assert main(["compare", *words.split()]) == 2
+    assert message in capsys.readouterr().err and not asked
+
+
+@pytest.mark.parametrize("words", ["--policies random", "--seeds 1", "--preset fast", ""])
+def test_resume_begins_no_demo_where_there_is_no_comparison(asked, tmp_path, capsys, words):
+    assert main(f"compare --out typo --resume {words}".split()) == 2
+    assert "there is no comparison in 'typo' to go on with; name --scenes" in capsys.readouterr().err
+    (tmp_path / "lost" / "jobs").mkdir(parents=True)  # a record that is lost
+    assert main(f"compare --out lost --resume {words}".split()) == 2 and not asked
+    assert main(f"compare --out lost --resume --scenes box {words}".split()) == 0 and asked[0].scenes == ("box",)
+
+
+def test_scenes_of_the_record_are_taken_as_they_stand_there(asked, tmp_path):
+    moved = "/gone/k,l/house.obj?up=z"  # was there when the comparison was begun
+    write_comparison(tmp_path / "here", [Job(moved, "random", 0, "ab" * 32)])
+    assert main("compare --out here --resume --policies frontier".split()) == 0
+    assert asked[0].scenes == (moved,) and asked[0].recorded == {moved: "ab" * 32}
+
+
+def test_mappers_alone_are_added_for_the_trajectories_of_the_record(asked, tmp_path):
+    write_comparison(tmp_path / "here", [Job("box", policy, 0) for policy in ("random", "trajectory:sweep")])
+    assert main("compare --out here --resume --mappers splatam".split()) == 0
+    assert asked[0].policies == ("trajectory:sweep?mapper=splatam",)
 
 
 def test_code_that_only_the_record_names_is_refused(asked, tmp_path, capsys, monkeypatch):

@@ -59,7 +59,11 @@ class Config:
             style = "bold" if name not in before or value != before[name] else None
             default = "" if name not in defaults or value == defaults[name] else _shown(defaults[name])
             table.add_row(*map(escape, (name, _shown(value), default, texts[name])), style=style)
-        print_listed(table, "Where nothing stands under default, the value is it. Changes: --set FIELD=VALUE")
+        print_listed(
+            table,
+            "Where nothing stands under default, the value is it. Changes: --set FIELD=VALUE\n"
+            "Rows (B20, C15): docs/notebook/groundwork.md; measured: docs/notebook/map.md",
+        )
         changes = [name for name, value in after.items() if name in before and value != before[name]]
         for name in changes:
             print(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")

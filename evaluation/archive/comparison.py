@@ -10,7 +10,7 @@ from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, store
-from activestructure_gym.evaluation.archive.jobs import Job, scene_labels
+from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 
 _REMEDY = (
@@ -33,9 +33,9 @@ def read_record(directory: Path) -> dict[str, Any] | None:
 
 
 def jobs_of(record: Mapping[str, Any], directory: Path) -> list[Job]:
-    """The jobs of a record; raises `InputError` if they cannot be read."""
+    """The jobs of a record, each scene under one spec; raises `InputError` if they cannot be read."""
     try:
-        return [Job.from_dict(content) for content in record["jobs"].values()]
+        return one_spec_each([Job.from_dict(content) for content in record["jobs"].values()])
     except InputError as error:
         raise InputError(f"'{directory / store.COMPARISON}' cannot be read: {error}") from error
 

@@ -8,7 +8,7 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
@@ -189,6 +189,19 @@ def scene_labels(hashes: Mapping[str, str]) -> dict[str, str]:  # by spec: the c
         spec: label if len(taken[label]) == 1 else f"{label} ({taken[label].index(spec) + 1})"
         for spec, label in by_content.items()
     }
+
+
+def one_spec_each(jobs: Sequence[Job]) -> list[Job]:
+    """The jobs, all those on one scene with one spec for it, that of the last: a file that has moved is where it is.
+
+    One scene is one content under one file's name. Names and hashes of jobs do not change by it.
+    """
+    last = {_scene_of(job): job.scene for job in jobs}
+    return [dataclasses.replace(job, scene=last[_scene_of(job)]) for job in jobs]
+
+
+def _scene_of(job: Job) -> tuple[str, str]:
+    return scene_label(job.scene) if job.scene_hash else job.scene, job.scene_hash
 
 
 def is_reference(policy: str) -> bool:

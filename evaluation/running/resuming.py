@@ -15,7 +15,7 @@ from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record
-from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each
 from activestructure_gym.evaluation.archive.old_names import renamed_among
 
 # What tells the cells of one grid apart; whatever else a job has is the same for all of them.
@@ -45,7 +45,10 @@ def recorded_jobs(directory: Path) -> list[Job]:
 
 
 def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> list[Job]:
-    """The jobs of the record and those that are new; raises `InputError` where they do not belong into one table."""
+    """The jobs of the record and those that are new; raises `InputError` where they do not belong into one table.
+
+    A scene that is asked for under another path has that one in all of them.
+    """
     if recorded and asked:
         _check_conditions(conditions(recorded[0]), conditions(asked[0]), directory)
         hashes = {job.scene: job.scene_hash for job in recorded}
@@ -54,7 +57,7 @@ def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> li
                 raise InputError(
                     f"scene '{job.scene}' has changed since '{directory}' was begun: begin a new comparison"
                 )
-    return list({job.name: job for job in (*recorded, *asked)}.values())
+    return list({job.name: job for job in one_spec_each((*recorded, *asked))}.values())
 
 
 def conditions(job: Job) -> dict[str, Any]:

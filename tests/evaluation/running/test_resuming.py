@@ -6,7 +6,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import jobs, store
-from activestructure_gym.evaluation.archive.comparison import run_directory
+from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import comparison, engines
@@ -117,6 +117,33 @@ def test_other_conditions_are_refused_by_name_and_the_record_stays(changes, word
     assert words in str(error.value) and "\n" not in str(error.value)
     assert (tmp_path / store.COMPARISON).read_bytes() == before
     assert len(ran) == 1
+
+
+@pytest.mark.parametrize("now", ["/new/house.obj?up=z", "mesh:/old/house.obj?up=z"])
+def test_a_scene_that_is_added_to_under_another_path_is_one_scene(ran, tmp_path, now):
+    old = variant(scene="/old/house.obj?up=z")
+    go([old], tmp_path)
+    added = variant(scene=now, policy="naruto")
+    result, _ = go([added], tmp_path, resume=True)
+    assert result.missing == 0 and recorded_jobs(tmp_path) == [variant(scene=now), added]
+    assert Comparison.of(recorded_jobs(tmp_path)).scenes == (now,)
+    go(
+        [variant(scene="/new/house.obj?up=z", scene_hash="b" * 64)], tmp_path / "other"
+    )  # of other content: another scene
+    go([variant(scene="/old/house.obj?up=z")], tmp_path / "other", resume=True)
+    assert len(Comparison.of(recorded_jobs(tmp_path / "other")).scenes) == 2
+
+
+def test_a_record_with_two_paths_of_one_scene_is_gone_on_with_and_labelled_as_one(monkeypatch, tmp_path):
+    grid = [variant(scene="/a/house.obj"), variant(scene="/b/house.obj", policy="naruto")]
+    write_comparison(tmp_path / "all", grid)
+    assert [run.scene for run in open_comparison(tmp_path / "all")] == ["house", "house"]
+
+    def prepare(self, notify):
+        return [variant(scene=scene, policy=policy) for scene in self.scenes for policy in self.policies]
+
+    monkeypatch.setattr(comparison.Comparison, "prepare", prepare)
+    assert [job.scene for job in jobs_to_resume(tmp_path / "all")] == ["/b/house.obj", "/b/house.obj"]
 
 
 def test_every_option_that_decides_a_result_is_compared():

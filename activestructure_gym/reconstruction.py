@@ -19,12 +19,20 @@ import numpy as np
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FeatureContext, evaluate_features
-from activestructure_gym.geometry import unrounded
 from activestructure_gym.ground_truth import GroundTruth, check_start_pose
 from activestructure_gym.mapping import Mapper, track_pose
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN
 from activestructure_gym.mapping.make import make_mapper
-from activestructure_gym.motion import Agent, DistanceMap, Leg, first_blocked, interpolate, path_lengths, plan_path
+from activestructure_gym.motion import (
+    Agent,
+    DistanceMap,
+    Leg,
+    first_blocked,
+    interpolate,
+    path_lengths,
+    plan_path,
+    unrounded_start,
+)
 from activestructure_gym.planes import MapPoints, PlaneSceneGraph, depth_noise_scale
 from activestructure_gym.scenes import Scene
 from activestructure_gym.sensors import Frame, RGBDSensor
@@ -99,7 +107,7 @@ class Reconstruction:
         if start_pose.shape != (4, 4):
             raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
         check_start_pose(truth.free_space, scene.bounds, start_pose, config.motion.body_radius)
-        start_pose = unrounded(start_pose)
+        start_pose = unrounded_start(start_pose)
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))

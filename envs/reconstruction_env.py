@@ -17,9 +17,9 @@ from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
 from activestructure_gym.errors import InputError, InputWarning, shown
-from activestructure_gym.geometry import look_along, unrounded
+from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of
-from activestructure_gym.motion import is_level
+from activestructure_gym.motion import is_level, unrounded_start
 from activestructure_gym.reconstruction import Reconstruction, Visit
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
@@ -352,12 +352,12 @@ def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
 
 
 def _rigid(pose: np.ndarray) -> np.ndarray:  # [4, 4]
-    """The pose, with the nearest rotation where its own was written with few digits; what is farther off stays."""
+    """The pose, with a true rotation where its own was written with few digits; what is farther off stays."""
     if np.abs(pose[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
         raise InputError(f"the last row of a start pose's 4x4 matrix is (0, 0, 0, 1), got {pose[3].tolist()}")
     rotation = pose[:3, :3]
     nearly = np.abs(rotation @ rotation.T - np.eye(3)).max() <= POSE_ROUNDING and np.linalg.det(rotation) > 0
-    return unrounded(pose) if nearly else pose
+    return unrounded_start(pose) if nearly else pose
 
 
 def _fields(what: str, value: Any) -> Mapping[str, Any]:

@@ -4,7 +4,7 @@ from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edg
 from activestructure_gym.motion.legs import Leg, recorded_legs, regular_legs
 from activestructure_gym.motion.reachability import DistanceMap, path_lengths
 from activestructure_gym.motion.rrt import plan_path
-from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate, is_level
+from activestructure_gym.motion.trajectory import MotionConfig, first_blocked, interpolate, is_level, unrounded_start
 from activestructure_gym.motion.voronoi import VoronoiGraph, free_plan, planar_graph, voronoi_graph
 from activestructure_gym.motion.ways import Agent, Way, least_frames
 
@@ -27,5 +27,6 @@ __all__ = [
     "planar_graph",
     "recorded_legs",
     "regular_legs",
+    "unrounded_start",
     "voronoi_graph",
 ]

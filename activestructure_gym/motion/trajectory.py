@@ -9,6 +9,7 @@ import numpy as np
 
 from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
+from activestructure_gym.geometry import unrounded
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.ranges import check_ranges
 from activestructure_gym.volume import VoxelVolume
@@ -133,6 +134,20 @@ def is_level(
     """Which poses have no roll: the image's right is horizontal, and its up does not point down."""
     level: np.ndarray = (np.abs(poses[..., 2, 0]) <= _ROLL_TOLERANCE) & (poses[..., 2, 1] <= _ROLL_TOLERANCE)
     return level
+
+
+def unrounded_start(
+    pose: np.ndarray,  # [4, 4] world_from_camera, nearly a rigid motion
+) -> np.ndarray:  # [4, 4]
+    """The pose as it is, with a true rotation where its own was written with few digits: level where that one was.
+
+    The nearest rotation of a level pose that was rounded may roll by more than motion allows.
+    """
+    nearest = unrounded(pose)
+    if is_level(nearest) or not is_level(pose):
+        return nearest
+    yaw, pitch = yaw_pitch(pose)
+    return poses_at(pose[None, :3, 3], np.array([yaw]), np.array([pitch]))[0]
 
 
 def yaw_pitch(

@@ -13,9 +13,11 @@ import pytest
 
 from activestructure_gym.envs import ReconstructionEnv, panel
 from activestructure_gym.envs.observation import observation_keys, observation_table
-from activestructure_gym.envs.reconstruction_env import as_pose
+from activestructure_gym.envs.reconstruction_env import as_pose, as_truth
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.features import FEATURES
+from activestructure_gym.geometry import look_along
+from activestructure_gym.motion import is_level
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.volume import FREE, OCCUPIED, VolumeConfig, VoxelVolume
 
@@ -338,6 +340,19 @@ def test_a_pose_written_with_three_decimals_is_the_nearest_rotation() -> None:
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(rotation, ROUNDED[:3, :3], atol=1e-4)
     np.testing.assert_array_equal(as_pose(ROUNDED)[:3, 3], ROUNDED[:3, 3])
+
+
+def test_a_pitched_pose_written_with_few_decimals_is_no_rolling_one(box_options: dict[str, Any]) -> None:
+    level = look_along(np.array([2, 1.5, 1.25]), np.array([0.7, 0.4, -0.3]))
+    for digits in (3, 4):
+        written = np.round(level, digits)
+        assert is_level(as_pose(written))
+        env = ReconstructionEnv(**box_options, start_pose=written)
+        env.reset(seed=0)
+        np.testing.assert_allclose(env.reconstruction.pose, level, atol=2e-3)
+        reconstruction = env.reconstruction
+        reconstruction.start(as_truth("box"), 0, written)  # without the env
+        np.testing.assert_array_equal(reconstruction.pose, as_pose(written))
 
 
 @pytest.mark.parametrize("y", [0.30, 0.33])

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from activestructure_gym.geometry import fibonacci_directions, look_along, rotation_angle
-from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, is_level
+from activestructure_gym.geometry import fibonacci_directions, look_along, rotation_angle, unrounded
+from activestructure_gym.motion import MotionConfig, first_blocked, interpolate, is_level, unrounded_start
 from activestructure_gym.motion.trajectory import _limit_turns, poses_at, yaw_pitch
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
@@ -188,6 +188,30 @@ def test_a_point_that_is_looked_at_stays_in_the_axis_while_walking(point: tuple[
     cosine = (towards * frames[:, :3, 2]).sum(axis=1)[walking] / far[walking]
     assert walking.sum() >= 29 and cosine.min() > 1 - 1e-9
     assert len(interpolate(path[:1], start, start, CONFIG, look_at=path[0] + start[:3, 2])) == 1
+
+
+@pytest.mark.parametrize("digits", [3, 4, 5, 8])
+def test_a_level_pose_written_with_few_digits_is_level_and_close_by(digits):
+    rng = np.random.default_rng(digits)
+    for direction in (*rng.normal(size=(100, 3)), (0, 0, 1), (0, 0, -1), (1e-3, 2e-3, -1)):
+        exact = look_along(rng.normal(size=3), np.array(direction))
+        if not np.any(direction[:2]):  # straight up or down, with any yaw
+            exact = poses_at(rng.normal(size=(1, 3)), rng.uniform(-3, 3, 1), np.pi / 2 * np.array(direction[2:]))[0]
+        written = exact.round(digits)
+        found = unrounded_start(written)
+        assert is_level(found) and found[:3, 3].tobytes() == written[:3, 3].tobytes()
+        np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=3e-6)
+        np.testing.assert_allclose(found, written, atol=2 * 10.0**-digits)
+
+
+def test_a_start_pose_that_is_exact_or_rolls_is_taken_as_it_is():
+    exact = look_along(np.array([2.0, 1.5, 1.25]), np.array([0.7, 0.4, -0.3]))
+    assert unrounded_start(exact).tobytes() == exact.tobytes()
+    turned = exact.copy()
+    cosine, sine = math.cos(0.1), math.sin(0.1)
+    turned[:3, :2] = exact[:3, :2] @ np.array([[cosine, -sine], [sine, cosine]])
+    np.testing.assert_array_equal(unrounded_start(turned.round(4)), unrounded(turned.round(4)))
+    assert not is_level(unrounded_start(turned.round(4)))
 
 
 def test_level_is_no_roll_and_not_upside_down():

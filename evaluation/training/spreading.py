@@ -15,7 +15,10 @@ from activestructure_gym.evaluation.machine.threads import capped_environment
 
 
 def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], workers: int) -> Iterator[int]:
-    """Make all calls, here for one worker, else in as many processes; yields how many are made. Errors are raised."""
+    """Make all calls, here for one worker, else in as many processes; yields how many are made. Errors are raised.
+
+    After an error, Ctrl-C included, no call is played to its end: what they write are whole files or none.
+    """
     if workers <= 1 or len(calls) <= 1:
         for done, call in enumerate(calls, start=1):
             function(*call)
@@ -29,6 +32,11 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             for done, future in enumerate(as_completed(waiting), start=1):
                 future.result()
                 yield done
+        except BaseException:
+            # Those that wait in the pool's own queue cannot be cancelled, and would be made, too.
+            for process in list(pool._processes.values()):  # which has no other name before Python 3.14
+                process.terminate()
+            raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 

@@ -25,17 +25,17 @@ LARGEST_WEIGHTS = 256 << 20  # bytes
 _LARGEST_HEADER, _LARGEST_DESCRIPTION = 1 << 20, 4 << 20  # bytes: of the tensors' names and shapes; of the JSON
 WEIGHTS = ".safetensors"
 _DIGITS = 8
-_BEST = "best"  # of a training run's directory
+_BEST = "best"  # of a folder: a training run's directory, or one that somebody saved into
 _NO_QUESTION_MARK = "a checkpoint's path may hold no '?', behind which a policy's options begin; rename it"
 
 
 def find_checkpoint(place: str | os.PathLike[str]) -> Path:
-    """The weights' file that ``place`` means: the file, its JSON, its name without an ending, or a training run.
+    """The weights' file that ``place`` means: the file, its JSON, its name without an ending, or its folder.
 
     Raises `InputError` where one of the two files is missing, and for a path that a policy's name cannot hold.
     """
     path = Path(os.path.expanduser(place))
-    weights = weights_at(path / _BEST if path.is_dir() else path)
+    weights = weights_at(path)
     for file in (weights, weights.with_suffix(".json")):
         if not file.is_file():
             cut = sorted(path.name for path in path.absolute().parent.glob(f"{glob.escape(path.name)}[?]*"))
@@ -52,11 +52,14 @@ def find_checkpoint(place: str | os.PathLike[str]) -> Path:
 def weights_at(place: str | os.PathLike[str]) -> Path:
     """The weights' file of a checkpoint called ``place``, with or without an ending, whether or not it is there.
 
-    Raises `InputError` for a path with a '?'.
+    In a folder that is there it is ``best``, where it is written as where it is read. Raises `InputError` for a path
+    with a '?'.
     """
     path = Path(os.path.expanduser(place))
     if "?" in str(path.absolute()):
         raise InputError(f"'{path.absolute()}': {_NO_QUESTION_MARK}")
+    if path.is_dir():
+        path = path / _BEST
     if path.suffix == WEIGHTS:
         return path
     return path.with_suffix(WEIGHTS) if path.suffix == ".json" else path.with_name(path.name + WEIGHTS)

@@ -145,6 +145,8 @@ class CandidateHeads(BasePolicy):
     def save_learned(self, place: str | os.PathLike[str]) -> Path:
         """Write the network as a checkpoint, ``PLACE.safetensors`` and ``PLACE.json``: it plays as ``learned:PLACE``.
 
+        Where PLACE is a folder that exists, the files are ``best.safetensors`` and ``best.json`` in it.
+
         Parameters
         ----------
         place

@@ -147,6 +147,19 @@ def test_what_was_trained_takes_part_in_comparisons(model: OnPolicyAlgorithm, tm
         make_policy(f"learned:{tmp_path / 'ppo.zip'}")
 
 
+def test_what_is_saved_into_a_folder_that_is_there_is_what_plays_by_its_name(
+    model: OnPolicyAlgorithm, tmp_path: Path
+) -> None:
+    assert isinstance(model.policy, CandidateHeads)
+    run = tmp_path / "run"  # as `asg train` leaves it, with another network
+    save_checkpoint(run / "best.safetensors", type(model.policy.network)(NetworkConfig(gains=("a", "b", "c"))), {})
+    for place in (run, tmp_path / "empty.v2", tmp_path / "called.json"):
+        place.mkdir(exist_ok=True)
+        assert model.policy.save_learned(place) == place / "best.safetensors" == find_checkpoint(place)
+        assert make_policy(f"learned:{place}").required_gains == GAINS
+        assert not place.with_name(f"{place.name}.safetensors").exists()
+
+
 def test_unused_entries_can_be_dropped() -> None:
     env = with_used_keys(RandomCandidates(images=True))
     assert set(env.observation_space.spaces) == set(USED_KEYS) == set(env.reset(seed=0)[0])

@@ -32,8 +32,9 @@ import os
 import shlex
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -66,6 +67,7 @@ STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "grap
 _READ_AGAIN = (CONFIG, "metrics.json", "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
 REPLAY = "replay.html"  # the page to watch a run on, where one was made
 _LARGEST_LOG = 256 << 20  # bytes of steps.jsonl
+_LONGEST_REPORT = 86400.0  # seconds after which what another machine was writing counts as left behind
 
 
 @dataclass(frozen=True)
@@ -297,7 +299,7 @@ def whole_files(directory: Path) -> Iterator[Path]:
     new = not directory.exists()
     with writing(directory):
         directory.mkdir(parents=True, exist_ok=True)
-        remove_parts(directory)
+        remove_parts(directory, "files-*", others_after=_LONGEST_REPORT)  # it may be anybody's folder
         part = Path(tempfile.mkdtemp(prefix=".files-", suffix=f".part-{machine_mark()}-{os.getpid()}", dir=directory))
     try:
         with writing(directory):
@@ -337,16 +339,27 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
     return path
 
 
-def remove_parts(directory: Path, job_name: str | None = None) -> None:
-    """Remove what killed processes left half-written in ``directory``, of one job or of all.
+def remove_parts(directory: Path, name: str = "*", *, others_after: float = 0.0) -> None:
+    """Remove what killed processes left half-written in ``directory``, of one name or of all.
 
-    What a living process of this machine writes is left alone.
+    What a living process of this machine writes is left alone, and what another machine's has begun within the last
+    ``others_after`` seconds.
     """
-    pattern = f".{job_name or '*'}.part-*"
-    for part in directory.glob(pattern):
+    for part in directory.glob(f".{name}.part-*"):
         machine, _, process = part.name.rpartition(".part-")[2].partition("-")
-        if not (machine == machine_mark() and process.isdigit() and is_alive(int(process))):
+        if machine == machine_mark():
+            left = not (process.isdigit() and is_alive(int(process)))
+        else:
+            left = _age(part) >= others_after
+        if left:
             shutil.rmtree(part, ignore_errors=True)
+
+
+def _age(path: Path) -> float:
+    """Seconds since a folder was changed; 0 where it is gone, or the clocks of two machines differ."""
+    with suppress(OSError):
+        return max(0.0, time.time() - path.stat().st_mtime)
+    return 0.0
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -60,6 +60,19 @@ def test_what_a_killed_report_left_is_removed_by_the_next(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
 
 
+def test_a_report_leaves_the_folders_of_others_alone(tmp_path):
+    theirs = [".disk.part-1", f".one.part-{machine_mark()}-999999999", f".files-x.part-abcdef-{os.getpid()}"]
+    old = tmp_path / ".files-y.part-abcdef-1"
+    for name in (*theirs, old.name):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "data.bin").touch()
+    os.utime(old, (1e9, 1e9))
+    with store.whole_files(tmp_path) as part:
+        (part / "report.html").touch()
+    assert {entry.name for entry in tmp_path.iterdir()} == {*theirs, "report.html"}
+    assert all((tmp_path / name / "data.bin").exists() for name in theirs)
+
+
 def test_what_is_half_written_is_no_finished_run(tmp_path):
     for name in ("one", ".one.part-here-1"):
         (tmp_path / store.JOBS / name).mkdir(parents=True)

@@ -104,13 +104,26 @@ class Run:
         """
         own = self.job.protocol
         found = {own.name: {"parameters": own.parameters(), "metrics": self.metrics["metrics"]}}
-        for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
-            again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocol {path.stem}` measures"
-            content = read_json(path, run_files.EVALUATION, remedy=f"{again} it again")
+        for content in self.evaluations.values():
             name, numbers = content["protocol"]["name"], content["metrics"]
             if name == own.name:
                 numbers = _completed(self.metrics["metrics"], numbers)
             found[name] = {"parameters": content["protocol"], "metrics": numbers}
+        return found
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The numbers of the run's own protocol, completed by an LPIPS that was measured later."""
+        numbers: dict[str, Any] = self.protocols[self.job.protocol.name]["metrics"]
+        return numbers
+
+    @cached_property
+    def evaluations(self) -> dict[str, dict[str, Any]]:
+        """The files of `EVALUATIONS` by their names, as they are: `DONE` has no sums of them."""
+        found = {}
+        for path in sorted((self.directory / EVALUATIONS).glob("*.json")):
+            again = f"delete it, and `asg evaluate {shlex.quote(str(self.directory))} --protocol {path.stem}` measures"
+            found[path.name] = read_json(path, run_files.EVALUATION, remedy=f"{again} it again")
         return found
 
     @cached_property
@@ -493,9 +506,16 @@ def _flush(directory: Path) -> None:
 
 
 def _completed(own: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's own numbers with the LPIPS, of every view too, that its protocol measured once there were weights."""
-    found = {**later, **{name: value for name, value in own.items() if value is not None}}
-    if own.get("lpips") is None and later.get("lpips") is not None:
-        found["views"] = later["views"]
-        found["notes"] = {name: reason for name, reason in (own.get("notes") or {}).items() if name != "lpips"}
-    return found
+    """A run's own numbers with the LPIPS, of every view too, that its protocol measured once there were weights.
+
+    And with nothing else: what of its own is not defined stays so, whatever is written beside it.
+    """
+    if own.get("lpips") is not None or later.get("lpips") is None or len(own["views"]) != len(later["views"]):
+        return dict(own)
+    return {
+        **own,
+        "lpips": later["lpips"],
+        "lpips_weights": later.get("lpips_weights"),
+        "views": [{**mine, "lpips": view.get("lpips")} for mine, view in zip(own["views"], later["views"])],
+        "notes": {name: reason for name, reason in (own.get("notes") or {}).items() if name != "lpips"},
+    }

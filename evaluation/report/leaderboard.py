@@ -178,8 +178,7 @@ def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
              Cell(_made_on(row)), Cell(_code(row))]
             for index, row in enumerate(rows)
         ],
-        caption="Means over scenes of means over seeds"
-        + ("" if all(ranks) else f"; of fewer than {wanted} runs, of a reference or of given poses, a row has no rank"),
+        caption="Means over scenes of means over seeds" + _without_rank(rows, wanted),
     )  # fmt: skip
     scenes = sorted({without_places(run.job.scene) for row in rows for run in row.runs})
     facts = [
@@ -206,6 +205,14 @@ def _section(place: int, rows: Sequence[Row], wanted: int) -> Markup:
         for row in rows
     ]
     return render("leaderboard_task.html.j2", anchor=f"task-{place}", facts=facts, table=html_table(table), again=again)
+
+
+def _without_rank(rows: Sequence[Row], wanted: int) -> str:
+    """Why some of the rows have no rank, for the caption; empty where all have one."""
+    if all(_is_ranked(row, wanted) for row in rows):
+        return ""
+    refuted = ", nor has one of which a run came out otherwise" if any(row.refuted for row in rows) else ""
+    return f"; of fewer than {wanted} runs, of a reference or of given poses, a row has no rank{refuted}"
 
 
 def _row(runs: Sequence[Run], known: Known) -> Row:

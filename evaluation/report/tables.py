@@ -153,11 +153,8 @@ def overview(rows: Sequence[Row], *, name: str = "overview", columns: Sequence[C
 
 
 def runs_csv(runs: Sequence[Run]) -> str:
-    """One line per run with every single number, in full precision."""
-    scalars = [
-        {key: value for key, value in run.metrics["metrics"].items() if not isinstance(value, list | dict)}
-        for run in runs
-    ]
+    """One line per run with every single number, in full precision, an LPIPS that was measured later too."""
+    scalars = [{key: value for key, value in run.numbers.items() if not isinstance(value, list | dict)} for run in runs]
     names = list(dict.fromkeys(name for numbers in scalars for name in numbers))
     stages = list(dict.fromkeys(stage for run in runs for stage in run.timing.get("seconds", {})))
     text = io.StringIO()

@@ -42,6 +42,8 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         store.read_all(whole)
         if loose := store.unsummed(whole):
             raise InputError(f"{store.DONE} has no sum of {', '.join(loose)}, which could be changed unseen")
+        if untrue := untrue_evaluations(whole):
+            raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")
     except InputError as error:
         return Verification("damaged", (str(error),), **here)
     if run.policy != policy_label(run.job.policy):
@@ -89,6 +91,21 @@ def other_protocols(run: Run, again: Run) -> list[str]:
         if stored is None or found is None or differing(stored["metrics"], found["metrics"]):
             wrong.append(f"{store.EVALUATIONS}/{name}.json")
     return wrong
+
+
+def untrue_evaluations(run: Run) -> list[str]:
+    """Evaluations by the run's own protocol that say more than an LPIPS beside the run's own numbers, in words."""
+    own = run.metrics["metrics"]
+    found = {
+        name: differing(own, content["metrics"])
+        for name, content in run.evaluations.items()
+        if content["protocol"]["name"] == run.job.protocol.name
+    }
+    return [
+        f"{store.EVALUATIONS}/{name} has another {', '.join(numbers)} than metrics.json"
+        for name, numbers in found.items()
+        if numbers
+    ]
 
 
 def elsewhere_in(run: Run, again: Run) -> list[str]:

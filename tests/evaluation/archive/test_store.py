@@ -292,6 +292,21 @@ def test_lpips_measured_later_completes_the_runs_own_numbers(tmp_path):
     assert differing(run.protocols["standard"]["metrics"], later) == []  # a second evaluation finds nothing else
 
 
+def test_no_other_number_is_filled_in_by_an_evaluation_beside_the_run(tmp_path):
+    place = write_run(tmp_path / "run")
+    content = json.loads((place / "metrics.json").read_text())
+    content["metrics"]["tsdf_completion_ratio"] = None
+    (place / "metrics.json").write_text(json.dumps(content))
+    store.finish(place, ARCHIVED)
+    own = store.read_run(place).metrics["metrics"]
+    forged = {**own, "tsdf_completion_ratio": 99.0, "invented": 1.0}
+    for views, lpips in ((own["views"], 0.3), (own["views"][1:], None)):  # an LPIPS of other views is none of the run's
+        store.write_evaluation(place, ARCHIVED.protocol.parameters(), "", {**forged, "lpips": 0.3, "views": views})
+        run = store.read_run(place)
+        assert value_of(run, "tsdf_completion_ratio") is None and "invented" not in run.numbers
+        assert run.numbers["tsdf_completion_ratio"] is None and value_of(run, "lpips") == lpips
+
+
 def test_the_mark_of_another_job_is_damage(tmp_path):
     place = write_comparison(tmp_path / "all", [ARCHIVED])
     (place / store.JOBS / ARCHIVED.name / store.DONE).write_bytes(b"\xff\xfe")

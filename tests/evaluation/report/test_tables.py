@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from activestructure_gym.evaluation.archive.store import read_run, write_evaluation
 from activestructure_gym.evaluation.cli.output import print_whole
 from activestructure_gym.evaluation.report.formats import markdown
 from activestructure_gym.evaluation.report.tables import AVERAGE, overview, rich_table, runs_csv, table_rows
+from tests.evaluation.written_runs import write_run
 
 
 def test_mean_and_sample_deviation_over_the_seeds(make_run):
@@ -93,6 +95,15 @@ def test_csv_has_every_number_in_full(make_run):
     assert second["accuracy_cm"] == "" and float(second["seconds"]) == 10.0
     assert float(first["seconds_mapping"]) == 4.0 and float(first["seconds_planning"]) == 1.0
     assert "views" not in first
+
+
+def test_csv_has_an_lpips_that_was_measured_later(tmp_path):
+    place = write_run(tmp_path / "run")
+    run = read_run(place)
+    numbers = {**run.metrics["metrics"], "lpips": 0.25, "lpips_weights": "sums", "notes": {}}
+    write_evaluation(place, run.job.protocol.parameters(), "", numbers)
+    (row,) = csv.DictReader(io.StringIO(runs_csv([read_run(place)])))
+    assert row["lpips"] == "0.25" and float(row["psnr"]) == run.metrics["metrics"]["psnr"]
 
 
 @pytest.mark.parametrize("width", [40, 300])

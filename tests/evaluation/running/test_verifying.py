@@ -19,7 +19,13 @@ from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.options import parse_start
 from activestructure_gym.evaluation.machine.hardware import code_sum
 from activestructure_gym.evaluation.report.leaderboard import COLUMNS, leaderboard_page, rows_of
-from activestructure_gym.evaluation.running.verifying import TOLERANCES, other_protocols, out_of_tolerance, verify
+from activestructure_gym.evaluation.running.verifying import (
+    TOLERANCES,
+    other_protocols,
+    out_of_tolerance,
+    untrue_evaluations,
+    verify,
+)
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +114,20 @@ def test_numbers_of_a_further_protocol_must_come_out_too(run: Run) -> None:
     assert other_protocols(again, again) == other_protocols(partial, again) == []  # LPIPS needs weights
     assert other_protocols(forged, again) == other_protocols(none, again) == ["evaluations/activegamer.json"]
     assert other_protocols(replace(forged, job=run.job), again) == []  # measured later: none of the job's
+
+
+def test_an_evaluation_of_the_runs_own_protocol_adds_an_lpips_and_nothing_else(run: Run) -> None:
+    numbers = {"psnr": 20.0, "f_score": None, "lpips": None, "views": [{"psnr": 20.0}], "notes": {"lpips": "none"}}
+    one = replace(run, metrics={"metrics": numbers})
+    for changed, said in (
+        ({}, []),
+        ({"lpips": 0.5, "lpips_weights": "sums", "views": [{"psnr": 20.0, "lpips": 0.5}], "notes": {}}, []),
+        ({"f_score": 99.0}, ["evaluations/standard.json has another f_score than metrics.json"]),
+    ):
+        write_evaluation(run.directory, run.job.protocol.parameters(), "", numbers | changed)
+        assert untrue_evaluations(replace(one)) == said
+    found = verify(run)
+    assert found.verdict == "damaged" and found.why[0].startswith("evaluations/standard.json has another psnr, ")
 
 
 def test_elsewhere_numbers_count_within_tolerances(run: Run) -> None:
@@ -235,6 +255,14 @@ def test_who_sees_the_ground_truth_leads_no_leaderboard(run: Run) -> None:
     assert "--references oracle" in last.command and "reference:" not in last.command
     page = leaderboard_page([oracle, run], lambda one: None, {})
     assert "of a reference or of given poses, a row has no rank" in page
+
+
+def test_a_refuted_row_is_told_to_have_no_rank_for_that(run: Run) -> None:
+    other = replace(run, job=replace(run.job, policy="naruto"))
+    told = "nor has one of which a run came out otherwise"
+    refuted = verified.Verification("differs", ("other bytes in map.npz",))
+    assert told in leaderboard_page([run, other], lambda one: refuted if one is other else None, {})
+    assert told not in leaderboard_page([run, other], lambda one: None, {})
 
 
 def test_who_follows_given_poses_leads_no_leaderboard(run: Run) -> None:

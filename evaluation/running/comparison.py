@@ -230,8 +230,8 @@ def jobs_to_resume(
 ) -> list[Job]:
     """The jobs of a comparison that was begun, checked like those of a new one, and no others.
 
-    With ``asked``, the same grid under the conditions that the user says, code that it names is trusted. Raises
-    `InputError`, also where those are others than the comparison was begun under.
+    ``asked`` is that comparison under the conditions that a user says, whose own words need no trust. Raises
+    `InputError`, also where those are others than it was begun under.
     """
     recorded = recorded_jobs(directory)
     if not recorded:

@@ -413,12 +413,15 @@ class Reconstruction:
             self.visible = np.pad(context.visible, asks)
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
-        """Keyframe poses, worst rendered first."""
+        """Keyframe poses, worst rendered first, each once: a revisit adds a keyframe where there is one."""
         if not self.config.views.max_revisits:
             return np.zeros((0, 4, 4))
         order = np.argsort(self.mapper.keyframe_psnr(), kind="stable")
-        poses = np.stack([self.trajectory[index] for index in self.keyframe_indices])
-        return poses[order[: self.config.views.max_revisits]]
+        once: dict[bytes, np.ndarray] = {}
+        for number in order:
+            pose = self.trajectory[self.keyframe_indices[number]]
+            once.setdefault(pose.tobytes(), pose)
+        return np.stack(list(once.values())[: self.config.views.max_revisits])
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

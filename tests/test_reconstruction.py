@@ -373,6 +373,20 @@ def test_a_camera_with_roll_is_followed_whatever_gains_are_told_and_views_offere
     assert run.candidates.revisit.any()
 
 
+def test_a_pose_is_offered_once_however_often_it_was_revisited(box: Scene) -> None:
+    run = episode(box, frames=200, **{"views.max_revisits": 4})
+    for _ in range(6):
+        rows = np.flatnonzero(run.candidates.revisit)
+        offered = {pose.tobytes() for pose in run.candidates.world_from_camera[rows]}
+        assert len(offered) == len(rows) == min(4, len({run.trajectory[i].tobytes() for i in run.keyframe_indices}))
+        psnr = run.mapper.keyframe_psnr(renders=0)
+        poses = [run.trajectory[index].tobytes() for index in run.keyframe_indices]
+        worst = dict.fromkeys(poses[number] for number in np.argsort(psnr, kind="stable"))
+        assert offered == set(list(worst)[:4])
+        assert run.visit(int(rows[0])).reached
+    assert len(run.keyframe_indices) > len({run.trajectory[i].tobytes() for i in run.keyframe_indices})
+
+
 def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:
     run = episode(box, **{"views.max_revisits": 8, "sensor.pose_noise_m": 0.01, "gains": ("unknown_volume",)})
     for _ in range(3):

@@ -446,7 +446,8 @@ class Mapper:
         """The map as frames of one camera show it."""
         camera, poses = frames[0].camera, np.stack([frame.world_from_camera for frame in frames])
         hints = [parts.unseen(camera, pose, self._hiding(frame)) for pose, frame in zip(poses, frames)]
-        unseen = None if hints[0] is None else np.stack(hints)  # of a small map there is none
+        known = [hint for hint in hints if hint is not None]  # all, or of a small map none
+        unseen = np.stack(known) if known else None
         return self.rasterizer.render_colors(self.map.parameters, self.map.count, camera, poses, unseen=unseen)
 
 

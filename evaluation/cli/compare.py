@@ -327,8 +327,8 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
         typed["overrides"] = overrides
     if options.start is not None:
         typed["start_pose"] = start_of(options.start, typed.get("scenes", begun.scenes))
-    measured = {"views": options.views, "surface_samples": options.samples, "view_source": options.view_source}
-    measured = {name: value for name, value in measured.items() if value is not None}
+    said = {"views": options.views, "surface_samples": options.samples, "view_source": options.view_source}
+    measured: dict[str, Any] = {name: value for name, value in said.items() if value is not None}
     if measured:
         typed["protocol"] = dataclasses.replace(begun.protocol, **measured)
     if options.protocols is not None:

@@ -45,6 +45,9 @@ _NOTHING = np.empty((0, 0))
 # the size draws in pixels (own choice).
 PSNR_RENDERS = 16
 
+# Pictures from which on drawing them by one call is cheaper than one after the other: it has buffers to fill first.
+_TOGETHER = 4
+
 # Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
 # keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured in
 # docs/notebook/map.md, "Large maps").
@@ -447,6 +450,12 @@ class Mapper:
         camera, poses = frames[0].camera, np.stack([frame.world_from_camera for frame in frames])
         hints = [parts.unseen(camera, pose, self._hiding(frame)) for pose, frame in zip(poses, frames)]
         known = [hint for hint in hints if hint is not None]  # all, or of a small map none
+        if len(frames) < _TOGETHER:
+            drawn = (
+                self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=hint)
+                for pose, hint in zip(poses, hints)
+            )
+            return np.stack([rendering.color for rendering in drawn])
         unseen = np.stack(known) if known else None
         return self.rasterizer.render_colors(self.map.parameters, self.map.count, camera, poses, unseen=unseen)
 

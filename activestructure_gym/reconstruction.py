@@ -409,8 +409,9 @@ class Reconstruction:
             )
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
             self.gains = np.pad(evaluate_features(config.gains, context), asks)
-            self.gains[self.candidates.ends] = 0.0  # it shows nothing, though it stands at a pose
             self.visible = np.pad(context.visible, asks)
+            # What ends the episode shows nothing, though it stands at a pose.
+            self.gains[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
         """Keyframe poses, worst rendered first, each once: a revisit adds a keyframe where there is one."""

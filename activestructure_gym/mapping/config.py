@@ -157,7 +157,7 @@ class MapperConfig:
     log_scale_rate: float = 8e-3  # per step
     opacity_rate: float = 0.0  # logit per step
     color_rate: float = 3e-4  # of the 0..1 range per step
-    refine_shapes: bool = False  # refining learns more than colours (measured: held-out views of models get worse)
+    refine_shapes: bool = False  # refining learns more than colours (measured: held-out views get worse)
     adam_beta1: float = 0.9  # [adam]
     adam_beta2: float = 0.999  # [adam]
     adam_epsilon: float = 1e-15  # [kerbl2023, code]

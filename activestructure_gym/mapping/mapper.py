@@ -45,9 +45,6 @@ _NOTHING = np.empty((0, 0))
 # the size draws in pixels (own choice).
 PSNR_RENDERS = 16
 
-# Pictures from which on drawing them by one call is cheaper than one after the other: it has buffers to fill first.
-_TOGETHER = 4
-
 # Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
 # keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured in
 # docs/notebook/map.md, "Large maps").
@@ -431,33 +428,14 @@ class Mapper:
         return self.map.remove(unfit(self.map.parameters, self.map.count, least_logit, float(np.log(limit)), changed))
 
     def _measure_psnr(self, indices: Sequence[int]) -> None:
-        if not len(indices):
-            return
-        parts, frames = MapParts(self.map, kept=True), self._store.frames
-        errors: dict[int, float] = {}
-        for first in range(0, len(indices), PSNR_RENDERS):
-            some = indices[first : first + PSNR_RENDERS]
-            for camera in dict.fromkeys(frames[index].camera for index in some):
-                alike = [index for index in some if frames[index].camera == camera]
-                for index, shown in zip(alike, self._colors([frames[index] for index in alike], parts)):
-                    off = np.square(np.clip(shown, 0.0, 1.0) - unit_rgb(frames[index]))
-                    errors[index] = float(np.mean(off, dtype=np.float64))
+        parts = MapParts(self.map, kept=True) if len(indices) else None
         for index in indices:
-            self._store.record_psnr(index, -10.0 * np.log10(max(errors[index], 1e-10)))
-
-    def _colors(self, frames: Sequence[Frame], parts: MapParts) -> np.ndarray:  # [n, H, W, 3]
-        """The map as frames of one camera show it."""
-        camera, poses = frames[0].camera, np.stack([frame.world_from_camera for frame in frames])
-        hints = [parts.unseen(camera, pose, self._hiding(frame)) for pose, frame in zip(poses, frames)]
-        known = [hint for hint in hints if hint is not None]  # all, or of a small map none
-        if len(frames) < _TOGETHER:
-            drawn = (
-                self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=hint)
-                for pose, hint in zip(poses, hints)
-            )
-            return np.stack([rendering.color for rendering in drawn])
-        unseen = np.stack(known) if known else None
-        return self.rasterizer.render_colors(self.map.parameters, self.map.count, camera, poses, unseen=unseen)
+            frame = self._store.frames[index]
+            camera, pose = frame.camera, frame.world_from_camera
+            unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
+            shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
+            error = float(np.mean(np.square(np.clip(shown, 0.0, 1.0) - unit_rgb(frame)), dtype=np.float64))
+            self._store.record_psnr(index, -10.0 * np.log10(max(error, 1e-10)))
 
 
 def checked_frame(frame: Frame) -> Frame:

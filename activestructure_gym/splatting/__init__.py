@@ -17,7 +17,6 @@ from activestructure_gym.splatting.cpu import (
     mapping_step,
     pose_gradient,
     render,
-    render_colors,
     render_depth_alpha,
 )
 from activestructure_gym.splatting.ssim import ssim_and_gradient
@@ -41,7 +40,6 @@ __all__ = [
     "pose_gradient",
     "rasterize",
     "render",
-    "render_colors",
     "render_depth_alpha",
     "ssim_and_gradient",
 ]

@@ -27,15 +27,6 @@ class Found(NamedTuple):
     places: np.ndarray  # [N + LANES] int32, rising numbers of those found, then any
 
 
-class FoundInColor(NamedTuple):
-    """The same, with where their colours stand."""
-
-    shapes: np.ndarray  # [N * RECORD] float32
-    places: np.ndarray  # [N + LANES] int32
-    parameters: np.ndarray  # [14, capacity] float32
-    tints: np.ndarray  # [3 * LANES] float32, room
-
-
 class Kept(NamedTuple):
     """Alphas and stops that blending stores for the backward pass."""
 

@@ -143,38 +143,10 @@ def render_depth_alpha(
     depth, alpha = (np.empty(len(poses) * camera.width * camera.height, np.float32) for _ in range(2))
     threads = min(threads or default_threads(), max(1, len(poses)))
     grid, shapes = make_grid(count, parameters.shape[1], camera), aligned_zeros(layout.RECORD * parameters.shape[1])
-    every = np.arange(grid[layout.CHUNKS])
-    TEAM.run(kernels.shape, (np.zeros(1, np.int64), parameters, grid, every, shapes), threads)
+    TEAM.run(kernels.shape, (np.zeros(1, np.int64), parameters, grid, shapes), threads)
     TEAM.run(kernels.score, (np.zeros(1, np.int64), parameters, shapes, views, grid, depth, alpha), threads)
     shape = (len(poses), camera.height, camera.width)
     return depth.reshape(shape), alpha.reshape(shape)
-
-
-def render_colors(
-    parameters: np.ndarray,  # [14, capacity] float32
-    count: int,
-    camera: PinholeCamera,
-    world_from_camera: np.ndarray,  # [C, 4, 4]
-    *,
-    unseen: np.ndarray | None = None,  # [C, chunks] bool, as in `render` for each of them
-    threads: int | None = None,
-) -> np.ndarray:  # [C, H, W, 3]
-    """The colour of `render` from many poses, one of them per thread at a time: cheaper than one after the other."""
-    check_map(parameters, count)
-    poses = invert_rigid(np.asarray(world_from_camera, dtype=np.float64).reshape(-1, 4, 4))
-    parameters = fitted(parameters)
-    views = np.repeat(make_view(camera, np.eye(4))[None], len(poses), axis=0)
-    views[:, : layout.FX] = poses[:, :3].reshape(-1, layout.FX)
-    grid = make_grid(count, parameters.shape[1], camera).copy()
-    grid[layout.STRIDE], grid[layout.MARGIN] = 3 * camera.width, 0
-    if unseen is None:
-        unseen = np.zeros((len(poses), int(grid[layout.CHUNKS])), dtype=bool)
-    color = np.empty(3 * len(poses) * camera.width * camera.height, np.float32)
-    shapes, taken = aligned_zeros(layout.RECORD * parameters.shape[1]), np.flatnonzero(~unseen.all(axis=0))
-    threads = min(threads or default_threads(), max(1, len(poses)))
-    TEAM.run(kernels.shape, (np.zeros(1, np.int64), parameters, grid, taken, shapes), threads)
-    TEAM.run(kernels.draw, (np.zeros(1, np.int64), parameters, shapes, views, unseen, grid, color), threads)
-    return color.reshape(-1, camera.height, camera.width, 3)
 
 
 def mapping_step(

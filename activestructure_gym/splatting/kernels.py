@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 
 from activestructure_gym.compiling import kernel
-from activestructure_gym.splatting.arguments import Found, FoundInColor, Lists, Pictures
+from activestructure_gym.splatting.arguments import Found, Lists, Pictures
 from activestructure_gym.splatting.blending import (
     COLORED_STATE,
     SCORING_STATE,
@@ -88,7 +88,6 @@ from activestructure_gym.splatting.tile_lists import (
     plan_entries,
     project_chunk,
     project_found_chunk,
-    project_found_chunk_in_color,
     sort_tile,
 )
 from activestructure_gym.splatting.tile_losses import compare_tile
@@ -238,13 +237,12 @@ def unblend(tickets, lists, scratch, kept, pictures, by_pictures, by_layout, ste
 
 
 @kernel
-def shape(tickets, parameters, grid, taken, shapes):
-    """What `score` and `draw` need of every Gaussian in these chunks and no camera changes, 16 floats each."""
+def shape(tickets, parameters, grid, shapes):
+    """What `score` needs of every Gaussian and no camera changes, 16 floats each."""
     while True:
-        number = take_ticket(tickets, 0)
-        if number >= len(taken):
+        chunk = take_ticket(tickets, 0)
+        if chunk >= grid[CHUNKS]:
             return
-        chunk = taken[number]
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, grid[COUNT]), LANES):
             store_transposed(shapes, RECORD * i, shape_of(parameters, grid[CAPACITY], i))
 
@@ -269,7 +267,7 @@ def score(tickets, parameters, shapes, views, whole, depth, alpha):
         camera = take_ticket(tickets, 0)
         if camera >= views.shape[0]:
             return
-        count = find_in_view(parameters, views[camera], taken, whole, places)
+        count = find_in_view(parameters, views[camera], whole, places)
         chunks, grid[COUNT] = (count + CHUNK - 1) // CHUNK, count
         if chunks * CHUNK * RECORD > len(records):
             records = scratch_of(2 * chunks * CHUNK * RECORD)
@@ -289,49 +287,6 @@ def score(tickets, parameters, shapes, views, whole, depth, alpha):
             alive = open_tile(tile, grid, state, np.int64(SCORING_STATE))
             blend_forward_without_color(tile, alive, lists, state, state, 0)
             write_tile(tile, grid, state, np.int64(SCORING_STATE), pictures)
-
-
-@kernel
-def draw(tickets, parameters, shapes, views, unseen, whole, color):
-    """Colour of many cameras as `score` draws their depth and alpha; ``unseen`` are chunks that need no look.
-
-    Threads that share one small picture wait for each other, and of 16 neighbours in the map most are out of view.
-    """
-    grid, tiles = whole.copy(), whole[TILES_X] * whole[TILES_Y]
-    places, every = np.zeros(whole[COUNT] + LANES, np.int32), np.arange(whole[CHUNKS])
-    visible = np.empty(whole[CHUNKS] * (CHUNK // LANES), np.int32)
-    histogram, chunk_entries = np.empty(whole[CHUNKS] * tiles, np.int32), np.empty(whole[CHUNKS], np.int64)
-    tile_start, tile_order = np.empty(tiles + 1, np.int64), np.empty(tiles + PLACES, np.int64)
-    digits, tints = np.empty(DIGITS, np.int64), scratch_of(3 * LANES)
-    pixels = grid[WIDTH] * grid[HEIGHT]
-    state, spare = scratch_of(64 * COLORED_STATE), scratch_of(LANES)
-    depth, alpha = np.empty(pixels, np.float32), np.empty(pixels, np.float32)
-    records, entries = scratch_of(CHUNK * RECORD), np.empty((ENTRY_ROWS, 1024), np.uint64)
-    found = FoundInColor(shapes, places, parameters, tints)
-    while True:
-        camera = take_ticket(tickets, 0)
-        if camera >= views.shape[0]:
-            return
-        taken = np.flatnonzero(np.logical_not(unseen[camera]))
-        count = find_in_view(parameters, views[camera], taken, whole, places)
-        chunks, grid[COUNT] = (count + CHUNK - 1) // CHUNK, count
-        if chunks * CHUNK * RECORD > len(records):
-            records = scratch_of(2 * chunks * CHUNK * RECORD)
-        lists = Lists(views[camera], grid, records, every[:chunks], visible, tile_start, tile_order, entries)
-        for chunk in range(chunks):
-            project_found_chunk_in_color(chunk, found, lists, histogram, chunk_entries)
-        total = plan_entries(lists, histogram, chunk_entries)
-        if total > entries.shape[1]:
-            entries = np.empty((ENTRY_ROWS, 2 * total), np.uint64)
-            lists = Lists(views[camera], grid, records, every[:chunks], visible, tile_start, tile_order, entries)
-        for chunk in range(chunks):
-            fill_chunk(chunk, lists, histogram, chunk_entries)
-        pictures = Pictures(color[3 * camera * pixels : 3 * (camera + 1) * pixels], depth, alpha)
-        for tile in range(tiles):
-            sort_tile(tile, lists, digits)
-            alive = open_tile(tile, grid, state, np.int64(COLORED_STATE))
-            blend_forward(tile, alive, lists, state, spare, 0)
-            write_tile(tile, grid, state, np.int64(COLORED_STATE), pictures)
 
 
 @kernel

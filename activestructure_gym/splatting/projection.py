@@ -33,9 +33,8 @@ from activestructure_gym.splatting.layout import (
     SLANT_VARIANCE,
     WIDTH,
 )
-from activestructure_gym.splatting.memory import load, load_rows_transposed, peek, poke, store_transposed
+from activestructure_gym.splatting.memory import load, load_rows_transposed, store_transposed
 from activestructure_gym.splatting.simd import (
-    LANES,
     F,
     bits,
     ceil,
@@ -188,20 +187,6 @@ def project_found(found, i, view, grid, records):
     live = lane_index() < F(grid[COUNT] - i)
     shape = load_rows_transposed(found.shapes, found.places, i)
     return _write_records(live, shape, (none, none, none), i, view, grid, records)
-
-
-@inner
-def project_found_in_color(found, i, view, grid, records):
-    """The same with their colours."""
-    capacity, tints = grid[CAPACITY], found.tints
-    live = lane_index() < F(grid[COUNT] - i)
-    shape = load_rows_transposed(found.shapes, found.places, i)
-    for lane in range(LANES):
-        at = np.int64(peek(found.places, i + lane))
-        for channel in range(3):
-            poke(tints, LANES * channel + lane, peek(found.parameters, (11 + channel) * capacity + at))
-    colors = load(tints, 0), load(tints, LANES), load(tints, 2 * LANES)
-    return _write_records(live, shape, colors, i, view, grid, records)
 
 
 @inline

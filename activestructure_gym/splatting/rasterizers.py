@@ -46,18 +46,6 @@ class Rasterizer(Protocol):
         """Depth and alpha of many cameras."""
         ...
 
-    def render_colors(
-        self,
-        parameters: np.ndarray,  # [14, capacity] float32
-        count: int,
-        camera: PinholeCamera,
-        world_from_camera: np.ndarray,  # [C, 4, 4]
-        *,
-        unseen: np.ndarray | None = None,  # [C, chunks] bool
-    ) -> np.ndarray:  # [C, H, W, 3]
-        """The colour of `render` of many cameras."""
-        ...
-
     def mapping_step(
         self,
         parameters: np.ndarray,  # [14, capacity] float32, changed in place

@@ -37,7 +37,7 @@ from activestructure_gym.splatting.layout import (
     V,
 )
 from activestructure_gym.splatting.memory import count_bits, lowest_bit, peek, peek_bits, poke, poke_add, poke_bits
-from activestructure_gym.splatting.projection import project_block, project_found, project_found_in_color, reaches_image
+from activestructure_gym.splatting.projection import project_block, project_found, reaches_image
 from activestructure_gym.splatting.simd import LANES, U64, F, bits, inline, inner
 
 _COLUMNS_KEPT = np.array([0x0101010101010101 * (0xFF >> shift) for shift in range(8)], np.uint64)
@@ -132,24 +132,18 @@ def _make_project(project):
 
 project_chunk = _make_project(project_block)
 project_found_chunk = _make_project(project_found)
-project_found_chunk_in_color = _make_project(project_found_in_color)
 
 
 @inner
-def find_in_view(parameters, view, taken, grid, places):
-    """Write the numbers of the Gaussians that may reach a pixel into ``places``; returns how many.
-
-    ``taken``: the chunks that are looked at, rising.
-    """
+def find_in_view(parameters, view, grid, places):
+    """Write the numbers of the Gaussians that may reach a pixel into ``places``; returns how many."""
     count = 0
-    for number in range(len(taken)):
-        first = CHUNK * taken[number]
-        for i in range(first, min(first + CHUNK, grid[COUNT]), LANES):
-            seen = np.int64(bits(reaches_image(parameters, i, view, grid)))
-            while seen != 0:
-                poke(places, count, np.int32(i + lowest_bit(seen)))
-                seen &= seen - 1
-                count += 1
+    for i in range(0, grid[COUNT], LANES):
+        seen = np.int64(bits(reaches_image(parameters, i, view, grid)))
+        while seen != 0:
+            poke(places, count, np.int32(i + lowest_bit(seen)))
+            seen &= seen - 1
+            count += 1
     return count
 
 

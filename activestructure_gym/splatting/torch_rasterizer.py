@@ -71,19 +71,6 @@ class TorchRasterizer:
                 depths[some], alphas[some] = _array(depth), _array(alpha)
         return depths, alphas
 
-    def render_colors(
-        self,
-        parameters: np.ndarray,  # [14, capacity] float32
-        count: int,
-        camera: PinholeCamera,
-        world_from_camera: np.ndarray,  # [C, 4, 4]
-        *,
-        unseen: np.ndarray | None = None,  # not used
-    ) -> np.ndarray:  # [C, H, W, 3]
-        """As `cpu.render_colors`."""
-        pictures = [self.render(parameters, count, camera, pose).color for pose in world_from_camera]
-        return np.array(pictures, np.float32).reshape(-1, camera.height, camera.width, 3)
-
     def mapping_step(
         self,
         parameters: np.ndarray,  # [14, capacity] float32, changed in place

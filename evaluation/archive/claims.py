@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import parts
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import machine_mark
 
@@ -36,7 +36,7 @@ class Claims:
     def __init__(self, directory: Path) -> None:
         self.lost_after = _lost_after()
         self._place = directory / CLAIMS
-        with store.writing(self._place):
+        with parts.writing(self._place):
             self._place.mkdir(parents=True, exist_ok=True)
         # Containers may share their name and the numbers of their processes.
         self._who = f"{machine_mark()}-{os.getpid()}-{secrets.token_hex(4)}"

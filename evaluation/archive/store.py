@@ -24,17 +24,14 @@ A comparison's directory::
 from __future__ import annotations
 
 import dataclasses
-import errno
 import hashlib
 import json
 import math
 import os
 import shlex
 import shutil
-import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -46,7 +43,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
 from activestructure_gym.evaluation.archive.old_names import current_name
-from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+from activestructure_gym.evaluation.archive.parts import part_of, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 
@@ -67,7 +64,6 @@ STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "grap
 _READ_AGAIN = (CONFIG, "metrics.json", "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
 REPLAY = "replay.html"  # the page to watch a run on, where one was made
 _LARGEST_LOG = 256 << 20  # bytes of steps.jsonl
-_LONGEST_REPORT = 86400.0  # seconds after which what another machine was writing counts as left behind
 
 
 @dataclass(frozen=True)
@@ -265,7 +261,7 @@ def whole_directory(directory: Path) -> Iterator[Path]:
     nothing is left behind.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
-    part = directory.with_name(f".{directory.name}.part-{machine_mark()}-{os.getpid()}")
+    part = directory.with_name(f".{directory.name}{part_of()}")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
     try:
@@ -303,42 +299,6 @@ def finished_marks(directory: Path) -> list[Path]:
     return sorted(mark for mark in marks if not mark.parent.name.startswith("."))
 
 
-@contextmanager
-def whole_files(directory: Path) -> Iterator[Path]:
-    """A folder to write files into, which take their places in ``directory`` when the block ends without an error.
-
-    Files of other names stay; after an error, all of them do. A place that cannot be written is an `InputError`.
-    """
-    new = not directory.exists()
-    with writing(directory):
-        directory.mkdir(parents=True, exist_ok=True)
-        remove_parts(directory, "files-*", others_after=_LONGEST_REPORT)  # it may be anybody's folder
-        part = Path(tempfile.mkdtemp(prefix=".files-", suffix=f".part-{machine_mark()}-{os.getpid()}", dir=directory))
-    try:
-        with writing(directory):
-            yield part
-            places = {file: directory / file.relative_to(part) for file in sorted(part.rglob("*")) if file.is_file()}
-            for place in places.values():  # before the first takes its place
-                place.parent.mkdir(parents=True, exist_ok=True)
-                if place.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, f"'{place.name}' in it is a folder")
-            for file, place in places.items():
-                os.replace(file, place)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-        if new and not any(directory.iterdir()):
-            directory.rmdir()
-
-
-@contextmanager
-def writing(place: str | os.PathLike[str]) -> Iterator[None]:
-    """Make a failure to write to ``place`` an `InputError`."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"'{place}' cannot be written: {error.strerror or error}") from error
-
-
 def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: str, metrics: dict[str, Any]) -> Path:
     """Keep a further protocol's numbers in a run's directory; replaces those of the same protocol.
 
@@ -350,29 +310,6 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
         path.parent.mkdir(exist_ok=True)
         write_json(path, content)
     return path
-
-
-def remove_parts(directory: Path, name: str = "*", *, others_after: float = 0.0) -> None:
-    """Remove what killed processes left half-written in ``directory``, of one name or of all.
-
-    What a living process of this machine writes is left alone, and what another machine's has begun within the last
-    ``others_after`` seconds.
-    """
-    for part in directory.glob(f".{name}.part-*"):
-        machine, _, process = part.name.rpartition(".part-")[2].partition("-")
-        if machine == machine_mark():
-            left = not (process.isdigit() and is_alive(int(process)))
-        else:
-            left = _age(part) >= others_after
-        if left:
-            shutil.rmtree(part, ignore_errors=True)
-
-
-def _age(path: Path) -> float:
-    """Seconds since a folder was changed; 0 where it is gone, or the clocks of two machines differ."""
-    with suppress(OSError):
-        return max(0.0, time.time() - path.stat().st_mtime)
-    return 0.0
 
 
 def write_json(path: Path, content: Any) -> None:

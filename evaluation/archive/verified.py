@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import schema, store
+from activestructure_gym.evaluation.archive import parts, schema, store
 
 VARIABLE = "ASG_VERIFIED_DIR"
 Verdict = Literal["identical", "within tolerances", "differs", "damaged"]
@@ -45,7 +45,7 @@ def marks_directory() -> Path:
 def keep(run: Path, found: Verification) -> None:
     """Remember what became of a run; replaces what was known of it."""
     place = _place(run)
-    with store.writing(place):
+    with parts.writing(place):
         place.parent.mkdir(parents=True, exist_ok=True)
         store.write_json(place, asdict(found))
 

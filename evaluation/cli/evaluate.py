@@ -99,7 +99,8 @@ class Evaluate:
 
 def _evaluate_map(options: Evaluate) -> int:
     """Score a map file of any origin on a scene."""
-    from activestructure_gym.evaluation.archive.store import write_json, writing
+    from activestructure_gym.evaluation.archive.parts import writing
+    from activestructure_gym.evaluation.archive.store import write_json
     from activestructure_gym.evaluation.protocols import get_protocol
     from activestructure_gym.evaluation.running.remeasure import measure_file
 

@@ -28,7 +28,7 @@ class Leaderboard:
     def run(self) -> int:
         """Write the page; 0 if all runs are in it, 1 if some could not be read."""
         from activestructure_gym.evaluation.archive.comparison import each_run
-        from activestructure_gym.evaluation.archive.store import writing
+        from activestructure_gym.evaluation.archive.parts import writing
         from activestructure_gym.evaluation.archive.verified import known
         from activestructure_gym.evaluation.report.leaderboard import leaderboard_page
         from activestructure_gym.files import replaced

@@ -64,7 +64,7 @@ class Scenes:
                 table.add_row(f"[bold]{name}[/]", escape(text))
             print_whole(console, table)
         if self.picture is not None:
-            from activestructure_gym.evaluation.archive.store import writing
+            from activestructure_gym.evaluation.archive.parts import writing
             from activestructure_gym.evaluation.report.scene_picture import scene_picture
             from activestructure_gym.files import replaced
 

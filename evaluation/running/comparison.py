@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import parts, store
 from activestructure_gym.evaluation.archive.claims import CLAIMS
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
@@ -301,7 +301,7 @@ def run_comparison(
             "another one"
         )
     everything = merged(recorded, jobs, directory)
-    store.remove_parts(directory / store.JOBS)
+    parts.remove_parts(directory / store.JOBS)
     for path in directory.glob(f".{store.COMPARISON}.*"):
         path.unlink(missing_ok=True)
     for job in everything:

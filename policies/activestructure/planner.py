@@ -84,8 +84,8 @@ class StructurePolicy(Policy):
 
     def _choose(self, gain: np.ndarray, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
         travel = travel_discount(observation)
-        # Where nothing is left to gain the floor leaves the choice to the distance; that of the row that ends is none.
-        scores = np.where(self._ending(observation), 0.0, np.maximum(gain, 1e-6) * travel)
+        # Where nothing is left to gain the floor leaves the choice to the distance.
+        scores = np.maximum(gain, 1e-6) * travel
         choice = best_valid(scores, observation)
         others = observation["action_mask"].astype(bool)
         others[choice] = False
@@ -94,13 +94,6 @@ class StructurePolicy(Policy):
             second = int(np.argmax(np.where(others, scores, -np.inf)))
             self._trace["runner_up"] = {"row": second, **terms.row(second), "travel": float(travel[second])}
         return choice
-
-    def _ending(self, observation: Observation) -> np.ndarray:  # [K] bool
-        """The row that ends the episode, where the environment has the source ``finish``."""
-        candidates = self.candidates(observation)
-        return (
-            candidates.valid & candidates.source(_END) if candidates.offers(_END) else np.zeros(len(candidates), bool)
-        )
 
     def trace(self) -> dict[str, Any]:
         """The terms of the chosen view and of the runner-up, and for the full model the phase."""
@@ -195,9 +188,9 @@ class ActiveStructure(StructurePolicy):
         lowest = float(observation["fidelity"][0])
         settled = not open_.any() or lowest >= GOOD_PSNR
         more = {**more, "fidelity": lowest, "settled": settled}
-        if settled and (ending := self._ending(observation)).any():
+        if settled and candidates.offers(_END) and (ending := np.flatnonzero(candidates.source(_END))).size:
             self._trace = more
-            return int(np.argmax(ending))
+            return int(ending[0])
         if settled:
             return self._choose(discovering(terms.total, observation), terms, observation, more)
         choice = self._choose(open_.astype(np.float64), terms, observation, more)

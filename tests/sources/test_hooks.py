@@ -156,7 +156,8 @@ def test_finishing_ends_the_episode_once_something_was_paid(env: ReconstructionE
     rows = read(env, observation)
     (row,) = np.nonzero(rows.source("finish"))[0]
     paid = info["frames"]
-    assert rows.frames[row] == 40 - paid and not observation["candidate_gains"][row].any()
+    assert rows.frames[row] == 40 - paid
+    assert not observation["candidate_gains"][row].any() and not observation["candidate_planes"][row].any()
     *_, terminated, truncated, info = env.step(int(row))
     assert terminated and not truncated and info["frames"] == paid and info["is_success"] is False
     with pytest.raises(gym.error.ResetNeeded):

@@ -6,11 +6,9 @@ from activestructure_gym.geometry import PinholeCamera, se3_exp
 from activestructure_gym.splatting import (
     LossWeights,
     TrackingWeights,
-    layout,
     mapping_step,
     pose_gradient,
     render,
-    render_colors,
     render_depth_alpha,
     workspace,
 )
@@ -64,37 +62,6 @@ def test_render_depth_alpha_is_render_for_each_camera(kind, splats_of):
         assert np.array_equal(again[0], depth) and np.array_equal(again[1], alpha)
     none, _ = render_depth_alpha(parameters, count, splats.camera, poses[:0])
     assert none.shape == (0, splats.camera.height, splats.camera.width)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_colors_of_many_cameras_are_those_of_each_to_the_bit(kind, splats_of):
-    splats = splats_of(kind)
-    count = splats.means.shape[0]
-    parameters = splats.parameters(capacity=count + 5)
-    parameters[:, count:] = np.nan  # what lies beyond count is never read
-    aside, round_about = np.eye(4), np.diag([-1.0, 1.0, -1.0, 1.0])
-    aside[0, 3] = 0.3
-    poses = np.stack([splats.world_from_camera @ turn for turn in (round_about, np.eye(4), aside)])
-    for threads in (1, 2, 3):
-        colors = render_colors(parameters, count, splats.camera, poses, threads=threads)
-        for color, pose in zip(colors, poses):
-            np.testing.assert_array_equal(color, render(parameters, count, splats.camera, pose).color)
-    none = render_colors(parameters, count, splats.camera, poses[:0])
-    assert none.shape == (0, splats.camera.height, splats.camera.width, 3)
-
-
-def test_colors_of_many_cameras_leave_out_what_each_does_not_see(splats_of):
-    splats = splats_of("crowd")
-    parameters = np.tile(splats.parameters(), 1 + 3 * layout.CHUNK // splats.means.shape[0])
-    count = parameters.shape[1]
-    unseen = np.zeros((2, -(-count // layout.CHUNK)), dtype=bool)
-    unseen[0, 1], unseen[1, ::2] = True, True
-    poses = np.stack([splats.world_from_camera] * 2)
-    colors = render_colors(parameters, count, splats.camera, poses, unseen=unseen)
-    for color, hint in zip(colors, unseen):
-        np.testing.assert_array_equal(color, render(parameters, count, splats.camera, poses[0], unseen=hint).color)
-    assert not np.array_equal(*colors)
-    assert not render_colors(parameters, count, splats.camera, poses, unseen=np.ones_like(unseen)).any()
 
 
 def _targets(splats, seed=5):

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.store import JOBS, is_done, remove_parts
+from activestructure_gym.evaluation.archive.parts import remove_parts
+from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
 

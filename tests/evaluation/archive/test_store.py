@@ -1,5 +1,4 @@
 import json
-import os
 
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.machine.processes import machine_mark
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.remeasure import differing
@@ -37,40 +35,6 @@ def test_after_an_error_nothing_is_left_and_the_old_stays(tmp_path, error):
         raise error
     assert [entry.name for entry in tmp_path.iterdir()] == ["one"]
     assert [entry.name for entry in target.iterdir()] == ["old"]
-
-
-def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
-    here = machine_mark()
-    dead = tmp_path / f".one.part-{here}-999999999"  # above the largest process id of Linux
-    living = tmp_path / f".one.part-{here}-{os.getpid()}"
-    foreign = tmp_path / f".one.part-abcdef-{os.getpid()}"  # a machine of a cluster, whose supervisor is gone
-    result = tmp_path / "one"
-    for directory in (dead, living, foreign, result):
-        directory.mkdir()
-    store.remove_parts(tmp_path)
-    assert {entry.name for entry in tmp_path.iterdir()} == {living.name, "one"}
-
-
-def test_what_a_killed_report_left_is_removed_by_the_next(tmp_path):
-    left = tmp_path / f".files-abc.part-{machine_mark()}-999999999"
-    left.mkdir()
-    with store.whole_files(tmp_path) as part:
-        (part / "report.html").touch()
-        assert not left.exists() and part.is_dir()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
-
-
-def test_a_report_leaves_the_folders_of_others_alone(tmp_path):
-    theirs = [".disk.part-1", f".one.part-{machine_mark()}-999999999", f".files-x.part-abcdef-{os.getpid()}"]
-    old = tmp_path / ".files-y.part-abcdef-1"
-    for name in (*theirs, old.name):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "data.bin").touch()
-    os.utime(old, (1e9, 1e9))
-    with store.whole_files(tmp_path) as part:
-        (part / "report.html").touch()
-    assert {entry.name for entry in tmp_path.iterdir()} == {*theirs, "report.html"}
-    assert all((tmp_path / name / "data.bin").exists() for name in theirs)
 
 
 def test_what_is_half_written_is_no_finished_run(tmp_path):

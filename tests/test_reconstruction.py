@@ -387,6 +387,18 @@ def test_a_pose_is_offered_once_however_often_it_was_revisited(box: Scene) -> No
     assert len(run.keyframe_indices) > len({run.trajectory[i].tobytes() for i in run.keyframe_indices})
 
 
+def test_the_start_counts_as_visited(box: Scene) -> None:
+    views = {"views.max_candidates": 5000, "views.max_revisits": 0}
+    offered = episode(box, **views).candidates.world_from_camera
+    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 60, **views}))
+    for pose in offered[::97]:
+        run.start(ground_truth_of(box), 0, pose)  # the lattice of views has one exactly there
+        poses, rule = run.candidates.world_from_camera, run.config.views
+        near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) <= rule.visited_distance_m
+        alike = poses[:, :3, 2] @ pose[:3, 2] >= np.cos(np.radians(rule.visited_angle_deg))
+        assert near.any() and not (near & alike).any()
+
+
 def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:
     run = episode(box, **{"views.max_revisits": 8, "sensor.pose_noise_m": 0.01, "gains": ("unknown_volume",)})
     for _ in range(3):

@@ -97,6 +97,12 @@ class KeyframeStore:
         order = np.argsort(np.array(self._measured, dtype=np.int64), kind="stable")
         return [int(index) for index in order[: max(0, count)]]
 
+    def to_measure(self, *, oldest: int, count: int) -> list[int]:
+        """``count`` keyframes: the ``oldest`` stalest, then those whose PSNR was lowest when it was last measured."""
+        first = self.stalest(min(oldest, count))
+        worst = [int(index) for index in np.argsort(self.psnr, kind="stable") if index not in first]
+        return first + worst[: max(0, count - len(first))]
+
     def poor(self, *, psnr_threshold: float, new_share_threshold: float) -> list[int]:
         """The global keyframes: those rendered worse than ``psnr_threshold`` decibel or that opened new space.
 

@@ -43,7 +43,7 @@ _NOTHING = np.empty((0, 0))
 
 # Keyframes that a decision renders to know how well they are mapped: a quarter of what scoring 256 candidates at half
 # the size draws in pixels (own choice).
-PSNR_RENDERS = 16
+PSNR_RENDERS = 8
 
 # Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late
 # keyframes seed a little of everything in view, so in order of age a block of neighbours spans rooms (measured in
@@ -179,12 +179,14 @@ class Mapper:
         return self.rasterizer.render_depth_alpha(parameters, count, camera, world_from_camera)
 
     def keyframe_psnr(self, *, renders: int | None = PSNR_RENDERS) -> np.ndarray:  # [T] float64 decibel
-        """PSNR of every keyframe, as it was last measured; the ``renders`` oldest values are measured anew first.
+        """PSNR of every keyframe, as it was last measured; ``renders`` of them are measured anew first.
 
-        So the cost does not grow with the keyframes, and no value is older than ``ceil(T / renders)`` calls: all are
-        of the map as it is now up to ``renders`` keyframes, or with ``renders=None``.
+        A quarter of these are the oldest values, so that none is older than ``ceil(T / ceil(renders / 4))`` calls; the
+        others are the worst, which are what is asked for. So the cost does not grow with the keyframes; all are of the
+        map as it is now up to ``renders`` keyframes, or with ``renders=None``.
         """
-        self._measure_psnr(self._store.stalest(len(self.keyframes) if renders is None else renders))
+        count = len(self.keyframes) if renders is None else renders
+        self._measure_psnr(self._store.to_measure(oldest=-(-count // 4), count=count))
         return np.array(self._store.psnr, dtype=np.float64)
 
     def movement(self) -> np.ndarray:  # [N] float32 metres

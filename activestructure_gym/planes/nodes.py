@@ -30,7 +30,7 @@ class PlaneNode:
         self.anchor = segment.centroid.copy()  # [3] world; point moments are taken about it, to keep their digits
         self.moments = np.zeros(MOMENTS)
         self.keyframes = 0  # bit t is set when keyframe t showed the plane
-        self.normals: list[np.ndarray] = []  # [<= window] of [3], one per keyframe, newest last
+        self.normals: dict[int, np.ndarray] = {}  # by keyframe [3] unit, as it showed the plane; the last ``window``
         self._window = window
         self.shift = np.inf  # metres the centroid moved at the last update; inf: there was no update yet
         self.area_change = np.inf  # relative change of the area at the last update
@@ -108,7 +108,8 @@ class PlaneNode:
         weights = np.array([segment.area for segment in segments]) + 1e-12
         total = sum(segment.normal * weight for segment, weight in zip(segments, weights))
         seen_normal = total / np.add.reduce(weights)
-        self.normals = [*self.normals, seen_normal / length(seen_normal)][-self._window :]
+        self.normals[keyframe] = seen_normal / length(seen_normal)
+        self._forget()
         self.moments += moments
         self.keyframes |= 1 << keyframe
         self.surface.seat(self.normal, self.offset)
@@ -126,10 +127,18 @@ class PlaneNode:
         self.normal = normal / size
         self.moments += _moved(other.moments, other.anchor - self.anchor)
         self.keyframes |= other.keyframes
-        self.normals = (other.normals + self.normals)[-self._window :]
+        for keyframe, seen in other.normals.items():
+            mine = self.normals.get(keyframe)
+            seen = seen if mine is None else (1.0 - share) * mine + share * seen
+            self.normals[keyframe] = seen / length(seen)
+        self._forget()
         self.surface.seat(self.normal, self.offset)
         self.surface.absorb(other.surface)
         self._note_change(*before)
+
+    def _forget(self) -> None:
+        """Keep the normals of the last ``window`` keyframes that showed the plane."""
+        self.normals = dict(sorted(self.normals.items())[-self._window :])
 
     def _note_change(self, centroid: np.ndarray, area: float) -> None:
         self.shift = distance(self.centroid, centroid)

@@ -263,7 +263,7 @@ def _own_modes(node: PlaneNode, config: QualityConfig) -> np.ndarray:  # [8]
         modes[1] = np.minimum(hits / (config.density_target * surface.cell**2), 1.0).mean()
     modes[2] = np.exp(-node.rms / config.fit_scale)
     modes[3] = min(1.0, node.observations / config.observations_target)
-    modes[5] = normal_consistency(node.normals, config.normal_angle_deg)
+    modes[5] = normal_consistency([*node.normals.values()], config.normal_angle_deg)
     # A plane seen once has not shown that it stays: its change is infinite, its score 0.
     modes[6] = np.exp(-(node.shift / config.shift_scale + node.area_change / config.area_scale))
     modes[7] = 1.0 - inside.missing_share  # Eq. 6

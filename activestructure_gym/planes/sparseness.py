@@ -42,7 +42,7 @@ class SparsePatches:
 
     centres: np.ndarray  # [D, 3] metres, world
     areas: np.ndarray  # [D] m^2 of the cells concerned
-    sizes: np.ndarray  # [D] metres, mean size of the Gaussians there
+    sizes: np.ndarray  # [D] metres, mean over the cells concerned of the finest Gaussian's size
     planes: np.ndarray  # [D] int64 index of the plane
 
 
@@ -56,7 +56,7 @@ def sparse_patches(
 ) -> SparsePatches:
     """Patches in which seen cells have no Gaussian near that is fine enough; in a map without any, all that was seen.
 
-    A patch without a Gaussian near is given twice the size ``largest``.
+    A cell without a Gaussian near counts with twice the size ``largest``.
     """
     surfaces = [node.surface for node in nodes]
     if not surfaces:
@@ -216,7 +216,7 @@ def _bits(word):
 
 @kernel
 def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
-    """Centre (world), number of coarse cells and mean size there of every tile that counts; returns how many.
+    """Centre (world), number of coarse cells and mean size in them of every tile that counts; returns how many.
 
     Written to ``found`` [T, 5], the index of the grid to ``planes`` [T].
     """
@@ -227,14 +227,14 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
     held_words, close_words, near_words = held.reshape(held.size), close.reshape(held.size), near.reshape(held.size)
     one, three_bits = np.uint64(1), np.uint64(7)
     count = 0
-    # Words and bits of a tile's cells; sizes are asked for only where the tile counts.
+    # Words and bits of a tile's cells with too wide Gaussians; sizes are asked for only where the tile counts.
     places = np.empty(tile * tile, np.int64)
     for n in range(len(frames)):
         frame = frames[n]
         rows, columns = shapes[n]
         for top in range(0, rows, tile):
             for left in range(0, columns, tile):
-                cells, coarse, row_sum, column_sum = 0, 0, 0.0, 0.0
+                wide, coarse, row_sum, column_sum = 0, 0, 0.0, 0.0
                 for row in range(top, min(top + tile, rows)):
                     a = (lows[n, 0] + row + 0.5) * cell
                     x, y, z = frame[0] + a * frame[3], frame[1] + a * frame[4], frame[2] + a * frame[5]
@@ -249,17 +249,17 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
                             part = k // _CENTRES
                             word, bit = (i + 2) * row_words + (j + 2) * words + part, k - part * _CENTRES + 1
                             if close_words[word] >> np.uint64(bit) & one != 0:
-                                places[cells] = 64 * word + bit
-                                cells += 1
                                 if near_words[word] >> np.uint64(bit) & one != 0:
                                     continue
+                                places[wide] = 64 * word + bit
+                                wide += 1
                         coarse += 1
                         row_sum += row
                         column_sum += column
                 if coarse < max(least, 1):
                     continue
-                size_sum = 0.0
-                for m in range(cells):
+                size_sum = 2.0 * largest * (coarse - wide)  # of cells that have no Gaussian at all
+                for m in range(wide):
                     word, before = places[m] >> 6, np.uint64((places[m] & 63) - 1)
                     below = (one << before) - one
                     best = np.float32(np.inf)
@@ -277,7 +277,7 @@ def _coarse_tiles(cells_of_all, voxels, largest, tile, least, found, planes):
                 for axis in range(3):
                     found[count, axis] = frame[axis] + (a * frame[3 + axis] + b * frame[6 + axis])
                 found[count, 3] = coarse
-                found[count, 4] = size_sum / cells if cells else 2.0 * largest
+                found[count, 4] = size_sum / coarse
                 planes[count] = n
                 count += 1
     return count

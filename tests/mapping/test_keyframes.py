@@ -90,6 +90,17 @@ def test_the_stalest_are_those_measured_longest_ago():
     assert store.psnr == [20.0] * 5
 
 
+def test_measured_anew_are_the_stalest_and_then_the_worst():
+    store = _store([(1.0, 0.0)] * 6)
+    for index, psnr in zip((5, 2, 0, 1, 4, 3), (31.0, 25.0, 40.0, 20.0, 22.0, 21.0)):
+        store.record_psnr(index, psnr)
+    assert store.to_measure(oldest=1, count=4) == [5, 1, 3, 4]
+    assert store.to_measure(oldest=2, count=4) == [5, 2, 1, 3]  # the second stalest is the fourth worst, too
+    assert store.to_measure(oldest=2, count=1) == [5]
+    assert store.to_measure(oldest=0, count=0) == []
+    assert sorted(store.to_measure(oldest=2, count=9)) == list(range(6))
+
+
 @pytest.mark.parametrize("iterations", [0, 1, 2, 5, 15])
 def test_second_half_goes_to_the_poor(iterations):
     views = draw_views(iterations, [7, 6, 5], [1, 2], np.random.default_rng(0))

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.planes import PlaneGraphConfig, PlaneSceneGraph
+from activestructure_gym.planes.detection import PlaneSegment
 from activestructure_gym.planes.graph import tangent_axes
+from activestructure_gym.planes.nodes import PlaneNode
 
 
 def wander(room, rng, count, *, low, high, pitch=(-0.6, 0.6), **options):
@@ -263,3 +265,22 @@ def test_bad_configuration_is_refused():
     for bad in ({"cell": 0.0}, {"fusion_rate": 1.5}, {"normal_window": 0}, {"min_node_area": -1.0}):
         with pytest.raises(ValueError, match=next(iter(bad))):
             PlaneGraphConfig(**bad)
+
+
+def test_a_merged_plane_keeps_one_normal_per_keyframe_the_last_ones() -> None:
+    def node(number: int, area: float, seen: dict[int, tuple[float, float, float]]) -> PlaneNode:
+        points = np.zeros((4, 3))
+        segment = PlaneSegment(np.array([0.0, 0, 1]), 0.0, points[0], area, 0.0, len(points), points, 0)
+        made = PlaneNode(number, segment, np.eye(3), cell=0.05, window=3)
+        made.surface.seen = np.ones((2, round(area / (2 * 0.05**2))), np.uint8)
+        for keyframe, normal in seen.items():
+            made.normals[keyframe] = np.array(normal)
+            made.keyframes |= 1 << keyframe
+        return made
+
+    kept = node(0, 0.03, {0: (1.0, 0, 0), 4: (0, 1.0, 0), 7: (0, 0, 1.0)})
+    kept.absorb(node(1, 0.01, {3: (1.0, 0, 0), 4: (0, 0, 1.0), 5: (0, 1.0, 0)}))
+    assert list(kept.normals) == [4, 5, 7] and kept.observations == 5
+    np.testing.assert_allclose(kept.normals[4], np.array([0, 3.0, 1.0]) / np.sqrt(10))  # by area
+    np.testing.assert_array_equal(kept.normals[5], [0, 1.0, 0])
+    np.testing.assert_array_equal(kept.normals[7], [0, 0, 1.0])

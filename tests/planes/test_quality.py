@@ -111,10 +111,10 @@ def test_scattered_normals_are_normals(good, rectangles, new_graph):
     watch(graph, whole_board(rectangles))
     index = board_of(graph)
     node = graph.nodes[index]
-    node.normals = [
-        Rotation.from_rotvec(np.radians(10.0) * np.array([0.0, np.cos(a), np.sin(a)])).apply(node.normal)
-        for a in np.arange(6) * np.pi / 3
-    ]
+    node.normals = {
+        keyframe: Rotation.from_rotvec(np.radians(10.0) * np.array([0.0, np.cos(a), np.sin(a)])).apply(node.normal)
+        for keyframe, a in enumerate(np.arange(6) * np.pi / 3)
+    }
     node.surface.memo.clear()
     bad = assess_quality(graph.nodes, graph.state.structural, graph.config.quality).modes[index]
     assert most_harmed(good, bad) == "normals"

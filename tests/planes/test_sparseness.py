@@ -71,6 +71,17 @@ def test_the_finest_gaussian_near_counts_in_either_order() -> None:
     np.testing.assert_allclose(patches([wall()], both, coarse).sizes, 0.1, rtol=1e-6)
 
 
+def test_the_size_of_a_patch_is_that_of_its_coarse_and_bare_cells() -> None:
+    points = on_cells()
+    fine, coarse = points[points[:, 1] < 0.2], points[(points[:, 1] > 0.2) & (points[:, 1] < 0.4)]
+    both = np.concatenate([fine, coarse, FAR_AWAY])
+    sizes = np.concatenate([np.full(len(fine), 0.03), np.full(len(coarse), 0.1), np.full(len(FAR_AWAY), 0.03)])
+    found = patches([wall()], both, sizes)
+    # Of the first half metre three rows of cells are coarse and two bare; what is fine beside them does not count.
+    np.testing.assert_allclose(found.areas[0], 50 * CELL**2)
+    np.testing.assert_allclose(found.sizes[0], (3 * 0.1 + 2 * 2 * LARGEST) / 5, rtol=1e-6)
+
+
 def test_unseen_cells_and_small_remainders_do_not_count() -> None:
     node = wall()
     node.surface.seen[:] = 0

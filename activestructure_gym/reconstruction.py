@@ -11,11 +11,13 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from activestructure_gym.compiling.thread_team import default_threads
 from activestructure_gym.config import ReconstructionConfig, replaced
 from activestructure_gym.errors import InputError
 from activestructure_gym.features import FeatureContext, evaluate_features
@@ -319,10 +321,13 @@ class Reconstruction:
                 frame = replace(frame, world_from_camera=self._tracked(frame))
         with self._timed("volume"):
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
-        with self._timed("mapping"):
-            self.mapper.observe(frame, iterations=rounds * self.config.mapper.iterations)
-        with self._timed("planes"):
-            self.planes.integrate(frame)
+        with ThreadPoolExecutor(1) as beside:
+            # Map and planes know nothing of each other, and mapping is mostly kernels, which need no interpreter.
+            planes = beside.submit(self.planes.integrate, frame) if default_threads() > 1 else None
+            with self._timed("mapping"):
+                self.mapper.observe(frame, iterations=rounds * self.config.mapper.iterations)
+            with self._timed("planes"):  # what mapping did not hide
+                _ = planes.result() if planes else self.planes.integrate(frame)
         self.keyframe_indices.append(len(self.trajectory) - 1)
         self.keyframe_rounds.append(rounds)
         return frame

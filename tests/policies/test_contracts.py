@@ -182,7 +182,7 @@ REMEMBERING = ("activegamer", "activeinr", "activesplat", "anm_s", "gs_planner",
 @pytest.mark.parametrize("spec", SPECS)
 def test_what_a_policy_remembers_goes_with_the_episode(spec: str, episode: Episode) -> None:
     policy, fresh, remembered = begun(spec), state(begun(spec)), False
-    larger = {key: value.copy() for key, value in episode.played[-1].items()}  # whose views stand far apart, all of them
+    larger = {key: value.copy() for key, value in episode.played[-1].items()}  # whose views are far apart
     larger["candidate_gains"][:, COLUMNS.index("gs_planner_volume")] += 0.5
     larger["candidates"][:, 0] += 5.0 * np.arange(len(larger["candidates"]))  # so that some are worth storing
     for observation in [*episode.played, larger]:

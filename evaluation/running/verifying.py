@@ -27,7 +27,8 @@ TOLERANCES = {
     "psnr": 0.5, "ssim": 0.02, "accuracy_cm": 0.2, "completion_cm": 0.5, "depth_l1_cm": 1.0,
 }  # fmt: skip
 # What a run stores and is decided by its job alone; the clock is not.
-COMPARED = ("config.json", "metrics.json", store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP)
+METRICS = "metrics.json"
+COMPARED = (store.CONFIG, METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP)
 
 
 def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -> Verification:
@@ -54,8 +55,10 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
         again = run_job(run.job, Path(folder) / "again", tell)
         others = [name for name in COMPARED if not _same(run, again, name)] + other_protocols(run, again)
+        others += untrue_lpips(run, again)
+        unchecked = unchecked_lpips(run, again)
         if not others:
-            return Verification("identical", (), **here)
+            return Verification("identical", unchecked, **here)
         wrong = out_of_tolerance(run.metrics["metrics"], again.metrics["metrics"])
         for name in run.job.also:
             found = [one.protocols.get(name, {"metrics": {}})["metrics"] for one in (run, again)]
@@ -66,7 +69,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     elsewhere = elsewhere_in(run, again)
     if not elsewhere:
         return Verification("differs", (f"other bytes in {', '.join(others)}", *wrong), **here)
-    return Verification("differs" if wrong else "within tolerances", (*elsewhere, *wrong), **here)
+    return Verification("differs" if wrong else "within tolerances", (*elsewhere, *wrong, *unchecked), **here)
 
 
 def out_of_tolerance(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
@@ -108,6 +111,27 @@ def untrue_evaluations(run: Run) -> list[str]:
     ]
 
 
+def untrue_lpips(run: Run, again: Run) -> list[str]:
+    """Files that hold another LPIPS, measured later by the run's own protocol, than is measured here."""
+    found = again.metrics["metrics"].get("lpips")
+    return [
+        f"{store.EVALUATIONS}/{name}"
+        for name, content in run.evaluations.items()
+        if content["protocol"]["name"] == run.job.protocol.name
+        and None not in (found, stored := content["metrics"].get("lpips"))
+        and stored != found
+    ]
+
+
+def unchecked_lpips(run: Run, again: Run) -> tuple[str, ...]:
+    """That the run stores an LPIPS which nobody can measure here, in words."""
+    told = [run.metrics["metrics"].get("lpips")]
+    told += [content["metrics"].get("lpips") for content in run.evaluations.values()]
+    if again.metrics["metrics"].get("lpips") is not None or told == [None] * len(told):
+        return ()
+    return ("its LPIPS was not measured again, as the weights are not here",)
+
+
 def elsewhere_in(run: Run, again: Run) -> list[str]:
     """What a run was made with that is not what this machine has, where bytes can depend on it; in words."""
     found = []
@@ -126,6 +150,10 @@ def _same(run: Run, again: Run, name: str) -> bool:
     if name == store.CONFIG:
         first, second = ({k: v for k, v in one.config.items() if k != "versions"} for one in (run, again))
         return _without_place(first) == _without_place(second)
+    if name == METRICS:
+        own, found = run.metrics["metrics"], again.metrics["metrics"]
+        same = {**run.metrics, "metrics": None} == {**again.metrics, "metrics": None} and own.keys() == found.keys()
+        return same and not differing(own, found)  # which sets an LPIPS aside that only one of them has
     files = [one.directory / name for one in (run, again)]
     if not all(file.is_file() for file in files):
         return not any(file.is_file() for file in files)

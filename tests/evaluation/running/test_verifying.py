@@ -130,6 +130,43 @@ def test_an_evaluation_of_the_runs_own_protocol_adds_an_lpips_and_nothing_else(r
     assert found.verdict == "damaged" and found.why[0].startswith("evaluations/standard.json has another psnr, ")
 
 
+def test_an_lpips_counts_where_it_can_be_measured_and_is_named_where_not(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def with_lpips(value: float) -> Any:
+        def act(data: bytes) -> bytes:
+            content = json.loads(data)
+            content["metrics"]["lpips"] = value
+            content["metrics"]["notes"].pop("lpips", None)
+            for view in content["metrics"]["views"]:
+                view["lpips"] = value
+            return json.dumps(content).encode()
+
+        return act
+
+    def later(value: float) -> None:
+        content = with_lpips(value)(json.dumps({"metrics": run.metrics["metrics"]}).encode())
+        write_evaluation(run.directory, run.job.protocol.parameters(), "", json.loads(content)["metrics"])
+
+    unchecked = ("its LPIPS was not measured again, as the weights are not here",)
+    stored = change(run, "metrics.json", with_lpips(0.25), forge=True)
+    assert (verify(stored).verdict, verify(stored).why) == ("identical", unchecked)
+    untouched = change(run, "metrics.json", lambda _: json.dumps(run.metrics).encode(), forge=True)
+    later(0.25)
+    assert (verify(untouched).verdict, verify(untouched).why) == ("identical", unchecked)
+
+    def measured_here(job: Any, directory: Path, tell: Any) -> Run:
+        shutil.copytree(run.directory, directory)
+        return change(replace(run, directory=directory), "metrics.json", with_lpips(0.25), forge=True)
+
+    monkeypatch.setattr("activestructure_gym.evaluation.running.verifying.run_job", measured_here)
+    assert (verify(untouched).verdict, verify(untouched).why) == ("identical", ())
+    later(0.5)
+    found = verify(read_run(run.directory))
+    assert (found.verdict, found.why) == ("differs", ("other bytes in evaluations/standard.json",))
+    assert verify(change(run, "metrics.json", with_lpips(0.5), forge=True)).verdict != "identical"
+
+
 def test_elsewhere_numbers_count_within_tolerances(run: Run) -> None:
     def of_another_machine(data: bytes) -> bytes:
         content = json.loads(data)

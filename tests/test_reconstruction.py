@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -397,6 +400,38 @@ def test_the_start_counts_as_visited(box: Scene) -> None:
         near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) <= rule.visited_distance_m
         alike = poses[:, :3, 2] @ pose[:3, 2] >= np.cos(np.radians(rule.visited_angle_deg))
         assert near.any() and not (near & alike).any()
+
+
+def test_planes_beside_the_map_or_after_it_are_the_same(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    names, runs = set[str](), []
+    integrate = PlaneSceneGraph.integrate
+
+    def named(self: PlaneSceneGraph, *arguments: Any) -> Any:
+        names.add(threading.current_thread().name)
+        return integrate(self, *arguments)
+
+    monkeypatch.setattr(PlaneSceneGraph, "integrate", named)
+    for threads in (1, 2):
+        monkeypatch.setattr(conductor, "default_threads", lambda threads=threads: threads)
+        names.clear()
+        run = episode(box)
+        wander(run)
+        assert (names == {threading.current_thread().name}) == (threads == 1)
+        runs.append(run)
+    first, second = runs
+    assert np.array_equal(first.mapper.map.parameters, second.mapper.map.parameters, equal_nan=True)
+    assert first.trajectory[-1].tobytes() == second.trajectory[-1].tobytes()
+    assert len(first.planes.nodes) > 3
+    for one, other in zip(first.planes.nodes, second.planes.nodes, strict=True):
+        assert one.row.tobytes() == other.row.tobytes() and one.keyframes == other.keyframes
+
+
+def test_what_fails_beside_the_map_is_heard(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conductor, "default_threads", lambda: 2)
+    run = episode(box)
+    monkeypatch.setattr(run.planes, "integrate", mock.Mock(side_effect=MemoryError("no room for planes")))
+    with pytest.raises(MemoryError, match="no room for planes"):
+        run.visit(0)
 
 
 def test_revisits_are_known_where_poses_are_reported_with_noise(box: Scene) -> None:

@@ -131,7 +131,6 @@ class Reconstruction:
             int(pool.generate_state(1)[0]),
             clearance_m=config.motion.candidate_clearance,
         )
-        self.pool.mark_visited(start_pose)
         self._planning_rng = np.random.default_rng(planning)
         self._sources_seed = int(sources.generate_state(1)[0])
         self.stage = 0  # of ``views.stages``

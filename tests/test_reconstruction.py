@@ -390,18 +390,6 @@ def test_a_pose_is_offered_once_however_often_it_was_revisited(box: Scene) -> No
     assert len(run.keyframe_indices) > len({run.trajectory[i].tobytes() for i in run.keyframe_indices})
 
 
-def test_the_start_counts_as_visited(box: Scene) -> None:
-    views = {"views.max_candidates": 5000, "views.max_revisits": 0}
-    offered = episode(box, **views).candidates.world_from_camera
-    run = Reconstruction(configure("fast", {**SMALL, "frame_budget": 60, **views}))
-    for pose in offered[::97]:
-        run.start(ground_truth_of(box), 0, pose)  # the lattice of views has one exactly there
-        poses, rule = run.candidates.world_from_camera, run.config.views
-        near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) <= rule.visited_distance_m
-        alike = poses[:, :3, 2] @ pose[:3, 2] >= np.cos(np.radians(rule.visited_angle_deg))
-        assert near.any() and not (near & alike).any()
-
-
 def test_planes_beside_the_map_or_after_it_are_the_same(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     names, runs = set[str](), []
     integrate = PlaneSceneGraph.integrate

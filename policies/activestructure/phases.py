@@ -43,6 +43,7 @@ PHASES = (
 )
 PATIENCE = 3  # decisions in a row for which the pool must stay empty: 256 candidates are a draw from a larger pool
 GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's threshold)
+MENDS = (4, 0.25)  # that many revisits in a row must raise the lowest tenth's PSNR by so many dB, or there are no more
 
 
 def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
@@ -94,3 +95,20 @@ class SentTo:
             return np.zeros(len(views), dtype=bool)
         difference = np.abs(views[:, None] - np.stack(self._views)[None]).max(axis=-1)
         return np.asarray((difference < _SAME_VIEW).any(axis=1))
+
+
+class Mending:
+    """Whether revisits still mend: habituation of phase III, by what the last few of them brought."""
+
+    def __init__(self) -> None:
+        self._sent, self._before = 0, -np.inf
+        self.over = False
+
+    def goes_on(self, lowest: float) -> bool:
+        """Ask before a revisit, with the lowest tenth's PSNR in dB; what is over once stays so."""
+        every, least = MENDS
+        if not self.over and self._sent % every == 0:
+            self.over = lowest < self._before + least
+            self._before = lowest
+        self._sent += 1
+        return not self.over

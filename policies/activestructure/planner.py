@@ -15,7 +15,14 @@ from activestructure_gym.policies.activestructure.information_gain import (
     information_gain,
     plane_view,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PHASES, PhaseMachine, SentTo, in_pool
+from activestructure_gym.policies.activestructure.phases import (
+    GOOD_PSNR,
+    PHASES,
+    Mending,
+    PhaseMachine,
+    SentTo,
+    in_pool,
+)
 from activestructure_gym.policies.base import POLICIES, Observation, Policy, best_valid, travel_discount
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.pixel_only import PixelOnly
@@ -152,15 +159,15 @@ class ActiveStructure(StructurePolicy):
 
     def __init__(self, discovery: Discovery = "unknown_volume") -> None:
         super().__init__(discovery)
-        self._machine, self._sent = PhaseMachine(), SentTo()
+        self._machine, self._sent, self._mending = PhaseMachine(), SentTo(), Mending()
 
     def reset(self, seed: int) -> None:
         """Begin with phase I."""
         super().reset(seed)
-        self._machine, self._sent = PhaseMachine(), SentTo()
+        self._machine, self._sent, self._mending = PhaseMachine(), SentTo(), Mending()
 
     def act(self, observation: Observation) -> int:
-        """The best view of the present phase; in phase III the nearest of the worst rendered keyframes, each once."""
+        """The best view of the present phase; in phase III the nearest of the worst keyframes, while that mends."""
         machine, planes = self._machine, plane_view(observation)
         candidates = self.candidates(observation)
         valid = candidates.valid & ~candidates.revisit
@@ -179,14 +186,15 @@ class ActiveStructure(StructurePolicy):
     def _refine(self, terms: Terms, observation: Observation, more: dict[str, Any]) -> int:
         """The nearest of the worst rendered keyframes that it was not sent to yet.
 
-        Without one, or once nine tenths of all are good, the episode is settled, and the trace says so: it ends where
-        the environment offers that (source ``finish``), and discovers again where it does not.
+        Without one, once nine tenths of all are good, or when revisits no longer mend, the episode is settled, and the
+        trace says so: it ends where the environment offers that (source ``finish``), and discovers again where it does
+        not.
         """
         candidates = self.candidates(observation)
         views = np.concatenate([candidates.xyz, candidates.look], axis=1)
         open_ = candidates.revisit & candidates.valid & ~self._sent.includes(views)
         lowest = float(observation["fidelity"][0])
-        settled = not open_.any() or lowest >= GOOD_PSNR
+        settled = not open_.any() or lowest >= GOOD_PSNR or not self._mending.goes_on(lowest)
         more = {**more, "fidelity": lowest, "settled": settled}
         if settled and candidates.offers(_END) and (ending := np.flatnonzero(candidates.source(_END))).size:
             self._trace = more

@@ -36,7 +36,7 @@ from activestructure_gym.policies.activestructure.information_gain import (
     suppression,
     view_surprise,
 )
-from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, PATIENCE, SentTo, in_pool
+from activestructure_gym.policies.activestructure.phases import GOOD_PSNR, MENDS, PATIENCE, SentTo, in_pool
 from activestructure_gym.sensors.rgbd import SensorConfig
 from tests.policies.binding import bound
 
@@ -344,6 +344,29 @@ def test_phase_three_revisits_each_keyframe_once_until_they_are_good() -> None:
     for _ in range(2 * PATIENCE):
         policy.act(observation(NOTHING))
     assert chosen(1.0) == (2, False)
+
+
+def test_revisits_end_for_good_when_some_in_a_row_mended_nothing() -> None:
+    every, least = MENDS
+    policy = in_last_phase()
+
+    def revisits(fidelity: float, place: float) -> bool:
+        observed = observation([[0.3, 0.0], [0.0, 0.0]], revisit=(1,), fidelity=fidelity)
+        observed["candidates"][1, CANDIDATE_FEATURES.index("x")] = place
+        return policy.act(observed) == 1 and not policy.trace()["settled"]
+
+    psnr, place = 25.0, 0.0
+    for _ in range(3):  # each lot is as much better as it must be, however the single ones turn out
+        for step in range(every):
+            assert revisits(psnr - (0.5 if step else 0.0), place := place + 1.0)
+        psnr += 1.01 * least
+    psnr -= 0.02 * least
+    assert not revisits(psnr, place + 1.0)
+    assert not revisits(psnr - 10.0, place + 2.0)
+    policy.reset(0)
+    for _ in range(2 * PATIENCE):
+        policy.act(observation(NOTHING))
+    assert revisits(psnr, place + 1.0)
 
 
 def test_a_keyframe_is_known_by_place_and_direction() -> None:

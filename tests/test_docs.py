@@ -179,7 +179,7 @@ def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
     assert [name for name in sorted(names) if f"`{name}`" not in told] == []
 
 
-@pytest.mark.parametrize("runs", ["benchmark.csv", "ladder_300.csv", "benchmark_blurred.csv"])
+@pytest.mark.parametrize("runs", ["benchmark.csv", "ladder_300.csv", "ladder_2000.csv", "benchmark_blurred.csv"])
 def test_the_tables_of_the_benchmark_are_those_of_its_runs(runs: str) -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
     table = script["markdown"](script["read"](script["PLACE"].with_name(runs)))

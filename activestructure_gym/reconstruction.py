@@ -326,7 +326,10 @@ class Reconstruction:
             with self._timed("mapping"):
                 self.mapper.observe(frame, iterations=rounds * self.config.mapper.iterations)
             with self._timed("planes"):  # what mapping did not hide
-                _ = planes.result() if planes else self.planes.integrate(frame)
+                if planes is None:
+                    self.planes.integrate(frame)
+                else:
+                    planes.result()
         self.keyframe_indices.append(len(self.trajectory) - 1)
         self.keyframe_rounds.append(rounds)
         return frame

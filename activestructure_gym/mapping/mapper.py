@@ -41,8 +41,8 @@ from activestructure_gym.splatting.rasterizers import Rasterizer, rasterizer
 
 _NOTHING = np.empty((0, 0))
 
-# Keyframes that a decision renders to know how well they are mapped: a quarter of what scoring 256 candidates at half
-# the size draws in pixels (own choice).
+# Keyframes that a decision renders to know which are mapped worst: an eighth of what scoring 256 candidates at half the
+# size draws in pixels (own choice, docs/notebook/performance.md).
 PSNR_RENDERS = 8
 
 # Gaussians above which the arrays are put into spatial order, and by how much the map grows until the next time. Late

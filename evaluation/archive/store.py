@@ -55,13 +55,13 @@ T = TypeVar("T")
 FORMAT_VERSION = 3
 _READABLE = (2, FORMAT_VERSION)  # of 2 some policies had other names, see `old_names`
 DONE = ".done"
-CONFIG = "config.json"
+CONFIG, METRICS = "config.json", "metrics.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
 JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
 # What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
-_READ_AGAIN = (CONFIG, "metrics.json", "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
+_READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
 REPLAY = "replay.html"  # the page to watch a run on, where one was made
 _LARGEST_LOG = 256 << 20  # bytes of steps.jsonl
 

@@ -418,7 +418,7 @@ def _write_record(
         "curve_views": min(CHECKPOINT_VIEWS, len(episode.truth.views)),
     }
     store.write_json(part / "config.json", config)
-    store.write_json(part / "metrics.json", results)
+    store.write_json(part / store.METRICS, results)
     with open(part / "steps.jsonl", "w", encoding="utf-8") as file:
         file.writelines(store.json_line(step) for step in episode.steps)
     with open(part / "trajectory.npz", "wb") as file:

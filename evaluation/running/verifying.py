@@ -27,8 +27,7 @@ TOLERANCES = {
     "psnr": 0.5, "ssim": 0.02, "accuracy_cm": 0.2, "completion_cm": 0.5, "depth_l1_cm": 1.0,
 }  # fmt: skip
 # What a run stores and is decided by its job alone; the clock is not.
-METRICS = "metrics.json"
-COMPARED = (store.CONFIG, METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP)
+COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP)
 
 
 def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -> Verification:
@@ -150,7 +149,7 @@ def _same(run: Run, again: Run, name: str) -> bool:
     if name == store.CONFIG:
         first, second = ({k: v for k, v in one.config.items() if k != "versions"} for one in (run, again))
         return _without_place(first) == _without_place(second)
-    if name == METRICS:
+    if name == store.METRICS:
         own, found = run.metrics["metrics"], again.metrics["metrics"]
         same = {**run.metrics, "metrics": None} == {**again.metrics, "metrics": None} and own.keys() == found.keys()
         return same and not differing(own, found)  # which sets an LPIPS aside that only one of them has

@@ -43,7 +43,8 @@ PHASES = (
 )
 PATIENCE = 3  # decisions in a row for which the pool must stay empty: 256 candidates are a draw from a larger pool
 GOOD_PSNR = 34.0  # dB, of the keyframes phase III works on (ActiveGAMER's threshold)
-MENDS = (4, 0.25)  # that many revisits in a row must raise the lowest tenth's PSNR by so many dB, or there are no more
+LOT = 4  # revisits, as many as a table offers, that together must raise the lowest tenth's PSNR ...
+LEAST_RISE = 0.25  # ... by so many dB, or there are no more
 
 
 def in_pool(terms: Terms, valid: np.ndarray, phase: Phase) -> np.ndarray:  # [K] bool
@@ -96,19 +97,19 @@ class SentTo:
         difference = np.abs(views[:, None] - np.stack(self._views)[None]).max(axis=-1)
         return np.asarray((difference < _SAME_VIEW).any(axis=1))
 
+    def __len__(self) -> int:
+        """How often phase III was sent to one."""
+        return len(self._views)
+
 
 class Mending:
     """Whether revisits still mend: habituation of phase III, by what the last few of them brought."""
 
     def __init__(self) -> None:
-        self._sent, self._before = 0, -np.inf
-        self.over = False
+        self._before, self._over = -np.inf, False
 
-    def goes_on(self, lowest: float) -> bool:
-        """Ask before a revisit, with the lowest tenth's PSNR in dB; what is over once stays so."""
-        every, least = MENDS
-        if not self.over and self._sent % every == 0:
-            self.over = lowest < self._before + least
-            self._before = lowest
-        self._sent += 1
-        return not self.over
+    def goes_on(self, lowest: float, revisits: int) -> bool:
+        """Ask before a revisit, with the lowest tenth's PSNR in dB and how many there were; once over, always over."""
+        if not self._over and revisits % LOT == 0:
+            self._before, self._over = lowest, lowest < self._before + LEAST_RISE
+        return not self._over

@@ -194,7 +194,7 @@ class ActiveStructure(StructurePolicy):
         views = np.concatenate([candidates.xyz, candidates.look], axis=1)
         open_ = candidates.revisit & candidates.valid & ~self._sent.includes(views)
         lowest = float(observation["fidelity"][0])
-        settled = not open_.any() or lowest >= GOOD_PSNR or not self._mending.goes_on(lowest)
+        settled = not open_.any() or lowest >= GOOD_PSNR or not self._mending.goes_on(lowest, len(self._sent))
         more = {**more, "fidelity": lowest, "settled": settled}
         if settled and candidates.offers(_END) and (ending := np.flatnonzero(candidates.source(_END))).size:
             self._trace = more

@@ -112,7 +112,6 @@ def episode() -> Iterator[Episode]:
         config={
             "sensor": {"width": 64, "height": 36},
             "views": {"max_candidates": 24, "max_revisits": 2},
-            "keyframe_every": 20,
         },
     )  # fmt: skip
     observation, _ = env.reset(seed=2)

@@ -113,10 +113,13 @@ class Reconstruction:
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
-        self.mapper = make_mapper(config.mapper, np.random.default_rng(mapping), scene.bounds)
+        # The mapper is told at least the noise its own sensor makes, none if it makes none.
+        multiplier = config.sensor.noise_multiplier if config.sensor.depth_noise != "none" else 0.0
+        noise_scale = max(config.mapper.depth_noise_scale, multiplier)
+        told = replaced(config.mapper, {"depth_noise_scale": noise_scale})
+        self.mapper = make_mapper(told, np.random.default_rng(mapping), scene.bounds)
         # The volume's margins are made for Kinect noise; a noisier sensor widens them.
-        multiplier = max(1.0, config.sensor.noise_multiplier) if config.sensor.depth_noise != "none" else 1.0
-        widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * multiplier})
+        widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * max(1.0, multiplier)})
         self.volume = VoxelVolume(scene.bounds, widened)
         # The plane detector is told at least the noise its own sensor makes.
         noise_scale = max(

@@ -144,6 +144,16 @@ def test_the_plane_detector_knows_its_sensor_s_noise(box: Scene) -> None:
         assert run.planes.config.detection.depth_noise_scale == expected
 
 
+def test_the_mapper_knows_its_sensor_s_noise_and_is_told_of_none_where_there_is_none(box: Scene) -> None:
+    for noise, multiplier, own, expected in (
+        ("none", 3.0, 0.0, 0.0), ("none", 1.0, 0.5, 0.5), ("kinect", 1.0, 0.0, 1.0), ("redwood", 2.0, 0.0, 2.0),
+        ("kinect", 0.5, 2.0, 2.0),
+    ):  # fmt: skip
+        sensor = {**SMALL["sensor"], "depth_noise": noise, "noise_multiplier": multiplier}
+        run = episode(box, sensor=sensor, mapper={"depth_noise_scale": own})
+        assert run.mapper.config.depth_noise_scale == expected
+
+
 def test_a_noisier_sensor_widens_the_volume_s_margins(box: Scene) -> None:
     growth = episode(box).volume.config.margin_growth
     noisy = {**SMALL["sensor"], "depth_noise": "kinect", "noise_multiplier": 3.0}

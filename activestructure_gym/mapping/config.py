@@ -18,6 +18,7 @@ _RANGES = {
     "seed_stride": "[1, 1024]",
     "seed_spacing": "[0.01, 1]",  # finer ones fill gaps between pixels with thousands of samples each
     "seed_pixels": "[0.5, 1000]",
+    "depth_noise_scale": "[0, 1000]",
     **dict.fromkeys(("seed_footprint", "seed_thickness"), "(0, 1000]"),
     "border_sigmas": "(0, 100]",
     "coarse_ratio": "[1, 1e6]",
@@ -134,6 +135,9 @@ class MapperConfig:
     seed_opacity: float = 0.99  # 0..1 (measured: .9 lets 3 % of every wall through, which gains of holes add up)
     min_incidence_cosine: float = 0.05  # below it a depth normal is a depth edge: seed a ball (own choice, 87 degrees)
     coarse_ratio: float | None = 1.6  # Gaussians larger than so many seeds make way for those; None = never (measured)
+    # Times a Kinect's axial noise that the seeds' depth is cleaned of (`local_planes`); an env tells its own mapper at
+    # least what its sensor makes (measured).
+    depth_noise_scale: float = 0.0
 
     # Seeding by SplaTAM's rule: where the rendering lacks something
     seed_stride: int = 2  # pixels between seeds

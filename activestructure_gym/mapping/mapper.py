@@ -29,6 +29,7 @@ from activestructure_gym.mapping.density import (
 from activestructure_gym.mapping.gaussian_map import LOG_SCALE, MEAN, GaussianMap
 from activestructure_gym.mapping.information import KeyframeInformation
 from activestructure_gym.mapping.keyframes import KeyframeStore, draw_views
+from activestructure_gym.mapping.local_planes import on_local_planes
 from activestructure_gym.mapping.map_passes import CHUNK, too_wide, unfit
 from activestructure_gym.mapping.movement import Movement
 from activestructure_gym.mapping.parts import MapParts
@@ -244,6 +245,8 @@ class Mapper:
         if config.seed_spacing is None:
             seeds, sigma, new_share = self._seeds_by_rendering(frame, unseen)
         else:
+            if config.depth_noise_scale:
+                frame = replace(frame, depth=on_local_planes(frame.depth, config.depth_noise_scale))
             spacing = wanted_spacing(
                 frame,
                 plain=config.seed_spacing,

@@ -76,6 +76,12 @@ class Registry(Generic[T]):
         family, colon, _ = name.partition(":")
         return bool(colon) and name not in self._entries and family not in self._families
 
+    def module_of(self, name: str) -> str | None:
+        """The module that ``name`` names by its path or as an entry point, None for what is ours; imports nothing."""
+        if self.imports(name):
+            return name.partition(":")[0]
+        return next((point.module for point in entry_points(group=self.group) if point.name == name), None)
+
     def _find(self, name: str) -> T:
         if name in self._entries:
             return self._entries[name]

@@ -22,6 +22,7 @@ from activestructure_gym.policies.schedule import Terms, schedule_of
 if TYPE_CHECKING:
     from activestructure_gym.config import Preset
     from activestructure_gym.policies import Policy
+    from activestructure_gym.registry import Registry
 
 REFERENCE = "reference:"  # before the name of who decides by the ground truth, in place of a policy
 TRAJECTORY = "trajectory:"  # before the place of poses that are followed, in place of a policy
@@ -136,23 +137,29 @@ def refuse_code(jobs: Iterable[Job], file: object) -> None:
 
 def code_of(job: Job) -> Iterator[tuple[str, str]]:
     """What kind of thing, and its name, of all that a job names by the module to import it from."""
-    from activestructure_gym.features import FEATURES
-    from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes.library import imports_code
-    from activestructure_gym.sources import SOURCES, sources_in
 
     if imports_code(job.scene):
         yield "scene", job.scene
-    given = is_reference(job.policy) or is_trajectory(job.policy)
-    if not given and POLICIES.imports(job.policy.partition("?")[0]):
-        yield "policy", job.policy
+    for registry, name in named_in(job):
+        if registry.imports(name.partition("?")[0]):
+            yield registry.kind, name
+
+
+def named_in(job: Job) -> Iterator[tuple[Registry[Any], str]]:
+    """Policy, features and candidate sources of a job by name, with options, and where they are looked up."""
+    from activestructure_gym.features import FEATURES
+    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.sources import SOURCES, sources_in
+
+    if not (is_reference(job.policy) or is_trajectory(job.policy)):
+        yield POLICIES, job.policy
     gains = dict(job.overrides).get("gains", ())
     for name in (gains,) if isinstance(gains, str) else gains if isinstance(gains, list | tuple) else ():
-        if isinstance(name, str) and FEATURES.imports(name):
-            yield "feature", name
+        if isinstance(name, str):
+            yield FEATURES, name
     for name in sources_in(dict(job.overrides)):
-        if SOURCES.imports(name):
-            yield "candidate source", name
+        yield SOURCES, name
 
 
 def scene_label(spec: str, parts: int = 1) -> str:

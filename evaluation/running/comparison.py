@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.archive.jobs import (
     is_trajectory,
     refuse_code,
 )
+from activestructure_gym.evaluation.archive.own_code import changed_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
@@ -254,11 +255,12 @@ def run_comparison(
     resume: bool = False,
     command: str = "",  # how the comparison was asked for; kept in the archive
     held: int | None = None,  # the descriptor that `directory_lock.hold` gave for the directory
-    tell: Callable[[str], None] = lambda _: None,  # hears of every damaged run
+    tell: Callable[[str], None] = lambda _: None,  # hears of every run that is not left as it is
 ) -> Result:
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 
-    Unfinished jobs are never counted, finished ones never repeated unless their files are damaged. Jobs of earlier
+    Unfinished jobs are never counted, finished ones never repeated unless their files are damaged or their own code
+    (`archive.own_code`) has changed. Jobs of earlier
     sittings stay part of the comparison. Raises `InputError` where the jobs cannot stand beside those, see
     `resuming.merged`. Call `check_output` first, and hold the directory.
 
@@ -281,7 +283,7 @@ def run_comparison(
     held
         The descriptor that `directory_lock.hold` gave for the directory.
     tell
-        Hears of every damaged run, which counts as not finished.
+        Hears of every run that is damaged, or was played by own code that has changed since, and so is played again.
 
     Returns
     -------
@@ -304,11 +306,21 @@ def run_comparison(
     parts.remove_parts(directory / store.JOBS)
     for path in directory.glob(f".{store.COMPARISON}.*"):
         path.unlink(missing_ok=True)
+    asked = {job.name for job in jobs}
     for job in everything:
         place = run_directory(directory, job)
-        if store.is_done(place, job) and (damage := store.damage_of(place, job)):
+        if not store.is_done(place, job):
+            continue
+        if damage := store.damage_of(place, job):
             store.set_aside(place)
             tell(f"{job.title} counts as not finished: {damage}")
+        elif changed := changed_code(place, job):
+            what = f"its {' and '.join(changed)} {'has' if len(changed) == 1 else 'have'} changed since"
+            if job.name in asked:
+                store.set_aside(place)
+                tell(f"{job.title} is played again: {what}")
+            else:
+                tell(f"{job.title} stays as it was played, though {what}: --resume alone plays it again")
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     record = new_record(everything, read_record(directory), engine=engine, slots=slots, command=command)
@@ -317,7 +329,6 @@ def run_comparison(
     watch = _Recording(listener, directory, record)
     if todo:
         chosen.run(todo, directory, watch, limits, keep_open=() if held is None else (held,))
-    asked = {job.name for job in jobs}
     missing = [
         job for job in everything if job.name not in asked and not store.is_done(run_directory(directory, job), job)
     ]

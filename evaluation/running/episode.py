@@ -17,6 +17,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory, split_spec
+from activestructure_gym.evaluation.archive.own_code import own_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.metrics.planning import planning_scores
@@ -81,6 +82,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     truth = job.protocol.truth(known)
     others = [get_protocol(name) for name in job.also]
     policy, env = build(job, known)
+    own = own_code(job)  # now, as it may be edited while it plays
     seconds = {"loading": time.perf_counter() - began}
     try:
         episode = _Episode(job, env, policy, truth, tell)
@@ -96,7 +98,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
         with store.whole_directory(directory) as part:
             reconstruction.mapper.map.save_npz(part / "map.npz")
             _write_ply(reconstruction, part)
-            _write_record(part, job, scene, env, metrics, episode)
+            _write_record(part, job, scene, env, metrics, episode, own)
             for other in others:
                 numbers = other.evaluate(reconstruction.mapper.map, other.truth(known), path)
                 store.write_evaluation(part, other.parameters(), scene.content_hash, numbers)
@@ -388,7 +390,13 @@ def _write_ply(reconstruction: Reconstruction, part: Path) -> None:
 
 
 def _write_record(
-    part: Path, job: Job, scene: Scene, env: ReconstructionEnv, metrics: dict[str, Any], episode: _Episode
+    part: Path,
+    job: Job,
+    scene: Scene,
+    env: ReconstructionEnv,
+    metrics: dict[str, Any],
+    episode: _Episode,
+    own: dict[str, str],
 ) -> None:
     """Configuration, numbers, decisions and path."""
     reconstruction = env.reconstruction
@@ -407,7 +415,7 @@ def _write_record(
             "extent_m": extent,
         },
         "configuration": dataclasses.asdict(env.config),
-        "versions": machine.versions(),
+        "versions": machine.versions() | own,
     }
     results = {
         "format": store.FORMAT_VERSION,

@@ -256,3 +256,46 @@ def test_a_comparison_whose_record_was_lost_is_gone_on_with(monkeypatch, tmp_pat
     check_output(tmp_path / "all", resume=True)
     result, _ = go(grid, tmp_path / "all", resume=True)
     assert len(result.runs) == 2 and recorded_jobs(tmp_path / "all") == grid
+
+
+MINE = """
+from activestructure_gym.policies import Policy
+
+class Mine(Policy):
+    \"\"\"The first view on offer.\"\"\"
+
+    def act(self, observation):
+        return int(observation["action_mask"].argmax())
+"""
+
+
+def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    file, runs = tmp_path / "mine_resumed.py", tmp_path / "runs"
+    file.write_text(MINE)
+    real = variant(scene_hash="", protocol=StandardProtocol(views=2, surface_samples=2000))
+    jobs, told = [real, dataclasses.replace(real, policy="mine_resumed:Mine")], []
+    runs.mkdir()
+
+    def go_on(asked, **options):
+        told.clear()
+        return run_comparison(asked, runs, Silent(), engine="inline", tell=told.append, **options)
+
+    assert (len(go_on(jobs).runs), told) == (2, [])
+    config = run_directory(runs, jobs[1]) / "config.json"
+    first = store.read_json(config)["versions"]["policy mine_resumed:Mine"]
+    assert (go_on(jobs, resume=True).skipped, told) == (2, [])
+
+    file.write_text(MINE + "# and thought about\n")
+    assert (go_on(jobs[:1], resume=True).skipped, len(told)) == (1, 1)  # who does not ask for it keeps it
+    assert told[0].startswith("box · mine_resumed:Mine · seed 0 stays as it was played, though its policy mine_resumed")
+    assert store.read_json(config)["versions"]["policy mine_resumed:Mine"] == first
+
+    result = go_on(jobs, resume=True)
+    assert (len(result.runs), result.skipped) == (2, 1)
+    assert told == ["box · mine_resumed:Mine · seed 0 is played again: its policy mine_resumed:Mine has changed since"]
+    assert store.read_json(config)["versions"]["policy mine_resumed:Mine"] != first
+    assert (go_on(jobs, resume=True).skipped, told) == (2, [])
+
+    file.unlink()  # nobody can say what it was: the runs stay
+    assert (go_on(jobs[:1], resume=True).skipped, told) == (1, [])

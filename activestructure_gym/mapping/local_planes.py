@@ -14,6 +14,7 @@ from activestructure_gym.geometry.depth_noise import axial_sigma
 
 _REACHES = (1, 2, 2)  # pixels to each side, round by round (measured: 3 or 4 win nothing and blur what is small)
 _GATE = 3.0  # sigmas from the plane of the round before beyond which a neighbour shows something else (measured: 4)
+_IN_LINE = 6.0  # sigmas by which three pixels in a row may miss one line and still show one surface (measured)
 _LEAST_WEIGHT = 2.5  # of all neighbours, of 1 each: below it there is no plane (own choice)
 _LEAST_SPREAD = 1e-2  # of their places, pixels^4: below it they are in one line, and no slope is known (own choice)
 
@@ -24,9 +25,10 @@ def on_local_planes(
 ) -> np.ndarray:  # [H, W] float32 metres
     """Depth of the plane that a pixel and its neighbours show: least squares in 1 / z, which is linear along a plane.
 
-    The first round takes the plane parallel to the image through the pixel, the others that of the round before; a
-    neighbour at r sigmas from it has the weight 1 - (r / 3)^2, none from 3 on. A pixel without a plane around it, and
-    one without a return, keeps what was measured.
+    Every round goes by the plane of the one before: a neighbour at r sigmas from it has the weight 1 - (r / 3)^2, none
+    from 3 on. The first goes by the plane parallel to the image through the pixel or, if more neighbours are near that
+    one, as on floors, by the slopes to that side of it on which three pixels lie better in one line, across and down.
+    Neighbours in one line give their mean. A pixel that has too few keeps what was measured, as one without a return.
     """
     seen = np.where(depth > 0, depth, np.float32(1.0)).astype(np.float64)
     sigma = noise_scale * axial_sigma(seen) / seen**2  # of 1 / z, to first order
@@ -42,9 +44,9 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
         for column in range(width):
             if not inverse[row, column] > 0.0:
                 continue
-            here, across, down = inverse[row, column], 0.0, 0.0
+            here, least = inverse[row, column], 1.0 / (_GATE * sigma[row, column])
+            across, down = _start(inverse, row, column, least)
             for reach in _REACHES:
-                least = 1.0 / (_GATE * sigma[row, column])
                 # Sums of weights, places and values of the neighbours: u, v pixels from here, d = 1 / z.
                 n, u, v, d = 0.0, 0.0, 0.0, 0.0
                 uu, uv, vv, ud, vd = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -73,3 +75,34 @@ def _fitted(inverse: np.ndarray, sigma: np.ndarray, depth: np.ndarray) -> np.nda
                     break
             fitted[row, column] = np.float32(1.0 / here)
     return fitted
+
+
+@kernel
+def _start(inverse: np.ndarray, row: int, column: int, least: float) -> tuple[float, float]:
+    """Slopes of 1 / z per pixel, rightwards and downwards, that the first round goes by."""
+    height, width = inverse.shape
+    across, down = _slope(inverse, row, column, 0, 1, least), _slope(inverse, row, column, 1, 0, least)
+    flat, slanted = 0.0, 0.0
+    for i in range(max(0, row - 1), min(height, row + 2)):
+        for j in range(max(0, column - 1), min(width, column + 2)):
+            if inverse[i, j] > 0.0:
+                step = inverse[i, j] - inverse[row, column]
+                flat += max(0.0, 1.0 - (step * least) ** 2)
+                slanted += max(0.0, 1.0 - ((step - across * (j - column) - down * (i - row)) * least) ** 2)
+    return (across, down) if slanted > flat else (0.0, 0.0)
+
+
+@kernel
+def _slope(inverse: np.ndarray, row: int, column: int, downwards: int, rightwards: int, least: float) -> float:
+    """Change of 1 / z per pixel to the side on which three pixels lie better in one line; 0 if on neither."""
+    height, width = inverse.shape
+    best, slope = _IN_LINE / (_GATE * least), 0.0
+    for side in (-1, 1):
+        i, j = row + 2 * side * downwards, column + 2 * side * rightwards
+        if i < 0 or j < 0 or i >= height or j >= width:
+            continue
+        middle, end = inverse[row + side * downwards, column + side * rightwards], inverse[i, j]
+        off = abs(inverse[row, column] - 2.0 * middle + end)
+        if middle > 0.0 and end > 0.0 and off < best:
+            best, slope = off, 0.5 * side * (end - inverse[row, column])
+    return slope

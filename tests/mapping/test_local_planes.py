@@ -22,11 +22,27 @@ def slanted(at: float, tilt: float) -> np.ndarray:  # [45, 80] metres
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.4, 0.9])
-def test_a_plane_without_noise_stays_as_it_is(tilt: float) -> None:
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_a_plane_without_noise_stays_as_it_is(tilt: float, scale: float) -> None:
     depth = slanted(4.0, tilt)
-    np.testing.assert_allclose(on_local_planes(depth, 1.0), depth, rtol=2e-3)
-    inner = (slice(4, -4), slice(4, -4))
-    np.testing.assert_allclose(on_local_planes(depth, 1.0)[inner], depth[inner], rtol=2e-6 if tilt == 0.0 else 2e-3)
+    np.testing.assert_allclose(on_local_planes(depth, scale), depth, rtol=2e-6)
+
+
+def floor(height: float) -> np.ndarray:  # [45, 80] metres
+    """Depth of a floor so far below a level camera; none above the horizon and beyond 8 m."""
+    down = CAMERA.rays()[..., 1].astype(np.float64)
+    depth = np.where(down > 0, height / np.maximum(down, 1e-9), 0.0)
+    return np.where(depth < 8.0, depth, 0.0).astype(np.float32)
+
+
+def test_noise_on_a_floor_seen_at_a_slant_shrinks_too() -> None:
+    depth = floor(1.4)
+    noisy = noisy_depth(depth, CAMERA, np.random.default_rng(1), model="kinect")
+    seen = (depth > 0) & (noisy > 0)
+    cleaned = on_local_planes(noisy, 1.0)
+    before, after = (np.sqrt(np.mean((d - depth)[seen] ** 2)) for d in (noisy, cleaned))
+    assert after < 0.75 * before
+    assert (cleaned == noisy)[seen].mean() < 0.1
 
 
 @pytest.mark.parametrize("at", [2.0, 5.0, 8.0])
@@ -67,11 +83,27 @@ def test_a_pixel_that_shows_nothing_else_around_it_keeps_its_depth() -> None:
     np.testing.assert_array_equal(on_local_planes(np.zeros((3, 4), np.float32), 1.0), 0.0)
 
 
+def slope(line: np.ndarray, sigma: float) -> float:
+    """Slope at the middle of five values of 1 / z, by the three to one side that miss one line by less."""
+    sides = [line[2::-1], line[2:]]
+    off = [abs(np.diff(side, 2)[0]) if (side > 0).all() else np.inf for side in sides]
+    better = int(off[1] < off[0])
+    return (2 * better - 1) * (sides[better][2] - line[2]) / 2 if off[better] < 6 * sigma else 0.0
+
+
 def by_lstsq(depth: np.ndarray, row: int, column: int) -> float:
     """The same by numpy, in float64: the plane of every round from weighted least squares over a list of neighbours."""
     inverse = np.where(depth > 0, 1.0 / np.where(depth > 0, depth, 1.0).astype(np.float64), 0.0)
     sigma = axial_sigma(float(depth[row, column])) / float(depth[row, column]) ** 2
-    fit = np.array([inverse[row, column], 0.0, 0.0])
+    around = np.pad(inverse, 2)[row : row + 5, column : column + 5]
+    flat = np.array([inverse[row, column], 0.0, 0.0])
+    steep = np.array([inverse[row, column], slope(around[2], sigma), slope(around[:, 2], sigma)])
+    near, (v, u) = around[1:4, 1:4], np.mgrid[-1:2, -1:2]
+    weights = [
+        np.clip(1 - ((near - start[0] - start[1] * u - start[2] * v) / (3 * sigma)) ** 2, 0, None)[near > 0].sum()
+        for start in (flat, steep)
+    ]
+    fit = steep if weights[1] > weights[0] else flat
     for reach in (1, 2, 2):
         rows, columns = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1].reshape(2, -1)
         inside = (rows >= 0) & (columns >= 0) & (rows < depth.shape[0]) & (columns < depth.shape[1])
@@ -88,8 +120,16 @@ def test_agrees_with_numpys_least_squares() -> None:
     depth = noisy_depth(slanted(5.0, 0.6), CAMERA, np.random.default_rng(3), model="kinect")
     depth[20:23, 50:53] = 0.0
     cleaned = on_local_planes(depth, 1.0)
-    for row, column in ((0, 0), (22, 40), (44, 79), (19, 51), (30, 7)):
+    for row, column in ((0, 0), (22, 40), (44, 79), (19, 51), (30, 7), (0, 33), (21, 49), (12, 78)):
         assert cleaned[row, column] == pytest.approx(by_lstsq(depth, row, column), rel=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (2, 2), (0, 0)])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1000.0])
+def test_small_images_and_any_noise_give_finite_depths(shape: tuple[int, int], scale: float) -> None:
+    depth = np.random.default_rng(6).uniform(0.5, 9.0, shape).astype(np.float32)
+    cleaned = on_local_planes(depth, scale)
+    assert cleaned.shape == shape and np.isfinite(cleaned).all() and (cleaned > 0).all()
 
 
 def test_a_larger_scale_takes_more_for_one_plane() -> None:

@@ -80,6 +80,10 @@ class Registry(Generic[T]):
         """The module that ``name`` names by its path or as an entry point, None for what is ours; imports nothing."""
         if self.imports(name):
             return name.partition(":")[0]
+        entry = self._entries.get(name)
+        made_in = getattr(getattr(entry, "compute", entry), "__module__", "")  # of a feature, its function's
+        if made_in.partition(".")[0] == __name__.partition(".")[0]:
+            return None
         return next((point.module for point in entry_points(group=self.group) if point.name == name), None)
 
     def _find(self, name: str) -> T:

@@ -1,66 +1,81 @@
-"""Which code outside of this package a run was played by: somebody's own policy, scene, feature or candidate source.
+"""Which code outside of this package a run was played by: somebody's own policy, features and candidate sources.
 
-It changes while it is written. A run keeps the sums of the files that its job names, so that one which was played by an
-older text is known when a comparison is gone on with. What these files import from elsewhere is not followed.
+It changes while it is written. A run keeps the sums of the modules that its job names, so that one which an older text
+played is known when a comparison is gone on with. What these import from elsewhere is not followed, and a scene needs
+no sum: a job names it by its content.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job, named_in
 
+KEY = "own_code"  # in a run's `store.CONFIG`, where there is any
+_SKIPPED = ("__pycache__", "site-packages", "node_modules")  # folders, and those that begin with a dot
 
-def own_code(job: Job) -> dict[str, str]:
-    """SHA-256 of the own code that a job names, by what it is ("policy mine:Mine"); none of it is imported for that.
 
-    Of a module its file, of one in a package all Python files of the outermost package. What is not found is left out.
+def sum_of(module: str) -> str | None:
+    """SHA-256 of a module's file, in a package that of all its Python files with their names; imports nothing.
+
+    ``module`` is the outermost name. None where there is no such file, or one that cannot be read.
     """
-    found = {}
-    for kind, name, module in _modules(job):
+    total = hashlib.sha256()
+    try:
         files = list(_files_of(module))
-        if files:
-            total = hashlib.sha256()
-            for file in files:
-                total.update(file.read_bytes() + b"\0")
-            found[f"{kind} {name}"] = total.hexdigest()
+        for name, file in files:
+            total.update(name.encode(errors="surrogateescape") + b"\0" + file.read_bytes() + b"\0")
+    except (ImportError, OSError, ValueError):
+        return None
+    return total.hexdigest() if files else None
+
+
+first_sum_of = cache(sum_of)  # what this process has imported stays as it was then
+
+
+def own_code(job: Job, sums: Callable[[str], str | None]) -> dict[str, str]:
+    """Sums of the own code that a job names, by what it is ("policy mine:Mine"); what is not found is left out."""
+    found = {}
+    for registry, name in named_in(job):
+        module = registry.module_of(name.partition("?")[0])
+        total = None if module is None else sums(module.partition(".")[0])
+        if total is not None:
+            found[f"{registry.kind} {name}"] = total
     return found
 
 
-def changed_code(directory: Path, job: Job) -> list[str]:
-    """What of a finished run's own code is not as it was then ("policy mine:Mine"); unknown sums count as equal."""
-    now = own_code(job)
+def changed_code(directory: Path, job: Job, sums: Callable[[str], str | None]) -> list[str]:
+    """What of a run's own code is not as it was then ("policy mine:Mine"); a sum that is missing counts as equal."""
+    now = own_code(job, sums)
     if not now:
         return []
-    then = store.read_run(directory).config["versions"]
+    try:
+        then = store.read_json(directory / store.CONFIG).get(KEY) or {}
+    except InputError:
+        return list(now)
     return [name for name, total in now.items() if then.get(name, total) != total]
 
 
-def _modules(job: Job) -> Iterator[tuple[str, str, str]]:
-    from activestructure_gym.scenes.library import imports_code
-
-    if imports_code(job.scene):
-        yield "scene", job.scene, job.scene.partition(":")[0]
-    for registry, name in named_in(job):
-        if module := registry.module_of(name.partition("?")[0]):
-            yield registry.kind, name, module
-
-
-def _files_of(module: str) -> Iterator[Path]:
-    package = module.partition(".")[0]
-    try:
-        spec = importlib.util.find_spec(package)
-    except (ImportError, ValueError):
-        return
+def _files_of(module: str) -> Iterator[tuple[str, Path]]:
+    """Name within the module and place of every file, by name; the first of those that have one name."""
+    spec = importlib.util.find_spec(module)
     if spec is None:
         return
     if spec.submodule_search_locations is None:
         if spec.origin is not None and Path(spec.origin).is_file():
-            yield Path(spec.origin)
+            yield "", Path(spec.origin)
         return
-    for root in sorted(spec.submodule_search_locations):
-        yield from sorted(path for path in Path(root).rglob("*.py") if path.is_file())
+    found = dict[str, Path]()
+    for root in map(Path, spec.submodule_search_locations):
+        for folder, below, files in os.walk(root):
+            below[:] = [name for name in below if not name.startswith(".") and name not in _SKIPPED]
+            for file in (Path(folder) / name for name in files if name.endswith(".py")):
+                found.setdefault(file.relative_to(root).as_posix(), file)
+    yield from sorted(found.items())

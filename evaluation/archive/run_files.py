@@ -69,7 +69,7 @@ CONFIG: Check = table(
         "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), text),
                           others=text),
     },
-    {"hash": text},
+    {"hash": text, "own_code": table(others=text)},
 )  # fmt: skip
 
 _MEASURED = (

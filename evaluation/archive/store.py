@@ -31,7 +31,7 @@ import os
 import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -55,6 +55,7 @@ T = TypeVar("T")
 FORMAT_VERSION = 3
 _READABLE = (2, FORMAT_VERSION)  # of 2 some policies had other names, see `old_names`
 DONE = ".done"
+WITHDRAWN = ".withdrawn"  # what `DONE` was, of a run that another text of own code played
 CONFIG, METRICS = "config.json", "metrics.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
@@ -198,6 +199,23 @@ def unsummed(run: Run) -> list[str]:
 def set_aside(directory: Path) -> None:
     """Make a damaged run one that is not finished; its files stay until another one takes their place."""
     (directory / DONE).unlink(missing_ok=True)
+
+
+def withdraw(directory: Path) -> None:
+    """Make a run one that is not finished, for as long as `reinstate` is not called or another one takes its place."""
+    with suppress(FileNotFoundError):  # somebody else was faster
+        os.replace(directory / DONE, directory / WITHDRAWN)
+
+
+def reinstate(directory: Path) -> None:
+    """Make a withdrawn run a finished one again."""
+    with suppress(FileNotFoundError):
+        os.replace(directory / WITHDRAWN, directory / DONE)
+
+
+def is_withdrawn(directory: Path) -> bool:
+    """Whether there is a run that was finished and withdrawn."""
+    return (directory / WITHDRAWN).is_file() and not (directory / DONE).exists()
 
 
 def finish(directory: Path, job: Job) -> None:

@@ -21,14 +21,13 @@ from activestructure_gym.evaluation.archive.jobs import (
     is_trajectory,
     refuse_code,
 )
-from activestructure_gym.evaluation.archive.own_code import changed_code
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
 from activestructure_gym.evaluation.running.following import PASSIVE, Given
-from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
+from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.schedule import Terms, schedule_of
 
@@ -307,20 +306,7 @@ def run_comparison(
     for path in directory.glob(f".{store.COMPARISON}.*"):
         path.unlink(missing_ok=True)
     asked = {job.name for job in jobs}
-    for job in everything:
-        place = run_directory(directory, job)
-        if not store.is_done(place, job):
-            continue
-        if damage := store.damage_of(place, job):
-            store.set_aside(place)
-            tell(f"{job.title} counts as not finished: {damage}")
-        elif changed := changed_code(place, job):
-            what = f"its {' and '.join(changed)} {'has' if len(changed) == 1 else 'have'} changed since"
-            if job.name in asked:
-                store.set_aside(place)
-                tell(f"{job.title} is played again: {what}")
-            else:
-                tell(f"{job.title} stays as it was played, though {what}: --resume alone plays it again")
+    settle(everything, asked, directory, tell)
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
     record = new_record(everything, read_record(directory), engine=engine, slots=slots, command=command)

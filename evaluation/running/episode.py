@@ -17,7 +17,8 @@ import numpy as np
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory, split_spec
-from activestructure_gym.evaluation.archive.own_code import own_code
+from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
+from activestructure_gym.evaluation.archive.own_code import first_sum_of, own_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.metrics.planning import planning_scores
@@ -76,13 +77,13 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
 
     tell = progress or (lambda _: None)
     tell(Progress("loading"))
+    own = own_code(job, first_sum_of)  # before it is imported, as it may be edited while it plays
     began = time.perf_counter()
     scene = load_job_scene(job)
     known = ground_truth_of(scene)
     truth = job.protocol.truth(known)
     others = [get_protocol(name) for name in job.also]
     policy, env = build(job, known)
-    own = own_code(job)  # now, as it may be edited while it plays
     seconds = {"loading": time.perf_counter() - began}
     try:
         episode = _Episode(job, env, policy, truth, tell)
@@ -415,7 +416,8 @@ def _write_record(
             "extent_m": extent,
         },
         "configuration": dataclasses.asdict(env.config),
-        "versions": machine.versions() | own,
+        "versions": machine.versions(),
+        **({OWN_CODE: own} if own else {}),
     }
     results = {
         "format": store.FORMAT_VERSION,

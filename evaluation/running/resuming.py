@@ -7,14 +7,16 @@ of this package. Its grid may grow; no job ever leaves it.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record
+from activestructure_gym.evaluation.archive import own_code, store
+from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each
 from activestructure_gym.evaluation.archive.old_names import renamed_among
 
@@ -42,6 +44,37 @@ def recorded_jobs(directory: Path) -> list[Job]:
             f"activestructure-gym, this is {__version__}: results are not mixed, begin a new comparison"
         )
     return jobs
+
+
+def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
+    """Take from the finished runs those that are damaged, and of those ``asked`` for those that other own code played.
+
+    ``asked`` holds names of jobs. A run whose own code is again what played it counts again. ``tell`` hears of each
+    damaged run, and once of all that one piece of own code concerns.
+    """
+    sums = cache(own_code.sum_of)
+    again, kept = Counter[str](), Counter[str]()
+    for job in jobs:
+        place = run_directory(directory, job)
+        if store.is_withdrawn(place) and not own_code.changed_code(place, job, sums):
+            store.reinstate(place)
+        if not store.is_done(place, job):
+            continue
+        if damage := store.damage_of(place, job):
+            store.set_aside(place)
+            tell(f"{job.title} counts as not finished: {damage}")
+        elif changed := own_code.changed_code(place, job, sums):
+            if job.name in asked:
+                store.withdraw(place)
+            (again if job.name in asked else kept)[" and ".join(changed)] += 1
+    for names, count in again.items():
+        tell(f"{_runs(count)} {'is' if count == 1 else 'are'} played again: changed since: {names}")
+    for names, count in kept.items():
+        tell(f"{_runs(count)} of before {'stays' if count == 1 else 'stay'}, though changed since: {names}")
+
+
+def _runs(count: int) -> str:
+    return f"{count} run" + ("" if count == 1 else "s")
 
 
 def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> list[Job]:

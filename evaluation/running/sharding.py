@@ -20,7 +20,7 @@ from activestructure_gym.evaluation.archive.comparison import finished_runs, rea
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.comparison import Result, new_record
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
-from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs
+from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
 
 _LOOK = 2.0  # seconds between two looks at what the others have done
 
@@ -75,11 +75,7 @@ def run_shard(
         store.write_json(
             directory / store.COMPARISON, new_record(everything, before, engine=engine, slots=slots, command=command)
         )
-    for job in everything:
-        place = run_directory(directory, job)
-        if store.is_done(place, job) and (damage := store.damage_of(place, job)):
-            store.set_aside(place)
-            tell(f"{job.title} counts as not finished: {damage}")
+    settle(everything, {job.name for job in jobs} if again else (), directory, tell)
 
     def left() -> list[Job]:
         return [job for job in waiting if not _is_done(job) and claims.failure(job) is None]

@@ -14,6 +14,7 @@ from typing import Any
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import policy_label, refuse_code
+from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.archive.verified import Verification
 from activestructure_gym.evaluation.machine.hardware import code_sum, hardware
@@ -65,6 +66,8 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         codes = [one.config["versions"].get("code") for one in (run, again)]
         if store.CONFIG in others and codes[0] == codes[1]:  # which rounds nothing
             wrong.append(f"another {store.CONFIG} of the same code")
+    before, now = (one.config.get(OWN_CODE, {}) for one in (run, again))
+    wrong += [f"{name} has changed since" for name, total in before.items() if now.get(name, total) != total]
     elsewhere = elsewhere_in(run, again)
     if not elsewhere:
         return Verification("differs", (f"other bytes in {', '.join(others)}", *wrong), **here)
@@ -147,7 +150,9 @@ def elsewhere_in(run: Run, again: Run) -> list[str]:
 
 def _same(run: Run, again: Run, name: str) -> bool:
     if name == store.CONFIG:
-        first, second = ({k: v for k, v in one.config.items() if k != "versions"} for one in (run, again))
+        first, second = (
+            {k: v for k, v in one.config.items() if k not in ("versions", OWN_CODE)} for one in (run, again)
+        )
         return _without_place(first) == _without_place(second)
     if name == store.METRICS:
         own, found = run.metrics["metrics"], again.metrics["metrics"]

@@ -20,7 +20,8 @@ from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
 
-WORKER = ("-m", "activestructure_gym.evaluation.running.worker")
+# -P: nothing in front of the search path that it is given, so that it imports what its supervisor looked at.
+WORKER = ("-P", "-m", "activestructure_gym.evaluation.running.worker")
 GRACE_SECONDS = 5.0  # between asking a worker to stop and killing it
 
 # (name of the job, a line it wrote); None for the line: it wrote its last.

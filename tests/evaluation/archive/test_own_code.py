@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
+import os
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym import registry
+from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.own_code import own_code
+from activestructure_gym.evaluation.archive.own_code import changed_code, own_code, sum_of
 
 
 @pytest.fixture
@@ -20,50 +21,87 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_what_is_registered_here_a_file_a_checkpoint_and_a_reference_have_none():
+def test_what_is_registered_here_a_checkpoint_a_reference_and_a_scene_have_none():
     for policy in ("hole_area", "active_gs?travel=shared", "learned:runs/mine", "reference:oracle", "trajectory:x.npz"):
-        assert own_code(Job("box", policy, 0)) == {}
-    assert own_code(Job("room?seed=3", "random", 0, overrides=(("gains", ("pixel",)),))) == {}
+        assert own_code(Job("my_scenes:cube", policy, 0), str) == {}
+    assert own_code(Job("room?seed=3", "random", 0, overrides=(("gains", ("pixel", "naruto_look_x")),)), str) == {}
 
 
 def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
-    for name in ("mine_a", "mine_b", "mine_c", "mine_d"):
+    for name in ("mine_b", "mine_c", "mine_d"):
         (here / f"{name}.py").write_text(f"raise AssertionError('{name}')\n")
     job = Job(
-        "mine_a:cube?side=5", "mine_b:Mine?depth=2", 0,
+        "box", "mine_b:Mine?depth=2", 0,
         overrides=(("gains", ("pixel", "mine_c:gain")), ("views.stages", [["pool", "mine_d:views"]])),
     )  # fmt: skip
-    found = own_code(job)
-    assert found == {
-        f"{kind} {name}": hashlib.sha256((here / f"{module}.py").read_bytes() + b"\0").hexdigest()
-        for kind, name, module in (
-            ("scene", "mine_a:cube?side=5", "mine_a"), ("policy", "mine_b:Mine?depth=2", "mine_b"),
-            ("feature", "mine_c:gain", "mine_c"), ("candidate source", "mine_d:views", "mine_d"),
-        )
-    }  # fmt: skip
-    assert not {"mine_a", "mine_b", "mine_c", "mine_d"} & sys.modules.keys()
+    found = own_code(job, sum_of)
+    assert list(found) == ["policy mine_b:Mine?depth=2", "feature mine_c:gain", "candidate source mine_d:views"]
+    assert len(set(found.values())) == 3 and all(len(total) == 64 for total in found.values())
+    assert not {"mine_b", "mine_c", "mine_d"} & sys.modules.keys()
 
 
-def test_of_a_package_every_file_counts_and_nothing_else(here: Path):
+def test_of_a_package_every_python_file_counts_with_its_name_and_nothing_else(here: Path):
     (here / "kit" / "deep").mkdir(parents=True)
     for name in ("__init__", "plan", "deep/__init__", "deep/more"):
         (here / "kit" / f"{name}.py").write_text("x = 1\n")
-    job, sums = Job("box", "kit.plan:Mine", 0), []
-    for name in (None, "notes.txt", "deep/more.py", "__init__.py"):
-        if name:
-            (here / "kit" / name).write_text("x = 2\n")
-        sums.append(own_code(job)["policy kit.plan:Mine"])
-    assert sums[0] == sums[1] and len(set(sums)) == 3
+    sums = [sum_of("kit")]
+    for name in ("notes.txt", ".venv/lib.py", "site-packages/other.py"):
+        (here / "kit" / name).parent.mkdir(exist_ok=True)
+        (here / "kit" / name).write_text("x = 2\n")
+        assert sum_of("kit") == sums[0], name
+    for name in ("deep/more.py", "__init__.py"):
+        (here / "kit" / name).write_text("x = 2\n")
+        sums.append(sum_of("kit"))
+    (here / "kit" / "plan.py").rename(here / "kit" / "plans.py")
+    assert len({*sums, sum_of("kit")}) == 4
 
 
-def test_an_installed_one_is_known_by_its_entry_point(here: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_folder_without_init_is_the_same_however_often_it_is_on_the_path(here: Path, monkeypatch):
+    (here / "loose").mkdir()
+    (here / "loose" / "plan.py").write_text("x = 1\n")
+    once = sum_of("loose")
+    monkeypatch.setattr(sys, "path", [str(here), str(here / ".." / here.name), *sys.path])
+    assert once is not None and sum_of("loose") == once
+
+
+def test_an_installed_one_is_known_by_its_entry_point_unless_ours_has_its_name(here: Path, monkeypatch):
     (here / "installed_one.py").write_text("x = 1\n")
-    point = EntryPoint("area_first", "installed_one:AreaFirst", "activestructure_gym.policies")
-    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
-    assert list(own_code(Job("box", "area_first?depth=3", 0))) == ["policy area_first?depth=3"]
-    assert own_code(Job("box", "hole_area", 0)) == {}
+    points = [EntryPoint(name, "installed_one:Any", "activestructure_gym.policies") for name in ("area", "hole_area")]
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == points[0].group else [])
+    assert list(own_code(Job("box", "area?depth=3", 0), sum_of)) == ["policy area?depth=3"]
+    assert own_code(Job("box", "hole_area", 0), sum_of) == {}
 
 
-def test_what_cannot_be_found_is_left_out(here: Path):
-    for name in ("nowhere_to_be_found:Mine", "nowhere.to.be.found:Mine", "sys:Mine", "__main__:Mine"):
-        assert own_code(Job("box", name, 0)) == {}
+def test_what_cannot_be_found_or_read_is_left_out(here: Path, monkeypatch):
+    for name in ("nowhere_to_be_found", "sys", "__main__", "", "..", "no/module"):
+        assert sum_of(name) is None, name
+    (here / "shut.py").write_text("x = 1\n")
+
+    def gone(self):
+        raise FileNotFoundError(self)
+
+    monkeypatch.setattr(Path, "read_bytes", gone)
+    assert sum_of("shut") is None
+
+
+def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(here: Path):
+    run, job = here / "run", Job("box", "mine_e:Mine", 0)
+    run.mkdir()
+    now = {"mine_e": "b" * 64}.get
+    for content, changed in (({}, []), ({"own_code": {}}, []), ({"own_code": {"policy mine_e:Mine": "b" * 64}}, []),
+                             ({"own_code": {"policy mine_e:Mine": "a" * 64}}, ["policy mine_e:Mine"])):  # fmt: skip
+        store.write_json(run / store.CONFIG, content)
+        assert changed_code(run, job, now) == changed
+    assert changed_code(run, job, lambda module: None) == []  # the module is gone: nobody can say
+    (run / store.CONFIG).write_text("{")
+    assert changed_code(run, job, now) == ["policy mine_e:Mine"]
+
+
+def test_a_withdrawn_run_can_be_reinstated(tmp_path: Path):
+    (tmp_path / store.DONE).write_text("mark")
+    store.withdraw(tmp_path)
+    store.withdraw(tmp_path)  # as another program may do at the same time
+    assert store.is_withdrawn(tmp_path) and not (tmp_path / store.DONE).exists()
+    store.reinstate(tmp_path)
+    store.reinstate(tmp_path)
+    assert (tmp_path / store.DONE).read_text() == "mark" and os.listdir(tmp_path) == [store.DONE]

@@ -259,43 +259,59 @@ def test_a_comparison_whose_record_was_lost_is_gone_on_with(monkeypatch, tmp_pat
 
 
 MINE = """
+import numpy as np
 from activestructure_gym.policies import Policy
 
 class Mine(Policy):
-    \"\"\"The first view on offer.\"\"\"
+    \"\"\"A view on offer.\"\"\"
 
     def act(self, observation):
-        return int(observation["action_mask"].argmax())
+        return int(np.flatnonzero(observation["action_mask"])[WHICH])
 """
 
 
 def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    file, runs = tmp_path / "mine_resumed.py", tmp_path / "runs"
-    file.write_text(MINE)
-    real = variant(scene_hash="", protocol=StandardProtocol(views=2, surface_samples=2000))
-    jobs, told = [real, dataclasses.replace(real, policy="mine_resumed:Mine")], []
+    kit, runs = tmp_path / "kit_of_mine", tmp_path / "runs"
+    kit.mkdir()
     runs.mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))  # a folder without __init__.py, as one has it while trying things out
+    monkeypatch.chdir(tmp_path)
+    job = variant(scene_hash="", policy="kit_of_mine.plan:Mine", protocol=StandardProtocol(views=2))
+    mark, told = run_directory(runs, job) / store.DONE, []
 
-    def go_on(asked, **options):
+    def go_on(asked=(job,), **options):  # by workers, which find the code by themselves
         told.clear()
-        return run_comparison(asked, runs, Silent(), engine="inline", tell=told.append, **options)
+        result = run_comparison(asked, runs, Silent(), engine="local", tell=told.append, **options)
+        assert not result.failed
+        return result.skipped, len(result.runs)
 
-    assert (len(go_on(jobs).runs), told) == (2, [])
-    config = run_directory(runs, jobs[1]) / "config.json"
-    first = store.read_json(config)["versions"]["policy mine_resumed:Mine"]
-    assert (go_on(jobs, resume=True).skipped, told) == (2, [])
+    def actions():
+        return [step["action"] for step in open_comparison(runs)[0].steps]
 
-    file.write_text(MINE + "# and thought about\n")
-    assert (go_on(jobs[:1], resume=True).skipped, len(told)) == (1, 1)  # who does not ask for it keeps it
-    assert told[0].startswith("box · mine_resumed:Mine · seed 0 stays as it was played, though its policy mine_resumed")
-    assert store.read_json(config)["versions"]["policy mine_resumed:Mine"] == first
+    (kit / "plan.py").write_text(MINE.replace("WHICH", "0"))
+    assert go_on() == (0, 1)
+    first = actions()
+    assert go_on(resume=True) == (1, 1) and not told
 
-    result = go_on(jobs, resume=True)
-    assert (len(result.runs), result.skipped) == (2, 1)
-    assert told == ["box · mine_resumed:Mine · seed 0 is played again: its policy mine_resumed:Mine has changed since"]
-    assert store.read_json(config)["versions"]["policy mine_resumed:Mine"] != first
-    assert (go_on(jobs, resume=True).skipped, told) == (2, [])
+    (kit / "plan.py").write_text(MINE.replace("WHICH", "-1"))
+    assert go_on([], resume=True) == (0, 1)
+    assert told == ["1 run of before stays, though changed since: policy kit_of_mine.plan:Mine"] and actions() == first
+    with monkeypatch.context() as patch:
 
-    file.unlink()  # nobody can say what it was: the runs stay
-    assert (go_on(jobs[:1], resume=True).skipped, told) == (1, [])
+        def stopped(*_, **__):
+            raise KeyboardInterrupt
+
+        patch.setitem(engines.ENGINES, "local", Engine(stopped, lambda *_: 1, lambda _: None))
+        with pytest.raises(KeyboardInterrupt):
+            go_on(resume=True)
+    assert not mark.exists()  # what an older text played does not count meanwhile
+    (kit / "plan.py").write_text(MINE.replace("WHICH", "0"))
+    assert go_on(resume=True) == (1, 1) and not told and actions() == first  # and counts again where it is back
+
+    (kit / "plan.py").write_text(MINE.replace("WHICH", "-1"))
+    assert go_on(resume=True) == (0, 1)
+    assert told == ["1 run is played again: changed since: policy kit_of_mine.plan:Mine"] and actions() != first
+    assert go_on(resume=True) == (1, 1) and not told
+
+    (kit / "plan.py").unlink()  # nobody can say what it was: the run stays
+    assert go_on([], resume=True) == (0, 1) and not told

@@ -19,6 +19,7 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, open_comparison
+from activestructure_gym.evaluation.archive import own_code
 from activestructure_gym.evaluation.archive.claims import LOST_AFTER
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -89,6 +90,29 @@ def test_two_shards_play_every_job_once_and_one_reports(tmp_path: Path, counted:
     # It is a comparison like any other.
     result = run_comparison(jobs(6), tmp_path, Silence(), engine="counted", resume=True)
     assert len(result.runs) == 5 and len(open_comparison(tmp_path)) == 5
+
+
+def test_shards_play_again_what_changed_own_code_played_if_asked_to(
+    tmp_path: Path, counted: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    file, runs, told = tmp_path / "mine_shared.py", tmp_path / "runs", list[str]()
+    runs.mkdir()
+    file.write_text("from activestructure_gym.policies.random import Random as Mine\n")
+    mine = jobs(2, "mine_shared:Mine")
+
+    def play(*, again: bool) -> int:
+        told.clear()
+        own_code.first_sum_of.cache_clear()  # as in another process
+        run_shard(mine, runs, Silence(), Shard(1, 1), engine="counted", again=again, tell=told.append)
+        return sum(counted.values())
+
+    assert play(again=True) == 2
+    file.write_text(file.read_text() + "# thought about\n")
+    assert play(again=False) == 2
+    assert told == ["2 runs of before stay, though changed since: policy mine_shared:Mine"]
+    assert play(again=True) == 4 and told == ["2 runs are played again: changed since: policy mine_shared:Mine"]
+    assert play(again=True) == 4 and not told
 
 
 def test_a_shard_begins_with_its_own_and_helps_with_all() -> None:

@@ -78,11 +78,13 @@ class Registry(Generic[T]):
 
     def module_of(self, name: str) -> str | None:
         """The module that ``name`` names by its path or as an entry point, None for what is ours; imports nothing."""
+        ours = __name__.partition(".")[0]
         if self.imports(name):
-            return name.partition(":")[0]
+            module = name.partition(":")[0]
+            return None if module.partition(".")[0] == ours else module
         entry = self._entries.get(name)
         made_in = getattr(getattr(entry, "compute", entry), "__module__", "")  # of a feature, its function's
-        if made_in.partition(".")[0] == __name__.partition(".")[0]:
+        if made_in.partition(".")[0] == ours:
             return None
         return next((point.module for point in entry_points(group=self.group) if point.name == name), None)
 

@@ -87,6 +87,13 @@ class FeatureRegistry(Registry[Feature]):
         found = super().get(name)
         return found if isinstance(found, Feature) else Feature(found)
 
+    def module_of(self, name: str) -> str | None:
+        """As of any registry, also by a column's full name."""
+        for owner in (name, *_beginnings(name)):
+            if (module := super().module_of(owner)) or owner in self._entries:
+                return module
+        return None
+
     def columns(self, name: str) -> tuple[str, ...]:
         """Full names of a feature's columns. Raises `InputError` for an unknown feature."""
         return tuple(f"{name}_{column}" if column else name for column in self.get(name).columns)

@@ -15,29 +15,35 @@ from functools import cache
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive import schema, store
 from activestructure_gym.evaluation.archive.jobs import Job, named_in
 
 KEY = "own_code"  # in a run's `store.CONFIG`, where there is any
-_SKIPPED = ("__pycache__", "site-packages", "node_modules")  # folders, and those that begin with a dot
+_CHECK = schema.table({}, {KEY: schema.table(others=schema.text)}, others=schema.anything)
+_SKIPPED = ("__pycache__", "node_modules")  # folders, and all that no import statement can name
+_RUNS = "compare.json"  # a folder that holds it is a comparison's
 
 
 def sum_of(module: str) -> str | None:
     """SHA-256 of a module's file, in a package that of all its Python files with their names; imports nothing.
 
-    ``module`` is the outermost name. None where there is no such file, or one that cannot be read.
+    ``module`` is the outermost name. None where there is no such file.
     """
     total = hashlib.sha256()
     try:
         files = list(_files_of(module))
-        for name, file in files:
-            total.update(name.encode(errors="surrogateescape") + b"\0" + file.read_bytes() + b"\0")
     except (ImportError, OSError, ValueError):
         return None
+    for name, file in files:
+        try:
+            content = file.read_bytes()
+        except OSError as error:  # it counts all the same, or nothing in its package would
+            content = type(error).__name__.encode()
+        total.update(os.fsencode(name) + b"\0" + content + b"\0")
     return total.hexdigest() if files else None
 
 
-first_sum_of = cache(sum_of)  # what this process has imported stays as it was then
+first_sum_of = cache(sum_of)  # for what this process imports, asked before it does: that stays as it was then
 
 
 def own_code(job: Job, sums: Callable[[str], str | None]) -> dict[str, str]:
@@ -56,11 +62,21 @@ def changed_code(directory: Path, job: Job, sums: Callable[[str], str | None]) -
     now = own_code(job, sums)
     if not now:
         return []
+    then = _sums_then(directory)
+    return list(now) if then is None else [name for name, total in now.items() if then.get(name, total) != total]
+
+
+def is_as_it_was(directory: Path, job: Job, sums: Callable[[str], str | None]) -> bool:
+    """Whether all own code that a run has sums of is there and is what played it."""
+    then = _sums_then(directory)
+    return bool(then) and then == own_code(job, sums)
+
+
+def _sums_then(directory: Path) -> dict[str, str] | None:
     try:
-        then = store.read_json(directory / store.CONFIG).get(KEY) or {}
+        return dict(store.read_json(directory / store.CONFIG, _CHECK).get(KEY, {}))
     except InputError:
-        return list(now)
-    return [name for name, total in now.items() if then.get(name, total) != total]
+        return None
 
 
 def _files_of(module: str) -> Iterator[tuple[str, Path]]:
@@ -75,7 +91,10 @@ def _files_of(module: str) -> Iterator[tuple[str, Path]]:
     found = dict[str, Path]()
     for root in map(Path, spec.submodule_search_locations):
         for folder, below, files in os.walk(root):
-            below[:] = [name for name in below if not name.startswith(".") and name not in _SKIPPED]
-            for file in (Path(folder) / name for name in files if name.endswith(".py")):
+            below[:] = [name for name in below if name.isidentifier() and name not in _SKIPPED]
+            if _RUNS in files:
+                below.clear()
+                continue
+            for file in (Path(folder) / name for name in files if name.endswith(".py") and name[0] != "."):
                 found.setdefault(file.relative_to(root).as_posix(), file)
     yield from sorted(found.items())

@@ -6,6 +6,7 @@ A comparison's directory::
     jobs/<job name>/             one per finished job
         .done                    the job's hash; what has no such file is not a result. Behind it the SHA-256 of
                                  every file that is read again, in the form of sha256sum
+        .withdrawn               what .done was, of a run that other own code played, until it is played again
         config.json              job, protocol, resolved configuration, scene, versions
         metrics.json             the numbers and the convergence curve; no clock in it
         evaluations/NAME.json    the numbers of a further protocol, measured with the run or later
@@ -211,6 +212,14 @@ def reinstate(directory: Path) -> None:
     """Make a withdrawn run a finished one again."""
     with suppress(FileNotFoundError):
         os.replace(directory / WITHDRAWN, directory / DONE)
+
+
+def mark_of(directory: Path) -> str:
+    """The whole text of a finished run's `DONE`; empty of one that is not finished."""
+    try:
+        return (directory / DONE).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 def is_withdrawn(directory: Path) -> bool:

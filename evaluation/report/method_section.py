@@ -7,6 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table
@@ -83,7 +84,8 @@ def _machines(runs: Sequence[Run]) -> Table:
 def _versions(runs: Sequence[Run]) -> Table:
     found: dict[str, dict[str, None]] = {}
     for run in runs:
-        for name, version in run.config["versions"].items():
+        own = {name: total[:12] for name, total in run.config.get(OWN_CODE, {}).items()}
+        for name, version in (*run.config["versions"].items(), *own.items()):
             found.setdefault(name, {})[version] = None
     rows = [
         [Cell(name), Cell(", ".join(versions), tone="alarm" if len(versions) > 1 else "")]

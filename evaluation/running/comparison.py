@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.archive.jobs import (
     is_trajectory,
     refuse_code,
 )
+from activestructure_gym.evaluation.archive.own_code import first_sum_of
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
@@ -133,7 +134,7 @@ class Comparison:
     def _check_policies(self) -> list[str]:
         """Canonical names of the policies, each once; raises `InputError` where a policy or a change cannot be used."""
         from activestructure_gym.config import configure
-        from activestructure_gym.policies import canonical_policy, make_policy
+        from activestructure_gym.policies import POLICIES, canonical_policy, make_policy
 
         configure(self.preset, self.overrides)  # what policies replace must be usable too
         changes = dict(self.overrides)
@@ -146,6 +147,8 @@ class Comparison:
                 configure(self.preset, given.changes(changes))
                 named.append(given.spec)
                 continue
+            if module := POLICIES.module_of(spec.partition("?")[0]):
+                first_sum_of(module.partition(".")[0])  # before it is imported
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             brought = schedule_of(policy, self.terms).overrides()

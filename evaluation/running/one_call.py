@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import StandardProtocol
@@ -57,7 +58,8 @@ def compare(
     """Run policies on scenes under one budget and measure the finished maps.
 
     Equal seeds share start, sensor noise and planner noise, so that policies are compared in pairs. What is finished
-    in ``out`` is never run again. ``asg report OUT`` draws the pages.
+    in ``out`` is not run again unless it is damaged or other own code played it, of which an `InputWarning` tells.
+    ``asg report OUT`` draws the pages.
 
     Parameters
     ----------
@@ -133,5 +135,9 @@ def compare(
     jobs = comparison.prepare()
     with hold(directory) as held:
         return run_comparison(
-            jobs, directory, listener or Silence(), engine=engine, limits=limits, resume=resume, held=held
+            jobs, directory, listener or Silence(), engine=engine, limits=limits, resume=resume, held=held, tell=_warn
         )
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, InputWarning, stacklevel=3)

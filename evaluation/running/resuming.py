@@ -56,7 +56,7 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
     again, kept = Counter[str](), Counter[str]()
     for job in jobs:
         place = run_directory(directory, job)
-        if store.is_withdrawn(place) and not own_code.changed_code(place, job, sums):
+        if store.is_withdrawn(place) and own_code.is_as_it_was(place, job, sums):
             store.reinstate(place)
         if not store.is_done(place, job):
             continue

@@ -107,7 +107,8 @@ def run_shard(
         _tell_others(waiting, told, _is_done, claims, listener)
         lost = {job.name: claims.failure(job) for job in jobs if not _is_done(job)}
         failed = [Outcome(job, error) for job in jobs if (error := lost.get(job.name)) is not None]
-        ended = sorted(f"{job.name} {_is_done(job)}" for job in everything)  # a later sitting may mend what failed
+        # A later sitting may mend what failed, or play again what other own code played.
+        ended = sorted(f"{job.name} {store.mark_of(run_directory(directory, job))}" for job in everything)
         reports = claims.first(f"report-{hashlib.sha256(chr(10).join(ended).encode()).hexdigest()[:12]}")
     asked = {job.name for job in jobs}
     missing = [job for job in everything if job.name not in asked and not _is_done(job)]

@@ -197,7 +197,7 @@ class _Tally:
 
 def _start(part: str, work: str, tally: Callable[[str], None]) -> subprocess.Popen[str]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "activestructure_gym.evaluation.running.warmup", part],
+        [sys.executable, "-P", "-m", "activestructure_gym.evaluation.running.warmup", part],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

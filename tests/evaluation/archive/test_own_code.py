@@ -12,7 +12,7 @@ import pytest
 from activestructure_gym import registry
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.own_code import changed_code, own_code, sum_of
+from activestructure_gym.evaluation.archive.own_code import changed_code, is_as_it_was, own_code, sum_of
 
 
 @pytest.fixture
@@ -45,8 +45,9 @@ def test_of_a_package_every_python_file_counts_with_its_name_and_nothing_else(he
     for name in ("__init__", "plan", "deep/__init__", "deep/more"):
         (here / "kit" / f"{name}.py").write_text("x = 1\n")
     sums = [sum_of("kit")]
-    for name in ("notes.txt", ".venv/lib.py", "site-packages/other.py"):
-        (here / "kit" / name).parent.mkdir(exist_ok=True)
+    (here / "kit" / ".#plan.py").symlink_to("nobody@nowhere.1")  # an editor's, of a file that is not saved yet
+    for name in ("notes.txt", ".venv/lib.py", "site-packages/other.py", "runs/compare.json", "runs/jobs/config.py"):
+        (here / "kit" / name).parent.mkdir(exist_ok=True, parents=True)
         (here / "kit" / name).write_text("x = 2\n")
         assert sum_of("kit") == sums[0], name
     for name in ("deep/more.py", "__init__.py"):
@@ -70,18 +71,29 @@ def test_an_installed_one_is_known_by_its_entry_point_unless_ours_has_its_name(h
     monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == points[0].group else [])
     assert list(own_code(Job("box", "area?depth=3", 0), sum_of)) == ["policy area?depth=3"]
     assert own_code(Job("box", "hole_area", 0), sum_of) == {}
+    assert own_code(Job("box", "activestructure_gym.policies.random:Random", 0), sum_of) == {}
 
 
-def test_what_cannot_be_found_or_read_is_left_out(here: Path, monkeypatch):
+def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatch):
+    (here / "installed_two.py").write_text("x = 1\n")
+    point = EntryPoint("two", "installed_two:two", "activestructure_gym.features")
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
+    for name, found in (("two", 1), ("two_left_eye", 1), ("naruto_look_x", 0), ("pixel", 0), ("three_x", 0)):
+        assert len(own_code(Job("box", "random", 0, overrides=(("gains", (name,)),)), sum_of)) == found, name
+
+
+def test_what_cannot_be_found_is_left_out():
     for name in ("nowhere_to_be_found", "sys", "__main__", "", "..", "no/module"):
         assert sum_of(name) is None, name
-    (here / "shut.py").write_text("x = 1\n")
 
-    def gone(self):
-        raise FileNotFoundError(self)
 
-    monkeypatch.setattr(Path, "read_bytes", gone)
-    assert sum_of("shut") is None
+def test_a_file_that_cannot_be_read_does_not_hide_the_others(here: Path):
+    (here / "half").mkdir()
+    (here / "half" / "gone.py").symlink_to("nowhere")
+    (here / "half" / "plan.py").write_text("x = 1\n")
+    first = sum_of("half")
+    (here / "half" / "plan.py").write_text("x = 2\n")
+    assert first is not None and sum_of("half") not in (None, first)
 
 
 def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(here: Path):
@@ -93,8 +105,21 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
         store.write_json(run / store.CONFIG, content)
         assert changed_code(run, job, now) == changed
     assert changed_code(run, job, lambda module: None) == []  # the module is gone: nobody can say
-    (run / store.CONFIG).write_text("{")
-    assert changed_code(run, job, now) == ["policy mine_e:Mine"]
+    for damaged in ("{", "[]", '{"own_code": "x"}', '{"own_code": {"a": 1}}'):
+        (run / store.CONFIG).write_text(damaged)
+        assert changed_code(run, job, now) == ["policy mine_e:Mine"] and not is_as_it_was(run, job, now)
+
+
+def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
+    run, job = here / "run", Job("box", "mine_f:Mine", 0, overrides=(("gains", ("mine_g:gain",)),))
+    run.mkdir()
+    sums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
+    store.write_json(run / store.CONFIG, {"own_code": own_code(job, sums.get)})
+    assert is_as_it_was(run, job, sums.get)
+    assert not is_as_it_was(run, job, {"mine_f": "a" * 64}.get)
+    assert not is_as_it_was(run, job, {**sums, "mine_g": "c" * 64}.get)
+    store.write_json(run / store.CONFIG, {})
+    assert not is_as_it_was(run, job, {}.get)
 
 
 def test_a_withdrawn_run_can_be_reinstated(tmp_path: Path):

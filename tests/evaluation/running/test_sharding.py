@@ -101,18 +101,19 @@ def test_shards_play_again_what_changed_own_code_played_if_asked_to(
     file.write_text("from activestructure_gym.policies.random import Random as Mine\n")
     mine = jobs(2, "mine_shared:Mine")
 
-    def play(*, again: bool) -> int:
+    def play(*, again: bool) -> tuple[int, bool]:
         told.clear()
         own_code.first_sum_of.cache_clear()  # as in another process
-        run_shard(mine, runs, Silence(), Shard(1, 1), engine="counted", again=again, tell=told.append)
-        return sum(counted.values())
+        _, reports = run_shard(mine, runs, Silence(), Shard(1, 1), engine="counted", again=again, tell=told.append)
+        return sum(counted.values()), reports
 
-    assert play(again=True) == 2
+    assert play(again=True) == (2, True)
     file.write_text(file.read_text() + "# thought about\n")
-    assert play(again=False) == 2
+    assert play(again=False) == (2, False)
     assert told == ["2 runs of before stay, though changed since: policy mine_shared:Mine"]
-    assert play(again=True) == 4 and told == ["2 runs are played again: changed since: policy mine_shared:Mine"]
-    assert play(again=True) == 4 and not told
+    assert play(again=True) == (4, True)  # the report of before is of the other text
+    assert told == ["2 runs are played again: changed since: policy mine_shared:Mine"]
+    assert play(again=True) == (4, False) and not told
 
 
 def test_a_shard_begins_with_its_own_and_helps_with_all() -> None:

@@ -6,7 +6,8 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import typing
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from itertools import takewhile
 from types import NoneType
@@ -38,13 +39,42 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     helped = any(word in ("-h", "--help") for word in words)
     try:
         with _columns(_columns_of_help() if helped else _ENDLESS), redirect_stderr(said):
-            return tyro.cli(kind, prog=f"asg {name}", args=list(words), registry=_VALUES)
+            words = gathered(words, _lists(parts_of(kind).get(part, kind)))
+            return tyro.cli(kind, prog=f"asg {name}", args=words, registry=_VALUES)
     except SystemExit as end:
         if end.code in (None, 0):
             raise
     command, told = f"asg {name} {part}".rstrip(), sentence(said.getvalue(), part)
     belongs = [hint for word in _stray(told) if (hint := _option_of(kind, word))]
     raise InputError("; ".join([told, *belongs, f"{command} --help shows the options"]))
+
+
+def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
+    """The words with all values of a list behind the first time its option stands there.
+
+    tyro keeps the last time alone: of ``--set a=1 --set b=2`` nobody would miss the first until the numbers are out.
+    """
+    current: list[str] = []  # an option and its values
+    groups, firsts = [current], dict[str, list[str]]()
+    for word in words:
+        option, equals, value = word.partition("=")
+        option = option.replace("_", "-")
+        if option in lists and option in firsts:
+            current = firsts[option]
+            current += [value] if equals else []
+        elif option in lists or word.startswith("--"):
+            current = [option, value] if option in lists and equals else [word]
+            firsts[option] = current
+            groups.append(current)
+        else:
+            current.append(word)
+    return [word for group in groups for word in group]
+
+
+def _lists(kind: type) -> set[str]:
+    """The options of a command that take any number of values."""
+    hints = typing.get_type_hints(kind)
+    return {f"--{name.replace('_', '-')}" for name, hint in hints.items() if "tuple[" in str(hint)}
 
 
 def _stray(told: str) -> list[str]:

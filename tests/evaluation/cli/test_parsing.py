@@ -8,7 +8,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command, parts_of
-from activestructure_gym.evaluation.cli.parsing import parse
+from activestructure_gym.evaluation.cli.parsing import gathered, parse
 
 
 @pytest.mark.parametrize(
@@ -127,3 +127,17 @@ def test_a_part_has_its_own_options_alone():
     assert taken["ppo"] - taken["bc"] == {"start", "iterations", "steps", "envs"}
     assert not taken["score"] & {"seed", "gains", "noise", "resume", "gamma"}
     assert taken["splatting"] == {"workloads", "repeats", "baseline"} and taken["sensor"] == {"scene"}
+
+
+def test_a_list_that_is_said_twice_has_all_its_values():
+    words = "--set a=1 --frames 5 --set b=2 --scenes room,box --set=c=3 d=4 --scenes apartment --frames 6"
+    options = parse(find_command("compare"), "compare", words.split())
+    assert options.set == ("a=1", "b=2", "c=3", "d=4")
+    assert options.scenes == ("room,box", "apartment") and options.frames == 6  # of a single value the last one
+    assert gathered("runs/a --out x runs/b --out y".split(), ["--set"]) == "runs/a --out x runs/b --out y".split()
+    assert gathered("runs/a --set_it b --set-it c".split(), ["--set-it"]) == "runs/a --set_it b c".split()
+
+
+def test_so_has_one_of_a_part():
+    words = "decisions --policies hole_area --policies random,pixel_only".split()
+    assert parse(find_command("bench"), "bench", words).part.policies == ("hole_area", "random,pixel_only")

@@ -179,6 +179,12 @@ def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
     assert [name for name in sorted(names) if f"`{name}`" not in told] == []
 
 
+def test_the_native_table_is_that_of_its_runs() -> None:
+    tables = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))["tables"]()
+    told = (ROOT / "docs" / "notebook" / "benchmark.md").read_text()
+    assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
+
+
 @pytest.mark.parametrize("runs", ["benchmark.csv", "ladder_300.csv", "ladder_2000.csv", "benchmark_blurred.csv"])
 def test_the_tables_of_the_benchmark_are_those_of_its_runs(runs: str) -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))

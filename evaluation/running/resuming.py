@@ -68,13 +68,13 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
                 store.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
     for names, count in again.items():
-        tell(f"{_runs(count)} {'is' if count == 1 else 'are'} played again: changed since: {names}")
+        tell(f"{_runs(count, names)} {'is' if count == 1 else 'are'} played again: its code has changed since")
     for names, count in kept.items():
-        tell(f"{_runs(count)} of before {'stays' if count == 1 else 'stay'}, though changed since: {names}")
+        tell(f"{_runs(count, names)} {'stays' if count == 1 else 'stay'}, though its code has changed since")
 
 
-def _runs(count: int) -> str:
-    return f"{count} run" + ("" if count == 1 else "s")
+def _runs(count: int, own: str) -> str:
+    return f"{count} run{'' if count == 1 else 's'} with {own}"
 
 
 def merged(recorded: Sequence[Job], asked: Sequence[Job], directory: Path) -> list[Job]:

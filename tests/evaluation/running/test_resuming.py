@@ -295,7 +295,10 @@ def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, 
 
     (kit / "plan.py").write_text(MINE.replace("WHICH", "-1"))
     assert go_on([], resume=True) == (0, 1)
-    assert told == ["1 run of before stays, though changed since: policy kit_of_mine.plan:Mine"] and actions() == first
+    assert (
+        told == ["1 run with policy kit_of_mine.plan:Mine stays, though its code has changed since"]
+        and actions() == first
+    )
     with monkeypatch.context() as patch:
 
         def stopped(*_, **__):
@@ -310,7 +313,10 @@ def test_what_was_played_by_own_code_that_has_changed_is_played_again(tmp_path, 
 
     (kit / "plan.py").write_text(MINE.replace("WHICH", "-1"))
     assert go_on(resume=True) == (0, 1)
-    assert told == ["1 run is played again: changed since: policy kit_of_mine.plan:Mine"] and actions() != first
+    assert (
+        told == ["1 run with policy kit_of_mine.plan:Mine is played again: its code has changed since"]
+        and actions() != first
+    )
     assert go_on(resume=True) == (1, 1) and not told
 
     (kit / "plan.py").unlink()  # nobody can say what it was: the run stays

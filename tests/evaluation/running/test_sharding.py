@@ -110,9 +110,9 @@ def test_shards_play_again_what_changed_own_code_played_if_asked_to(
     assert play(again=True) == (2, True)
     file.write_text(file.read_text() + "# thought about\n")
     assert play(again=False) == (2, False)
-    assert told == ["2 runs of before stay, though changed since: policy mine_shared:Mine"]
+    assert told == ["2 runs with policy mine_shared:Mine stay, though its code has changed since"]
     assert play(again=True) == (4, True)  # the report of before is of the other text
-    assert told == ["2 runs are played again: changed since: policy mine_shared:Mine"]
+    assert told == ["2 runs with policy mine_shared:Mine are played again: its code has changed since"]
     assert play(again=True) == (4, False) and not told
 
 

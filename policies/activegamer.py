@@ -67,6 +67,7 @@ class ActiveGAMER(Planner):
     required_gains = ("uncovered",)
     brings = Schedule(
         mapper="splatam",
+        iterations=15,
         stages=tuple((source,) for source in SOURCES),
         candidates=1026,
         clearance_m=0.3,  # as in Matterport3D's furnished houses; 0.5 m in Replica's rooms

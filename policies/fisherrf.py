@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from activestructure_gym.policies.base import POLICIES
 from activestructure_gym.policies.greedy import Greedy
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.schedule import SELECTED_VIEWS, Schedule
 
 
 @POLICIES.register("fisherrf")
@@ -14,6 +14,7 @@ class FisherRF(Greedy):
     decides_by = "information of a view over that of all keyframes"
     source = "Jiang et al., FisherRF, ECCV 2024"
     required_gains = ("fisherrf",)
+    brings = Schedule(budget=SELECTED_VIEWS.budget)
 
 
 @POLICIES.register("fisherrf_cov")
@@ -39,7 +40,9 @@ class FisherRFPath(Greedy):
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_gains = ("fisherrf_path",)
     brings = Schedule(
-        stages=(("frontier_facing?rows=192", "around?radius_m=1&rows=64"),),
-        candidates=256,
+        mapper="splatam",
+        iterations=60,
+        stages=(("frontier_facing?rows=192", "unsure_facing?apart_m=1&rows=64", "around?radius_m=1&rows=64"),),
+        candidates=320,
         budget="2000 steps of 5 cm and 5 degrees, 800 x 800, 60 iterations",
     )

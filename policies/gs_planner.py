@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.greedy import Planner, Travel
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.schedule import SPLATAM
 
 # The paper prints no values for these; ours are shares of what a view could gain at most.
 QUALITY_WEIGHT = 0.1  # of the mean loss in metres against the share of unobserved volume
@@ -60,7 +62,7 @@ class GSPlanner(Planner):
     decides_by = "unobserved volume behind transmittance, badly rendered surface"
     source = "by the text of Jin et al., GS-Planner, IROS 2024"
     required_gains = ("gs_planner",)
-    brings = Schedule(mapper="splatam")
+    brings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native") -> None:
         super().__init__(travel)

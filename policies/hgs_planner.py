@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 from typing import Literal, get_args
 
@@ -11,7 +12,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.policies.base import POLICIES, Observation, best_valid, only_new
 from activestructure_gym.policies.candidates import Candidates
 from activestructure_gym.policies.greedy import Greedy, Travel
-from activestructure_gym.policies.schedule import Schedule
+from activestructure_gym.policies.schedule import SPLATAM
 
 LOCAL_M = 3.0  # metres from the agent along x and along y: half the local window of 6 x 6 m
 CUBOID_M = 6.0  # metres, horizontal side of the global parts
@@ -38,7 +39,7 @@ class HGSPlanner(Greedy):
     decides_by = "unseen space through transmittance, Fisher information"
     source = "by the text of Xu et al., HGS-Planner, ICRA 2025"
     required_gains = ("hgs_planner", "hgs_coverage")
-    brings = Schedule(mapper="splatam")
+    brings = replace(SPLATAM, budget="")
 
     def __init__(self, travel: Travel = "native", sum: Sum = "ranked") -> None:
         super().__init__(travel)

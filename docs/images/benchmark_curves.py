@@ -1,8 +1,11 @@
-"""Makes benchmark_curves.json, the curves of the site's gallery: what policies had observed over 300 frames.
+"""Makes benchmark_curves.json, what policies had observed over 300 frames, and benchmark_curves.svg of some of them.
 
-    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]
+    python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # policies, all anew
+    python docs/images/benchmark_curves.py runs/oracle                  # references are put beside them
+    python docs/images/benchmark_curves.py                              # the picture alone
 
 Per policy the mean over scenes of the mean over seeds. Of a run that is in several comparisons the first one's counts.
+The gallery of the site (docs/_site/gallery.py) draws the same file.
 """
 
 from __future__ import annotations
@@ -15,7 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.report.charts import Line, line_chart, span, standalone
 from activestructure_gym.evaluation.report.curves import curve_of
 from activestructure_gym.evaluation.report.results import gather
 
@@ -24,37 +29,70 @@ MEASURES = ("observed", "completion_ratio", "psnr")
 SAME = {"activestructure-a": "pixel_only"}  # policies that need not be played twice
 
 
-def main(directories: Sequence[Path]) -> None:
-    """Read the comparisons, write the means."""
+PLACE = Path(__file__).with_suffix(".json")
+DRAWN = ("oracle", "activestructure", "unknown_volume", "hole_area", "pixel_only", "random")
+FIRST = 50  # frame; the first views are two fifths of the surface and would flatten all that follows
+Curves = dict[str, dict[str, list[float]]]  # of a policy, of a measure
+
+
+def gathered(directories: Sequence[Path]) -> tuple[Curves, Curves, set[tuple[str, int]]]:
+    """Mean curves of the policies and of the references among these runs, and the scenes and seeds they share."""
     runs: dict[tuple[str, str, int], Run] = {}
     for directory in directories:
         for run in gather([directory]).runs:
-            runs.setdefault((run.policy, run.scene.partition("?up")[0], run.job.seed), run)
+            name = run.job.policy if is_reference(run.job.policy) else run.policy
+            runs.setdefault((name, run.scene.partition("?up")[0], run.job.seed), run)
     every = {(scene, seed) for _, scene, seed in runs}
-    told: dict[str, dict[str, list[float]]] = {}
-    for policy in sorted({policy for policy, _, _ in runs}):
-        mine = {(scene, seed) for name, scene, seed in runs if name == policy}
+    policies: Curves = {}
+    references: Curves = {}
+    for name in sorted({name for name, _, _ in runs}):
+        mine = {(scene, seed) for other, scene, seed in runs if other == name}
         if mine != every:
-            print(f"left out {policy}: {len(mine)} of {len(every)} runs")
+            print(f"left out {name}: {len(mine)} of {len(every)} runs")
             continue
-        told[policy] = {}
-        for measure in MEASURES:
-            by_scene = defaultdict(list)
-            for scene, seed in sorted(every):
-                frames, values = curve_of(runs[policy, scene, seed], "frames", measure)
-                by_scene[scene].append(np.interp(FRAMES, frames, values))
-            mean = np.mean([np.mean(curves, axis=0) for curves in by_scene.values()], axis=0)
-            told[policy][measure] = [round(float(value), 2) for value in mean]
-    told |= {name: told[same] for name, same in SAME.items() if name not in told and same in told}
-    whole = {
-        "frames": FRAMES.tolist(),
-        "scenes": len({scene for scene, _ in every}),
-        "runs": len(every),
-        "policies": dict(sorted(told.items())),
-    }
-    Path(__file__).with_suffix(".json").write_text(json.dumps(whole, separators=(",", ":")) + "\n", encoding="utf-8")
-    print(f"{len(told)} policies, {len(every)} runs each")
+        curves = {measure: _mean(runs, name, sorted(every), measure) for measure in MEASURES}
+        (references if is_reference(name) else policies)[name.removeprefix(REFERENCE)] = curves
+    return policies, references, every
+
+
+def _mean(
+    runs: dict[tuple[str, str, int], Run], name: str, cells: Sequence[tuple[str, int]], measure: str
+) -> list[float]:
+    by_scene = defaultdict(list)
+    for scene, seed in cells:
+        frames, values = curve_of(runs[name, scene, seed], "frames", measure)
+        by_scene[scene].append(np.interp(FRAMES, frames, values))
+    mean = np.mean([np.mean(curves, axis=0) for curves in by_scene.values()], axis=0)
+    return [round(float(value), 2) for value in mean]
+
+
+def written(directories: Sequence[Path]) -> None:
+    """Put the curves of these comparisons into the file."""
+    policies, references, every = gathered(directories)
+    told = json.loads(PLACE.read_text(encoding="utf-8")) if PLACE.exists() else {}
+    told["references"] = dict(sorted((told.get("references", {}) | references).items()))
+    if not references:
+        policies |= {name: policies[same] for name, same in SAME.items() if same in policies}
+        told |= {"frames": FRAMES.tolist(), "scenes": len({scene for scene, _ in every}), "runs": len(every)}
+        told["policies"] = dict(sorted(policies.items()))
+    PLACE.write_text(json.dumps(told, separators=(",", ":")) + "\n", encoding="utf-8")
+    print(f"{len(told['policies'])} policies, {len(told['references'])} references")
+
+
+def drawn() -> str:
+    """What some policies and the oracle had observed, as SVG."""
+    told = json.loads(PLACE.read_text(encoding="utf-8"))
+    frames, curves = np.array(told["frames"], np.float64), told["references"] | told["policies"]
+    later = frames >= FIRST
+    lines = [
+        Line(name, index, frames[later], np.array(curves[name]["observed"])[later]) for index, name in enumerate(DRAWN)
+    ]
+    names = [f"{name} (reference, sees the truth)" if name in told["references"] else name for name in DRAWN]
+    chart = line_chart(lines, title="observed", x_label="frames", y_label="surface observed [%]", holds=span(lines))
+    return standalone([[chart]], names, title="What was observed over 300 frames")
 
 
 if __name__ == "__main__":
-    main([Path(word) for word in sys.argv[1:]])
+    if sys.argv[1:]:
+        written([Path(word) for word in sys.argv[1:]])
+    PLACE.with_suffix(".svg").write_text(drawn(), encoding="utf-8")

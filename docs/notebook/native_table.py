@@ -3,7 +3,9 @@
     python docs/notebook/native_table.py                       # the table
     python docs/notebook/native_table.py runs/native [MORE]    # these runs are put into native.csv first
 
-One table per scene and seed, who has observed most first. What nobody reaches is "–".
+One table per scene, of means over its seeds, who has observed most first; differences are those of pairs with
+``BASELINE`` on the same seed, with bootstrap intervals of 95 %, which for two seeds are the two differences themselves.
+What no run reaches is "–"; what some do is their mean, with their number.
 """
 
 from __future__ import annotations
@@ -12,12 +14,15 @@ import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import mean
 
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import PLANNING, value_of
 from activestructure_gym.evaluation.report.results import gather
+from activestructure_gym.evaluation.statistics.paired import paired_difference
 
 PLACE = Path(__file__).with_name("native.csv")
+BASELINE = "hole_area"
 SHOWN = {  # key: heading, digits
     "observed": ("observed (%) ↑", 1),
     "observed_area": ("area (%) ↑", 1),
@@ -35,6 +40,7 @@ SHOWN = {  # key: heading, digits
     "decision_s": ("s per decision", 1),
     "run_s": ("run (s)", 0),
 }
+DIFFERENCES = {"observed": ("observed", 1), "observed_area": ("area", 1), "psnr": ("PSNR", 2)}
 NAMES = ("policy", "scene", "seed", "mapper")
 
 
@@ -74,25 +80,63 @@ def added(directories: Sequence[Path]) -> None:
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """A table of these runs."""
-    heads = " | ".join(heading for heading, _ in SHOWN.values())
-    text = [f"| planner | mapper | {heads} |", "|---|---|" + "---:|" * len(SHOWN)]
-    for row in sorted(lines, key=lambda row: (-float(row["observed"]), row["policy"])):
-        cells = [f"{float(row[key]):,.{digits}f}" if row[key] else "–" for key, (_, digits) in SHOWN.items()]
-        text.append(f"| `{row['policy']}` | {row['mapper']} | " + " | ".join(cells) + " |")
+    """A table of the runs of a scene, who has observed most first."""
+    runs: dict[str, dict[str, dict[str, str]]] = {}
+    for row in lines:
+        runs.setdefault(row["policy"], {})[row["seed"]] = row
+    heads = [heading for heading, _ in SHOWN.values()]
+    heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
+    text = ["| planner | mapper | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
+    for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
+        cells = [_shown(runs[policy], key, digits) for key, (_, digits) in SHOWN.items()]
+        cells += [_difference(runs, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
+        mapper = " / ".join(sorted({row["mapper"] for row in runs[policy].values()}))
+        text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
     return "\n".join(text) + "\n"
 
 
-def tables() -> dict[tuple[str, str], str]:
-    """The table of every scene and seed."""
-    found: dict[tuple[str, str], list[dict[str, str]]] = {}
+def tables() -> dict[str, str]:
+    """The table of every scene."""
+    found: dict[str, list[dict[str, str]]] = {}
     for row in rows():
-        found.setdefault((row["scene"], row["seed"]), []).append(row)
-    return {key: markdown(lines) for key, lines in found.items()}
+        found.setdefault(row["scene"], []).append(row)
+    return {scene: markdown(lines) for scene, lines in found.items()}
+
+
+def _mean(by_seed: dict[str, dict[str, str]], key: str) -> float:
+    return mean([float(row[key]) for row in by_seed.values() if row[key]])
+
+
+def _shown(by_seed: dict[str, dict[str, str]], key: str, digits: int) -> str:
+    reached = sum(bool(row[key]) for row in by_seed.values())
+    if not reached:
+        return "–"
+    text = f"{_mean(by_seed, key):,.{digits}f}"
+    return text if reached == len(by_seed) else f"{text} ({reached} of {len(by_seed)})"
+
+
+def _difference(runs: dict[str, dict[str, dict[str, str]]], policy: str, key: str, digits: int) -> str:
+    if policy == BASELINE or BASELINE not in runs:
+        return ""
+    ours, theirs = (
+        {(row["scene"], int(seed)): float(row[key]) for seed, row in runs[name].items()} for name in (policy, BASELINE)
+    )
+    found = paired_difference(ours, theirs)
+    if found is None:
+        return ""
+    value = found.difference
+    text = f"{value.value:+.{digits}f}"
+    return f"{text} [{value.low:.{digits}f}, {value.high:.{digits}f}]" if value.has_interval else text
+
+
+def main(words: Sequence[str]) -> None:
+    """Take in runs, if there are any, and print."""
+    if words:
+        added([Path(word) for word in words])
+    for scene, table in tables().items():
+        seeds = sorted({row["seed"] for row in rows() if row["scene"] == scene}, key=int)
+        print(f"{scene}, seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}:\n\n{table}")
 
 
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        added([Path(word) for word in sys.argv[1:]])
-    for (scene, seed), table in tables().items():
-        print(f"{scene}, seed {seed}:\n\n{table}")
+    main(sys.argv[1:])

@@ -55,6 +55,7 @@ def _describe(facts: dict[str, Any]) -> None:
     console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
     console.print(escape(facts["about"]), soft_wrap=True)
     console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
+    console.print(escape(f"On native terms it brings {facts['native']}."), soft_wrap=True)
     if not facts["options"]:
         console.print("It takes no options.")
         return
@@ -82,6 +83,7 @@ def _required(kind: type) -> list[str]:
 
 def _policy_facts(name: str) -> dict[str, Any]:
     from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.schedule import schedule_of
 
     kind: Any = POLICIES.get(name.partition("?")[0])
     parameters = inspect.signature(kind).parameters.values()
@@ -91,6 +93,7 @@ def _policy_facts(name: str) -> dict[str, Any]:
         "decides_by": kind.decides_by or about.partition("\n")[0],
         "gains": list(gains_asked(name)),
         "source": kind.source,
+        "native": schedule_of(kind, "native").told(),
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
         "required": _required(kind),
         "about": about,

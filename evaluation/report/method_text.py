@@ -128,8 +128,25 @@ def terms_text(results: Results) -> list[str]:
         stages = " or ".join(" + ".join(stage) for stage in config["views"]["stages"])
         every = config["keyframe_every"]
         frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a way"
-        told.append(f"`{name}` views of `{stages}`, mapper `{config['mapper']['name']}`, a keyframe {frames}")
-    return [f"Native terms: every policy with candidate views and a schedule of its own. {'; '.join(told)}."]
+        mapper, clearance = config["mapper"], config["motion"]["candidate_clearance"]
+        told.append(
+            f"`{name}` up to {config['views']['max_candidates']} views of `{stages}`, {clearance:g} m from what is not "
+            f"free, mapper `{mapper['name']}` with {mapper['iterations']} iterations for a keyframe {frames}"
+            + _budget(name)
+        )
+    return [
+        "Native terms: every policy with candidate views and a schedule of its own, at the budget of this comparison; "
+        f"in brackets what its paper spends. {'; '.join(told)}."
+    ]
+
+
+def _budget(name: str) -> str:
+    """What the paper of a policy that ships spends, in brackets."""
+    from activestructure_gym.policies import POLICIES
+
+    plain = name.partition("?")[0]
+    noted = POLICIES.get(plain).brings.budget if plain in POLICIES else ""
+    return f" ({noted})" if noted else ""
 
 
 def trajectories_text(results: Results) -> list[str]:

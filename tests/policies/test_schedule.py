@@ -25,6 +25,7 @@ def test_what_a_policy_brings_is_a_configuration_that_it_can_play(name: str) -> 
     brought = POLICIES.get(name).brings
     config = configure("full", brought.overrides())
     assert brought.mapper in (None, config.mapper.name) and config.frame_budget == 2000
+    assert config.mapper.iterations == (brought.iterations or configure("full").mapper.iterations)
     env, policy = make_env_and_policy(name, "box", terms="native", preset="fast", frame_budget=30, config=SMALL)
     stages = env.unwrapped.config.views.stages  # type: ignore[attr-defined]
     assert stages == (brought.stages or (("pool",),))
@@ -67,6 +68,26 @@ def test_rules_as_published_bring_their_schedule_and_hybrids_of_ours_bring_none(
             brought = schedule_of(POLICIES.get(name), "native")
             assert (brought.overrides() == {}) == name.endswith("_cov"), name
             assert brought.iterations == (None if name.endswith("_cov") else 100)
+
+
+def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its_paper() -> None:
+    ladder = ["activestructure", *(f"activestructure-{rung}" for rung in "abcd")]
+    found = {name: configure("full", POLICIES.get(name).brings.overrides()).mapper for name in POLICIES}
+    built = {name: mapper.iterations for name, mapper in found.items() if mapper.name == "splatam"}
+    systems = ["activegamer", "activesplat", "gs_planner", "hgs_planner", *ladder]
+    assert built == dict.fromkeys(systems, configure("default", {"mapper.name": "splatam"}).mapper.iterations) | {
+        "fisherrf_path": 60
+    }
+
+
+def test_what_is_brought_is_told_with_what_the_paper_spends() -> None:
+    assert Schedule().told() == "nothing; its paper spends what is not noted here"
+    full = Schedule("splatam", (("pool", "stay"), ("turns",)), 9, 4, False, 3, 0.5, {"sensor.width": 64}, "an hour")
+    assert full.told() == (
+        "views of pool + stay or turns, up to 9 of them, views 0.5 m from what is not free, mapper splatam, "
+        "3 iterations a keyframe, a keyframe every 4 frames, sensor.width = 64; its paper spends an hour"
+    )
+    assert Schedule(goal_keyframes=True).told().startswith("a keyframe at the end of a way; ")
 
 
 def test_r3_recon_is_offered_views_of_the_frontier_and_around_the_agent() -> None:

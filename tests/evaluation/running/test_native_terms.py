@@ -27,8 +27,9 @@ def test_everybody_brings_what_is_their_own_and_the_page_says_so(tmp_path: Path)
     stages = {run.policy: run.config["configuration"]["views"]["stages"] for run in open_comparison(tmp_path / "runs")}
     assert stages == {BRINGER: [["turns?count=5"]], "random": [["pool"]]}
     (told,) = terms_text(gather([tmp_path / "runs"]))
-    assert f"`{BRINGER}` views of `turns?count=5`, mapper `default`, a keyframe at the end of a way" in told
-    assert "`random` views of `pool`, mapper `default`, a keyframe every 20 frames" in told
+    free, mapper = "0.3 m from what is not free", "mapper `default` with 0 iterations for a keyframe"
+    assert f"`{BRINGER}` up to 64 views of `turns?count=5`, {free}, {mapper} at the end of a way;" in told
+    assert f"`random` up to 64 views of `pool`, {free}, {mapper} every 20 frames." in told
     with pytest.raises(InputError, match="terms was native, asked for is shared"):
         compare(["box"], ["random"], tmp_path / "runs", **USUAL, resume=True)
     compare(["box"], ["random"], tmp_path / "shared", **USUAL)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,15 @@ def test_the_memory_counts_views_that_were_chosen_and_no_keyframes_on_the_way() 
     assert len(stops) == episode.decisions == FEW + 1 < len(episode.keyframe_indices)
     np.testing.assert_array_equal(stops[-1], episode.pose)
     assert revisit_discount(stops[:1], stops)[0] == pytest.approx(1.0 - FORGETTING**FEW)
+
+
+def test_views_that_were_chosen_are_what_discounts_and_keyframes_are_not(two_walls, looks) -> None:
+    context = two_walls.context(*looks)
+    keyframes = np.stack([frame.world_from_camera for frame in two_walls.mapper.keyframes] * 2)
+    north = np.stack([look_along(np.zeros(3), np.array([0.0, 1.0, 0.0]))] * (FEW + 1))
+    stood = [look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))] * FEW + [north[0]]
+    factors = revisit_discount(np.array(looks), np.stack(stood))
+    assert factors[0] < 0.5 and factors[1] == 1.0  # the east had been chosen, the west had not
+    assert revisit_discount(np.array(looks), keyframes)[1] < 1.0  # and both stand among the keyframes
+    found = gauss_mi(two_walls.context(*looks, agent=SimpleNamespace(stops=np.stack(stood))))
+    np.testing.assert_allclose(found, gauss_mi(context) * factors, rtol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,14 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.features.aiisrfe import voxel_colour_errors
 from activestructure_gym.geometry import rotation_angle
 from activestructure_gym.ground_truth import ground_truth_of
+from activestructure_gym.mapping.gaussian_map import OPACITY_LOGIT
 from activestructure_gym.motion import planar_graph
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
 from activestructure_gym.sources import SOURCES, Proposals, Source, SourceContext, facing, make_source
 from activestructure_gym.sources.facing import (
+    FrontierFacing,
+    RegionsOfInterest,
     UnsureFacing,
     _rank_within,
     frontier_cells,
@@ -26,6 +30,7 @@ from activestructure_gym.sources.facing import (
 )
 from activestructure_gym.sources.places import looking
 from activestructure_gym.volume import FREE
+from tests.policies.test_contracts import make_scene, swap_truth
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 60}
 
@@ -67,6 +72,39 @@ def test_every_source_offers_reachable_level_views_and_the_same_for_the_same_see
     here = np.linalg.norm(poses[:, :3, 3] - first.pose[:3, 3], axis=1) < 1e-6
     clear = first.volume.clearance_at(poses[:, :3, 3]) >= first.config.motion.candidate_clearance
     assert (here | clear).all()
+
+
+def test_no_source_knows_the_true_mesh(spec: str) -> None:
+    config = configure("fast", {**SMALL, "views": {"stages": ((spec, TURNS),), "max_candidates": 96}})
+    run = Reconstruction(config)
+    run.start(ground_truth_of(make_scene()), 0)
+    for _ in range(3):
+        run.visit(int(rows_of(run, TURNS)[2]))
+    run._offer()
+    before = run.candidates
+    swap_truth(SimpleNamespace(reconstruction=run))  # type: ignore[arg-type]
+    run._offer()
+    assert len(rows_of(run, spec))
+    np.testing.assert_array_equal(run.candidates.world_from_camera, before.world_from_camera)
+    np.testing.assert_array_equal(run.candidates.path_length, before.path_length)
+
+
+def test_the_swap_finds_a_source_that_peeks() -> None:
+    run = Reconstruction(configure("fast", {**SMALL, "views": {"stages": ((TURNS,),), "max_candidates": 96}}))
+    run.start(ground_truth_of(make_scene()), 0)
+
+    @dataclass(frozen=True)
+    class Peeking(Source):
+        rows: int = 3
+
+        def propose(self, context: SourceContext) -> Proposals:
+            run.scene.raycaster.depth(context.camera, context.agent.pose[None])
+            return Proposals(context.agent.pose[None])
+
+    swap_truth(SimpleNamespace(reconstruction=run))  # type: ignore[arg-type]
+    run._sources = {TURNS: Peeking()}
+    with pytest.raises(AssertionError, match="asked the ground truth for"):
+        run._offer()
 
 
 def test_a_source_changes_nothing_for_the_pool_beside_it(spec: str) -> None:
@@ -263,6 +301,28 @@ def test_the_worst_rendered_surface_is_faced_first() -> None:
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     target = int((ways @ poses[0, :3, 2]).argmax())
     assert ways[target] @ poses[0, :3, 2] > 1.0 - 1e-9 and ways[target] @ seen["normals"][target] <= -0.5 + 1e-9
+
+
+def test_regions_of_interest_are_the_frontier_and_known_surface_that_is_doubtful(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = look_round((TURNS, "roi"))
+    gaussians, volume = run.mapper.map, run.volume
+    frontier = frontier_cells(volume)
+    cells = volume.voxel_of(gaussians.means) // 2
+    known = [cell for cell in np.unique(cells, axis=0) if not frontier[tuple(cell)]]
+    doubted, few = known[len(known) // 2], known[0]
+    rows = np.flatnonzero((cells != few).any(axis=1))[:11]
+    places = volume.origin + (np.array([doubted] * 6 + [few] * 5) + 0.5) * 2 * volume.voxel_size
+    gaussians.parameters[:3, rows] = places.T
+    gaussians.parameters[OPACITY_LOGIT, rows] = 3.0  # a logit: .95
+    confidence = np.ones(gaussians.count)
+    confidence[rows] = 0.29
+    monkeypatch.setattr(facing, "gaussian_confidence", lambda seen: confidence)
+    context = SimpleNamespace(volume=volume, mapper=run.mapper)
+    more = RegionsOfInterest().regions(context) & ~FrontierFacing().regions(context)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(np.argwhere(more), [doubted])  # of five Gaussians alone nothing is made
+    assert (RegionsOfInterest().regions(context) >= frontier).all()  # type: ignore[arg-type]
 
 
 def test_a_robot_on_wheels_stays_at_its_height_and_looks_all_around() -> None:

@@ -53,7 +53,13 @@ def test_a_policy_s_options_stand_with_their_defaults(capsys):
 def test_policies_for_programs(capsys):
     rows = json.loads(said(capsys, "policies", "--json"))
     assert [row["name"] for row in rows] == list(POLICIES)
-    assert {"name", "decides_by", "gains", "source", "options", "required", "about"} == set(rows[0])
+    assert {"name", "decides_by", "gains", "source", "native", "options", "required", "about"} == set(rows[0])
+
+
+def test_a_policy_says_what_it_brings_on_native_terms(capsys):
+    out = " ".join(said(capsys, "policies", "activesplat").split())
+    assert "On native terms it brings mapper splatam, 15 iterations a keyframe; its paper spends 1000 steps" in out
+    assert "On native terms it brings nothing;" in said(capsys, "policies", "hole_area")
 
 
 def test_several_policies_are_described_one_after_the_other(capsys):

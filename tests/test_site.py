@@ -57,6 +57,21 @@ def test_every_policy_has_a_page_and_a_section_that_is_there(site: ModuleType) -
     assert places == sorted(places)  # who observed more comes first
 
 
+def test_the_numbers_of_a_policy_are_those_of_the_benchmark_s_table(site: ModuleType) -> None:
+    table = (DOCS / "notebook" / "benchmark.md").read_text(encoding="utf-8")
+    rows = {name: re.search(rf"^\| `{name}` \|.*$", table, re.MULTILINE) for name in ("random", "unseen", "fisherrf")}
+    for name, row in rows.items():
+        assert row is not None
+        cells = [
+            float(cell.strip(" *")) for cell in row[0].split("|")[2:7]
+        ]  # C.R., of the surface, observed, area, PSNR
+        shown = re.search(rf"^\| `{name}` \| (.*) \|$", site.pages()[f"policies/{name}.md"], re.MULTILINE)
+        assert shown is not None
+        assert [float(cell) for cell in shown[1].split(" | ")] == pytest.approx(
+            [cells[2], cells[0], cells[4]], abs=0.06
+        )
+
+
 def test_the_gallery_says_what_a_policy_maximises(site: ModuleType) -> None:
     pages = site.pages()
     index = pages["policies/index.md"]

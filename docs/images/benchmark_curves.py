@@ -1,8 +1,8 @@
-"""Makes benchmark_curves.json, what policies had observed over 300 frames, and benchmark_curves.svg of some of them.
+"""Makes benchmark_curves.json, what policies had over 300 frames, and of it benchmark_curves.svg and policies.svg.
 
     python docs/images/benchmark_curves.py runs/benchmark [MORE ...]    # policies, all anew
     python docs/images/benchmark_curves.py runs/oracle                  # references are put beside them
-    python docs/images/benchmark_curves.py                              # the picture alone
+    python docs/images/benchmark_curves.py                              # the pictures alone
 
 Per policy the mean over scenes of the mean over seeds. Of a run that is in several comparisons the first one's counts.
 The gallery of the site (docs/_site/gallery.py) draws the same file.
@@ -20,18 +20,19 @@ import numpy as np
 
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.report.charts import Line, line_chart, span, standalone
+from activestructure_gym.evaluation.report.charts import Line, line_chart, panel_chart, span, standalone
 from activestructure_gym.evaluation.report.curves import curve_of
 from activestructure_gym.evaluation.report.results import gather
 
 FRAMES = np.arange(0, 301, 10)
-MEASURES = ("observed", "completion_ratio", "psnr")
+MEASURES = ("observed", "completion_ratio")  # PSNR on the way is of a few views alone
 SAME = {"activestructure-a": "pixel_only"}  # policies that need not be played twice
 
 
 PLACE = Path(__file__).with_suffix(".json")
 DRAWN = ("oracle", "activestructure", "unknown_volume", "hole_area", "pixel_only", "random")
 FIRST = 50  # frame; the first views are two fifths of the surface and would flatten all that follows
+PANELS = {"observed": "surface observed [%]", "completion_ratio": "C.R. at 5 cm [%]"}
 Curves = dict[str, dict[str, list[float]]]  # of a policy, of a measure
 
 
@@ -92,7 +93,22 @@ def drawn() -> str:
     return standalone([[chart]], names, title="What was observed over 300 frames")
 
 
+def panels() -> str:
+    """What every policy had observed, and its C.R., on the grey of all others, as SVG."""
+    told = json.loads(PLACE.read_text(encoding="utf-8"))
+    frames = np.array(told["frames"], np.float64)
+    names = sorted(told["policies"])
+    charts = []
+    for measure, label in PANELS.items():
+        curves = [np.array(told["policies"][name][measure]) for name in names]
+        lines = [Line(name, 0, frames, curve) for name, curve in zip(names, curves)]
+        title = f"{label} over frames, policy by policy"
+        charts.append([panel_chart(lines, title=title, x_label="frames", y_label=label)])
+    return standalone(charts, (), title=f"Each of {len(names)} policies, all others behind it")
+
+
 if __name__ == "__main__":
     if sys.argv[1:]:
         written([Path(word) for word in sys.argv[1:]])
     PLACE.with_suffix(".svg").write_text(drawn(), encoding="utf-8")
+    PLACE.with_name("policies.svg").write_text(panels(), encoding="utf-8")

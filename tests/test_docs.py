@@ -180,9 +180,11 @@ def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
 
 
 def test_the_native_table_is_that_of_its_runs() -> None:
-    tables = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))["tables"]()
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
     told = (ROOT / "docs" / "notebook" / "benchmark.md").read_text()
+    tables = script["tables"]()
     assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
+    assert script["brought"]() in told, "paste what native_table.py prints"
 
 
 @pytest.mark.parametrize("runs", ["benchmark.csv", "ladder_300.csv", "ladder_2000.csv", "benchmark_blurred.csv"])

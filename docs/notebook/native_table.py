@@ -5,7 +5,7 @@
 
 One table per scene, of means over its seeds, who has observed most first; differences are those of pairs with
 ``BASELINE`` on the same seed, with bootstrap intervals of 95 %, which for two seeds are the two differences themselves.
-What no run reaches is "–"; what some do is their mean, with their number.
+What no run reaches is "–"; what some do is their mean, with their number. Below it what each brings.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import PLANNING, value_of
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.statistics.paired import paired_difference
+from activestructure_gym.policies import POLICIES
 
 PLACE = Path(__file__).with_name("native.csv")
 BASELINE = "hole_area"
@@ -103,6 +104,14 @@ def tables() -> dict[str, str]:
     return {scene: markdown(lines) for scene, lines in found.items()}
 
 
+def brought() -> str:
+    """What each policy of the file brings and its paper spends, a line for all who declare the same."""
+    who: dict[str, list[str]] = {}
+    for name in sorted({row["policy"] for row in rows()}):
+        who.setdefault(POLICIES.get(name).brings.told(), []).append(f"`{name}`")
+    return "".join(f"- {', '.join(names)}: {told}.\n" for told, names in sorted(who.items(), key=lambda one: one[1]))
+
+
 def _mean(by_seed: dict[str, dict[str, str]], key: str) -> float:
     return mean([float(row[key]) for row in by_seed.values() if row[key]])
 
@@ -136,6 +145,7 @@ def main(words: Sequence[str]) -> None:
     for scene, table in tables().items():
         seeds = sorted({row["seed"] for row in rows() if row["scene"] == scene}, key=int)
         print(f"{scene}, seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}:\n\n{table}")
+    print(brought(), end="")
 
 
 if __name__ == "__main__":

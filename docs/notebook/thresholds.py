@@ -1,0 +1,105 @@
+"""Prints the table of planners.md, "Thresholds that are guesses": each of them halved and doubled, in whole episodes.
+
+    python docs/notebook/thresholds.py gs_planner
+    python docs/notebook/thresholds.py hgs_planner
+
+150 frames, preset ``default``, two scenes x two seeds. The share newly observed is that of the reward's points. About
+six minutes for each of them on an idle machine of two cores.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from types import ModuleType
+from unittest import mock
+
+import activestructure_gym.features.gs_planner as gains
+import activestructure_gym.features.information as information
+import activestructure_gym.policies.gs_planner as gs
+import activestructure_gym.policies.hgs_planner as hgs
+from activestructure_gym.envs.reward import RewardConfig
+from activestructure_gym.policies import make_env_and_policy
+
+SCENES, SEEDS, FRAMES = ("room?seed=22", "apartment?rooms=2&seed=21"), (0, 1), 150
+GUESSES: Mapping[str, Mapping[str, tuple[ModuleType, str]]] = {
+    "gs_planner": {
+        "weight of the loss": (gs, "QUALITY_WEIGHT"),
+        "of a full error of colour in it, metres": (gains, "COLOUR_WEIGHT"),
+        "least gain of a near view": (gs, "LEAST_GAIN"),
+        "viewpoints of one growth": (gs, "VIEWPOINTS"),
+        "metres between them": (gs, "SPACING_M"),
+        "gain that is stored": (gs, "STORED_GAIN"),
+        "overlap that makes two views one": (gs, "LEAST_OVERLAP"),
+        "metres without overlap": (gs, "OVERLAP_M"),
+        "angle without overlap, radians": (gs, "OVERLAP_RAD"),
+    },
+    "hgs_planner": {
+        "gain worth going for": (hgs, "WORTH"),
+        "half the local window, metres": (hgs, "LOCAL_M"),
+        "side of the parts of the tour, metres": (hgs, "CUBOID_M"),
+        "least G_cov that counts as the best": (information, "LITTLE"),
+        "lambda beside what is known": (information, "LAMBDA"),
+    },
+}
+VARIANTS = {"hgs_planner": {"G_cov + lambda_o G_Q without units": "hgs_planner?sum=raw"}}
+Played = dict[tuple[str, int], tuple[float, list[int]]]  # points of observed surface and the rows that were chosen
+
+
+def played(name: str) -> Played:
+    """The four episodes of a planner as it is now."""
+    found: Played = {}
+    for scene in SCENES:
+        for seed in SEEDS:
+            env, policy = make_env_and_policy(name, scene, frame_budget=FRAMES)
+            observation, _ = env.reset(seed=seed)
+            policy.reset(seed)
+            share, rows, ended = 0.0, [], False
+            while not ended:
+                rows.append(int(policy.act(observation)))
+                observation, _, terminated, truncated, info = env.step(rows[-1])
+                share += 100.0 * info["reward/coverage"] / RewardConfig().coverage
+                ended = terminated or truncated
+            env.close()
+            found[scene, seed] = share, rows
+    return found
+
+
+def row_of(name: str, words: str, usual: Played) -> str:
+    """One threshold of it, halved and doubled."""
+    module, constant = GUESSES[name][words]
+    value = getattr(module, constant)
+    cells = [words, f"{value:.3g}"]
+    for factor in (0.5, 2.0):
+        with ExitStack() as stack:
+            stack.enter_context(mock.patch.object(module, constant, type(value)(value * factor)))
+            other = played(name)
+        cells += change(other, usual)
+    return "| " + " | ".join(cells) + " |"
+
+
+def change(other: Played, usual: Played) -> list[str]:
+    """Mean and range of the change, and in how many episodes not one decision changed."""
+    moved = [other[key][0] - usual[key][0] for key in usual]
+    same = sum(other[key][1] == usual[key][1] for key in usual)
+    return [f"{sum(moved) / len(moved):+.1f} ({min(moved):+.1f} .. {max(moved):+.1f})", str(same)]
+
+
+def main(name: str) -> None:
+    """Play, and print row by row."""
+    usual = played(name)
+    shares = [share for share, _ in usual.values()]
+    print(f"{name}: {sum(shares) / len(shares):.1f} points newly observed ({min(shares):.1f} to {max(shares):.1f})\n")
+    print("| threshold | value | halved | same | doubled | same |\n|---|---|---|---|---|---|")
+    for words in GUESSES[name]:
+        print(row_of(name, words, usual), flush=True)
+    for words, variant in VARIANTS.get(name, {}).items():
+        moved, same = change(played(variant), usual)
+        print(f"\n{words}: {moved}, the same in {same}")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] not in [[name] for name in GUESSES]:
+        sys.exit(f"thresholds.py: say whose, {' or '.join(GUESSES)}")
+    main(sys.argv[1])

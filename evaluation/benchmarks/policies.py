@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
 LIMIT_S = 2.0  # per decision, for every policy but
-LIMITS_S = {"activestructure": 0.2}
+LIMITS_S = {"activestructure": 0.12}
 SCENE = "apartment?rooms=3"
 _SEED = 0
 
@@ -57,6 +57,7 @@ def run_policy_benchmark(
         "candidates": len(reconstruction.candidates),
         "gaussians": reconstruction.mapper.map.count,
         "keyframes": len(reconstruction.keyframe_indices),
+        "planes": len(reconstruction.planes.nodes),
         "threads": thread_cap(),
     }
     env.close()

@@ -8,7 +8,8 @@ from typing import Any
 from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
-from activestructure_gym.evaluation.cli.fields import PresetName, Switch
+from activestructure_gym.evaluation.cli.fields import Count, NoNames, PresetName, Switch
+from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.cli.output import make_console, working
 
 
@@ -59,20 +60,36 @@ class Policies:
 
     scene: SceneNames = None
     """The scenes where they decide, separated by commas; apartment?rooms=3 if not given."""
+    policies: NoNames = ()
+    """Who decides; everybody if nobody is named."""
+    gaussians: Count = None
+    """The state is taken when the map has as many and 256 views are on offer; 30,000 if not given."""
+    frames: Count = None
+    """Or after so many frames; 400 if not given."""
+    repeats: Count = None
+    """Decisions of everybody that are timed, beside a first one that is not; 7 if not given."""
     quick: Switch = False
     """In small, to see that it runs."""
 
     def run(self) -> int:
         """Measure and print."""
         from activestructure_gym.evaluation.benchmarks import policies as benchmark
+        from activestructure_gym.policies import make_policy
 
         console = make_console()
         size: dict[str, Any] = {"preset": "fast", "frames": 25, "repeats": 1} if self.quick else {}
+        given = {"gaussians": self.gaussians, "frames": self.frames, "repeats": self.repeats}
+        size |= {name: value for name, value in given.items() if value is not None}
+        names = split_policies(self.policies)
+        for name in names:
+            make_policy(name)  # it refuses what there is not, before anything is explored
         with console.status("measuring the policies") as status:
             rows = [
                 row | {"scene": spec}
                 for spec in split_names(self.scene) or ["box" if self.quick else benchmark.SCENE]
-                for row in benchmark.run_policy_benchmark(spec, notify=lambda line: status.update(line), **size)
+                for row in benchmark.run_policy_benchmark(
+                    spec, policies=names, notify=lambda line: status.update(escape(line)), **size
+                )
             ]
         print_rows(console, rows, "seconds of a decision, median and quartiles")
         return 0

@@ -13,7 +13,7 @@ def test_a_row_per_policy_on_one_state():
         notify=said.append,
     )  # fmt: skip
     assert [row["policy"] for row in rows] == ["random", "pixel_only"]
-    states = [[row[key] for key in ("candidates", "gaussians", "keyframes", "threads")] for row in rows]
+    states = [[row[key] for key in ("candidates", "gaussians", "keyframes", "planes", "threads")] for row in rows]
     assert states[0] == states[1] and min(states[0]) > 0
     for row in rows:
         low, high = row["quartiles"]
@@ -24,13 +24,13 @@ def test_a_row_per_policy_on_one_state():
 
 def test_the_row_by_hand():
     times = [
-        {"planning": 0.1, "gains": gains, "policy": 0.01, "cpu": 1.0} for gains in (0.05, 0.08, 0.09, 0.06, 9.0)
+        {"planning": 0.02, "gains": gains, "policy": 0.01, "cpu": 1.0} for gains in (0.05, 0.08, 0.09, 0.06, 9.0)
     ]  # fmt: skip
     row = policy_benchmark._row("activestructure", times)
-    assert row["decision_s"] == pytest.approx(0.19) and row["limit"] == "under 0.2"
-    assert row["quartiles"] == pytest.approx((0.17, 0.2)) and row["gains_s"] == pytest.approx(0.08)
+    assert row["decision_s"] == pytest.approx(0.11) and row["limit"] == "under 0.12"
+    assert row["quartiles"] == pytest.approx((0.09, 0.12)) and row["gains_s"] == pytest.approx(0.08)
     times[0]["gains"] = times[3]["gains"] = 0.3
-    assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.2"
+    assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.12"
     assert policy_benchmark._row("naruto", times)["limit"] == "under 2"
 
 

@@ -291,6 +291,12 @@ def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
     assert "0.125" in out and "box" in out and "room" in out and "repeats 1" in out
     assert main(["bench", "policies"]) == 0
     assert policy_benchmark.SCENE in capsys.readouterr().out
+    words = "--policies random,hole_area --gaussians 80 --frames 30 --repeats 3 --quick"
+    assert main(["bench", "policies", *words.split()]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "frames 30, repeats 3, gaussians 80" in out and "policies random .. hole_area" in out
+    assert main(["bench", "policies", "--policies", "nobody"]) == 2
+    assert "unknown policy 'nobody'" in capsys.readouterr().err
 
 
 def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):

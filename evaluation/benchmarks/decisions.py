@@ -188,7 +188,10 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A row per pick: what its views changed per 100 frames, beside the mean and the best of those that were mapped."""
+    """A row per pick: what its views changed per 100 frames, beside the mean and the best of those that were mapped.
+
+    Also as a share of what the best of those mapped changed, scene by scene: 1 is the best, below 0 made it worse.
+    """
     counted = [record for record in records if record.get("quality")]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))
     rows: list[dict[str, Any]] = []
@@ -203,9 +206,27 @@ def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                 found = estimate([np.array([float(np.mean(own)) for own in by_scene.values()])])
                 row[f"{key}_per_100"] = found.value
                 row[f"{key}_interval"] = _interval(found.low, found.high)
+                row[f"{key}_of_best"], row[f"{key}_of_best_interval"] = _of_best(values, key, sign)
         if len(row) > 1:
             rows.append(row)
     return rows
+
+
+def _of_best(
+    values: Sequence[tuple[Mapping[str, Any], float]], key: str, sign: float
+) -> tuple[float | None, tuple[float, float] | None]:
+    """What was changed over what the best would have changed, sums per scene, and its mean over scenes."""
+    sums: dict[str, list[float]] = {}
+    for record, value in values:
+        best = _changed(record, "best of those mapped", key, sign)
+        both = sums.setdefault(record["scene"], [0.0, 0.0])
+        both[0] += sign * value
+        both[1] += sign * (best or 0.0)
+    shares = [own / best for own, best in sums.values() if best > 0.0]
+    if not shares:
+        return None, None
+    found = estimate([np.array(shares)])
+    return found.value, _interval(found.low, found.high)
 
 
 def _changed(record: Mapping[str, Any], who: str, key: str, sign: float) -> float | None:

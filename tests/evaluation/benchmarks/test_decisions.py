@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,16 @@ def test_quality_by_hand():
     # Less depth error is better.
     assert rows["best of those mapped"]["psnr_per_100"] == 3.0
     assert rows["best of those mapped"]["depth_l1_cm_per_100"] == -2.0
+    assert rows["a"]["psnr_of_best"] == pytest.approx(1 / 3) and rows["a"]["depth_l1_cm_of_best"] == 1.0
+    assert rows["mean of those mapped"]["depth_l1_cm_of_best"] == pytest.approx(
+        -0.5
+    )  # 1 cm worse, where 2 less could be
+    more = [record("x", 0.2, quality=quality), record("z", 0.2, quality={"4": {"psnr": 4.0}, "7": {"psnr": 1.0}})]
+    of_two = {row["pick"]: row for row in quality_rows(more)}["a"]
+    assert of_two["psnr_of_best"] == pytest.approx((1 / 3 + 1.0) / 2)
+    assert of_two["psnr_of_best_interval"] == pytest.approx((1 / 3, 1.0))
+    worse = record("x", 0.2, quality={"4": {"psnr": -1.0}, "7": {"psnr": -2.0}})
+    assert quality_rows([worse])[0]["psnr_of_best"] is None  # where nothing mends there is no share
 
 
 def test_episodes_are_frozen_scored_and_not_played_twice():
@@ -68,3 +80,21 @@ def test_episodes_are_frozen_scored_and_not_played_twice():
     observed = [r["observed"] for r in records]
     assert observed == sorted(observed)
     assert list(run_decisions_benchmark(["box"], [0], settings, done=records)) == []
+
+
+def test_what_a_view_changes_is_measured_in_a_copy_of_the_map():
+    settings = Settings(
+        features=("pixel",), policies=("random",), preset="fast", frames=25, every=2, pool=5, quality=3, views=2
+    )
+    (records,) = run_decisions_benchmark(["box"], [0], settings)
+    (plain,) = run_decisions_benchmark(["box"], [0], dataclasses.replace(settings, quality=0))
+    assert [r["picks"] for r in records] == [r["picks"] for r in plain]  # the episode goes on as if nothing were mapped
+    for r in records:
+        assert len(r["quality"]) >= 3 and {str(pick["row"]) for pick in r["picks"].values()} <= set(r["quality"])
+        assert all({"psnr", "depth_l1_cm", "completion_ratio"} == set(found) for found in r["quality"].values())
+    rows = {row["pick"]: row for row in quality_rows(records)}
+    assert (
+        rows["best of those mapped"]["completion_ratio_per_100"]
+        > rows["mean of those mapped"]["completion_ratio_per_100"]
+        > 0
+    )

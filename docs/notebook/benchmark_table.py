@@ -35,10 +35,15 @@ SHOWN = {  # key: heading, digits, best
     "depth_l1_cm": ("Depth (cm) ↓", 2, min),
     "completion_cm": ("Com. (cm) ↓", 2, min),
     "accuracy_cm": ("Acc (cm) ↓", 2, min),
+    "late_psnr_rate": ("late PSNR (dB / 100 frames) ↑", 3, max),
+    "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
 DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}
 OF_PAIRS = {"completion_ratio": ("C.R.", 1), "observed": ("observed", 1), **DIFFERENCES, "depth_l1_cm": ("depth", 2)}
-OTHERS = ("precision", "frames_to_80", "frames_to_85", "frames_to_90", "metres", "decisions", "gaussians", "collisions")
+OTHERS = (
+    "precision", "frames_to_80", "frames_to_85", "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians",
+    "collisions",
+)  # fmt: skip
 KEPT = (*SHOWN, *OTHERS)
 Table = dict[str, dict[Cell, dict[str, float]]]  # of a policy, of a scene and seed
 
@@ -63,30 +68,33 @@ def read(place: Path) -> Table:
     """The numbers of every run."""
     table: Table = {}
     for row in _rows(place):
-        numbers = {key: float(row[key]) for key in KEPT if row[key]}
+        numbers = {key: float(row[key]) for key in KEPT if row.get(key)}
         table.setdefault(row["policy"], {})[row["scene"], int(row["seed"])] = numbers
     return table
 
 
 def markdown(table: Table) -> str:
-    """The table, the highest C.R. first."""
+    """The table, the highest C.R. first; of columns that every run has (older files have no late rates)."""
+    shown = {
+        key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
+    }
     cells = set.intersection(*map(set, table.values()))
     table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
     means = {
-        policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in SHOWN}
+        policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in shown}
         for policy, runs in table.items()
     }
     best = {
         key: choose(round(numbers[key], digits) for policy, numbers in means.items() if not is_reference(policy))
-        for key, (_, digits, choose) in SHOWN.items()
+        for key, (_, digits, choose) in shown.items()
     }
-    heads = [heading for heading, _, _ in SHOWN.values()]
+    heads = [heading for heading, _, _ in shown.values()]
     heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
     lines = ["| policy | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for policy in sorted(means, key=lambda name: (not is_reference(name), -means[name]["completion_ratio"], name)):
         reference = is_reference(policy)
         cells = [f"`{policy.removeprefix(REFERENCE)}`, a reference" if reference else f"`{policy}`"]
-        for key, (_, digits, _) in SHOWN.items():
+        for key, (_, digits, _) in shown.items():
             text = f"{means[policy][key]:.{digits}f}"
             is_best = not reference and round(means[policy][key], digits) == best[key]
             cells.append(f"**{text}**" if is_best else text)

@@ -50,11 +50,11 @@ class Schedule:
             f"views {self.clearance_m} m from what is not free": self.clearance_m,
             f"mapper {self.mapper}": self.mapper,
             f"{self.iterations} iterations a keyframe": self.iterations,
-            f"a keyframe {frames}": self.goal_keyframes or self.keyframe_every,
-            ", ".join(f"{name} = {value}" for name, value in self.changes.items()): self.changes,
+            f"a keyframe {frames}": self.keyframe_every if not self.goal_keyframes else True,
+            ", ".join(f"{name} = {value}" for name, value in self.changes.items()): self.changes or None,
         }
-        brought = ", ".join(text for text, value in given.items() if value) or "nothing"
-        return f"{brought}; its paper spends {self.budget or 'what is not noted here'}"
+        brought = ", ".join(text for text, value in given.items() if value is not None) or "nothing"
+        return f"{brought}; its paper spends {self.budget}" if self.budget else brought
 
     def overrides(self) -> dict[str, Any]:
         """The changes of the configuration, by field."""

@@ -190,7 +190,8 @@ def decision_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def quality_rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """A row per pick: what its views changed per 100 frames, beside the mean and the best of those that were mapped.
 
-    Also as a share of what the best of those mapped changed, scene by scene: 1 is the best, below 0 made it worse.
+    Also as a share of what the best of those mapped changed, sums of each scene: 1 is the best, below 0 made it worse.
+    Scenes where not even the best mended anything have no share and are left out of that mean.
     """
     counted = [record for record in records if record.get("quality")]
     names = list(dict.fromkeys(name for record in counted for name in record["picks"]))

@@ -119,7 +119,7 @@ def _decision(env: Any, name: str) -> dict[str, float]:
 def _row(name: str, times: Sequence[dict[str, float]]) -> dict[str, Any]:
     offer, gains, policy, cpu = (np.array([t[key] for t in times]) for key in ("planning", "gains", "policy", "cpu"))
     decision = offer + gains + policy
-    limit = LIMITS_S.get(name, LIMIT_S)
+    limit = LIMITS_S.get(name.partition("?")[0], LIMIT_S)
     median = float(np.median(decision))
     return {
         "policy": name,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from activestructure_gym.evaluation.archive.jobs import is_trajectory
 from activestructure_gym.evaluation.report.columns import QUALITY, aspects, measured, reason_of, value_of
 from activestructure_gym.evaluation.report.places import without_places
@@ -124,20 +127,24 @@ def terms_text(results: Results) -> list[str]:
         return []
     told = []
     for name in results.policies:
-        config = next(run for run in results.runs if run.policy == name).config["configuration"]
-        stages = " or ".join(" + ".join(stage) for stage in config["views"]["stages"])
-        every = config["keyframe_every"]
-        frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a way"
-        mapper, clearance = config["mapper"], config["motion"]["candidate_clearance"]
-        told.append(
-            f"`{name}` up to {config['views']['max_candidates']} views of `{stages}`, {clearance:g} m from what is not "
-            f"free, mapper `{mapper['name']}` with {mapper['iterations']} iterations for a keyframe {frames}"
-            + _budget(name)
-        )
+        played = dict.fromkeys(_schedule(run.config["configuration"]) for run in results.runs if run.policy == name)
+        told.append(f"`{name}` {', and in other runs '.join(played)}{_budget(name)}")
     return [
         "Native terms: every policy with candidate views and a schedule of its own, at the budget of this comparison; "
         f"in brackets what its paper spends. {'; '.join(told)}."
     ]
+
+
+def _schedule(config: Mapping[str, Any]) -> str:
+    """What a run was played with, by its configuration."""
+    stages = " or ".join(" + ".join(stage) for stage in config["views"]["stages"])
+    every = config["keyframe_every"]
+    frames = f"every {every} frames" if every <= config["frame_budget"] else "at the end of a way"
+    mapper, clearance = config["mapper"], config["motion"]["candidate_clearance"]
+    return (
+        f"up to {config['views']['max_candidates']} views of `{stages}`, {clearance:g} m from what is not free, mapper "
+        f"`{mapper['name']}` with {mapper['iterations']} iterations for a keyframe {frames}"
+    )
 
 
 def _budget(name: str) -> str:

@@ -16,8 +16,9 @@ from typing import Any
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import own_code, store
+from activestructure_gym.evaluation.archive.brought import changed_schedule
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
-from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each
+from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
 from activestructure_gym.evaluation.archive.old_names import renamed_among
 
 # What tells the cells of one grid apart; whatever else a job has is the same for all of them.
@@ -47,23 +48,24 @@ def recorded_jobs(directory: Path) -> list[Job]:
 
 
 def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: Callable[[str], None]) -> None:
-    """Take from the finished runs those that are damaged, and of those ``asked`` for those that other own code played.
+    """Take from the finished runs those that are damaged, and of those ``asked`` for those that other code played.
 
-    ``asked`` holds names of jobs. A run whose own code is again what played it counts again. ``tell`` hears of each
-    damaged run, and once of all that one piece of own code concerns.
+    Other code: somebody's own, or on native terms another schedule of the policy. ``asked`` holds names of jobs. A run
+    whose code is again what played it counts again. ``tell`` hears of each damaged run, and once of all that one piece
+    of code concerns.
     """
     sums = cache(own_code.sum_of)
     again, kept = Counter[str](), Counter[str]()
     for job in jobs:
         place = run_directory(directory, job)
-        if store.is_withdrawn(place) and own_code.is_as_it_was(place, job, sums):
+        if store.is_withdrawn(place) and _is_as_it_was(place, job, sums):
             store.reinstate(place)
         if not store.is_done(place, job):
             continue
         if damage := store.damage_of(place, job):
             store.set_aside(place)
             tell(f"{job.title} counts as not finished: {damage}")
-        elif changed := own_code.changed_code(place, job, sums):
+        elif changed := [*own_code.changed_code(place, job, sums), *_changed_schedule(place, job)]:
             if job.name in asked:
                 store.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
@@ -71,6 +73,17 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
         tell(f"{_runs(count, names)} {'is' if count == 1 else 'are'} played again: its code has changed since")
     for names, count in kept.items():
         tell(f"{_runs(count, names)} {'stays' if count == 1 else 'stay'}, though its code has changed since")
+
+
+def _is_as_it_was(place: Path, job: Job, sums: Callable[[str], str | None]) -> bool:
+    if own_code.own_code(job, sums):
+        return own_code.is_as_it_was(place, job, sums)
+    return job.terms == "native" and not changed_schedule(place, job)
+
+
+def _changed_schedule(place: Path, job: Job) -> list[str]:
+    fields = changed_schedule(place, job)
+    return [f"the schedule of {policy_label(job.policy)} ({', '.join(fields)})"] if fields else []
 
 
 def _runs(count: int, own: str) -> str:

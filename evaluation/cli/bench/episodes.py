@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.markup import escape
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
 from activestructure_gym.evaluation.cli.fields import Count, NoNames, PresetName, Switch
 from activestructure_gym.evaluation.cli.options import split_policies
@@ -79,6 +80,9 @@ class Policies:
         console = make_console()
         size: dict[str, Any] = {"preset": "fast", "frames": 25, "repeats": 1} if self.quick else {}
         given = {"gaussians": self.gaussians, "frames": self.frames, "repeats": self.repeats}
+        for name, value in given.items():
+            if value is not None and value < 1:
+                raise InputError(f"--{name} must be at least 1, got {value}")
         size |= {name: value for name, value in given.items() if value is not None}
         names = split_policies(self.policies)
         for name in names:

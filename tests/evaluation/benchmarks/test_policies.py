@@ -31,6 +31,7 @@ def test_the_row_by_hand():
     assert row["quartiles"] == pytest.approx((0.09, 0.12)) and row["gains_s"] == pytest.approx(0.08)
     times[0]["gains"] = times[3]["gains"] = 0.3
     assert policy_benchmark._row("activestructure", times)["limit"] == "OVER 0.12"
+    assert policy_benchmark._row("activestructure?discovery=unseen", times)["limit"] == "OVER 0.12"
     assert policy_benchmark._row("naruto", times)["limit"] == "under 2"
 
 

@@ -297,6 +297,8 @@ def test_bench_of_policies_measures_every_scene(monkeypatch, capsys):
     assert "frames 30, repeats 3, gaussians 80" in out and "policies random .. hole_area" in out
     assert main(["bench", "policies", "--policies", "nobody"]) == 2
     assert "unknown policy 'nobody'" in capsys.readouterr().err
+    assert main(["bench", "policies", "--repeats", "0"]) == 2
+    assert "--repeats must be at least 1, got 0" in capsys.readouterr().err
 
 
 def test_bench_of_the_environment_prints_speed_and_stages(monkeypatch, capsys):

@@ -1,0 +1,53 @@
+"""Whether a run on native terms was played with what its policy brings today (`Policy.brings`).
+
+A schedule is code of this package: a job names the policy alone, so a run keeps its hash when the schedule changes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from activestructure_gym.config import configure
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import schema, store
+from activestructure_gym.evaluation.archive.jobs import Job
+
+# Fields that schedules change, beside those in `Schedule.changes`.
+_FIELDS = (
+    "mapper.name", "mapper.iterations", "views.stages", "views.max_candidates", "keyframe_every",
+    "motion.candidate_clearance",
+)  # fmt: skip
+_CHECK = schema.table({}, {"configuration": schema.anything}, others=schema.anything)
+
+
+def changed_schedule(directory: Path, job: Job) -> list[str]:
+    """Fields of a finished run's configuration that its policy's schedule sets otherwise today.
+
+    Empty on shared terms, for policies that are somebody's own code (`own_code` watches that), and for runs that do not
+    say what they were played with.
+    """
+    from activestructure_gym.policies import POLICIES
+
+    name = job.policy.partition("?")[0]
+    if job.terms == "shared" or name not in POLICIES or POLICIES.imports(name):
+        return []
+    policy = POLICIES.get(name)
+    now = json.loads(json.dumps(store.plain(dataclasses.asdict(configure(job.preset, job.changes(policy))))))
+    try:
+        then = store.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})
+    except InputError:
+        return []
+    fields = dict.fromkeys((*_FIELDS, *policy.brings.changes))
+    return [field for field in fields if _at(then, field, _at(now, field)) != _at(now, field)]
+
+
+def _at(content: Any, field: str, default: Any = None) -> Any:
+    """The value at a dotted name."""
+    for part in field.split("."):
+        if not isinstance(content, dict) or part not in content:
+            return default
+        content = content[part]
+    return content

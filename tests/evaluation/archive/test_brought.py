@@ -1,0 +1,85 @@
+"""A native run is known by what its policy brings, which its job does not say."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from activestructure_gym.config import configure
+from activestructure_gym.evaluation.archive import store
+from activestructure_gym.evaluation.archive.brought import changed_schedule
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.running.resuming import settle
+from activestructure_gym.policies import POLICIES
+from activestructure_gym.policies.schedule import Schedule
+
+JOB = Job("box", "activegamer", 0, preset="full", terms="native", overrides=(("keyframe_every", 7),))
+
+
+def write(place: Path, job: Job = JOB, **changes: Any) -> Path:
+    """What a run of today says of its configuration, with changes."""
+    place.mkdir(exist_ok=True, parents=True)
+    config = configure(job.preset, job.changes(POLICIES.get(job.policy)) | changes)
+    store.write_json(place / store.CONFIG, {"configuration": store.plain(dataclasses.asdict(config))})
+    return place
+
+
+def test_fields_that_a_schedule_sets_otherwise_today_are_named(tmp_path: Path) -> None:
+    assert changed_schedule(write(tmp_path), JOB) == []
+    assert changed_schedule(write(tmp_path, **{"mapper.iterations": 10}), JOB) == ["mapper.iterations"]
+    then = write(tmp_path, **{"views.stages": (("pool",),), "views.max_candidates": 256, "sensor.width": 64})
+    assert changed_schedule(then, JOB) == ["views.stages", "views.max_candidates"]  # the width is the preset's
+
+
+def test_what_was_asked_for_is_no_change_of_the_schedule(tmp_path: Path) -> None:
+    assert configure("full", JOB.changes(POLICIES.get("activegamer"))).keyframe_every == 7
+    asked = dataclasses.replace(JOB, overrides=(("mapper.iterations", 3),))
+    assert changed_schedule(write(tmp_path, asked), asked) == []
+
+
+def test_shared_terms_own_code_and_what_cannot_be_read_have_none(tmp_path: Path) -> None:
+    old = write(tmp_path, **{"mapper.iterations": 10})
+    for changes in (
+        {"terms": "shared"},
+        {"policy": "mine:Mine"},
+        {"policy": "learned:model"},
+        {"policy": "trajectory:x"},
+    ):
+        assert changed_schedule(old, dataclasses.replace(JOB, **changes)) == [], changes
+    (old / store.CONFIG).write_text("{")
+    assert changed_schedule(old, JOB) == []
+    store.write_json(old / store.CONFIG, {})
+    assert changed_schedule(old, JOB) == []
+
+
+def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "damage_of", lambda place, job: None)
+    place, told = write(tmp_path / store.JOBS / JOB.name), []
+    (place / store.DONE).write_text(JOB.hash)
+
+    def go_on(asked: tuple[str, ...] = (JOB.name,)) -> list[str]:
+        told.clear()
+        settle([JOB], asked, tmp_path, told.append)
+        return told
+
+    assert go_on() == [] and store.is_done(place, JOB)
+    with monkeypatch.context() as patch:
+        patch.setattr(POLICIES.get("activegamer"), "brings", Schedule(mapper="splatam", iterations=2))
+        assert go_on(()) == [
+            f"1 run with the schedule of activegamer ({FIELDS}) stays, though its code has changed since"
+        ]
+        assert store.is_done(place, JOB)
+        assert go_on() == [
+            f"1 run with the schedule of activegamer ({FIELDS}) is played again: its code has changed since"
+        ]
+        assert store.is_withdrawn(place)
+        assert go_on() == [] and store.is_withdrawn(place)
+    assert go_on() == [] and store.is_done(place, JOB)
+
+
+FIELDS = "mapper.iterations, views.stages, views.max_candidates, motion.candidate_clearance"

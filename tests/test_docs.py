@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from activestructure_gym.config import configure
 from activestructure_gym.features import FEATURES
 from activestructure_gym.features.table import feature_table
 from activestructure_gym.policies import POLICIES, make_env_and_policy
@@ -185,6 +186,9 @@ def test_the_native_table_is_that_of_its_runs() -> None:
     tables = script["tables"]()
     assert tables and all(table in told for table in tables.values()), "paste what native_table.py prints"
     assert script["brought"]() in told, "paste what native_table.py prints"
+    for row in script["rows"]():  # or what is said of it would be of another schedule
+        mapper = configure("full", POLICIES.get(row["policy"]).brings.overrides()).mapper
+        assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
 
 
 @pytest.mark.parametrize("runs", ["benchmark.csv", "ladder_300.csv", "ladder_2000.csv", "benchmark_blurred.csv"])

@@ -3,9 +3,10 @@
     python docs/notebook/native_table.py                       # the table
     python docs/notebook/native_table.py runs/native [MORE]    # these runs are put into native.csv first
 
-One table per scene, of means over its seeds, who has observed most first; differences are those of pairs with
-``BASELINE`` on the same seed, with bootstrap intervals of 95 %, which for two seeds are the two differences themselves.
-What no run reaches is "–"; what some do is their mean, with their number. Below it what each brings.
+One table per scene, of means over the seeds that all have played, who has observed most first; differences are those
+of pairs with ``BASELINE`` on the same seed, with bootstrap intervals of 95 %, which for two seeds are the two
+differences themselves. What no run reaches is "–"; what some do is their mean, with their number. Below it what each
+brings.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ SHOWN = {  # key: heading, digits
     "run_s": ("run (s)", 0),
 }
 DIFFERENCES = {"observed": ("observed", 1), "observed_area": ("area", 1), "psnr": ("PSNR", 2)}
-NAMES = ("policy", "scene", "seed", "mapper")
+NAMES = ("policy", "scene", "seed", "mapper", "iterations")
 
 
 def line_of(run: Run) -> dict[str, str]:
@@ -54,7 +55,8 @@ def line_of(run: Run) -> dict[str, str]:
         "decision_s": sum(seconds.get(name, 0.0) for name in PLANNING) / decisions,
         "run_s": run.timing["total"] + seconds.get("loading", 0.0) + seconds.get("evaluation", 0.0),
     }
-    names = (run.policy, run.scene, str(run.job.seed), run.config["configuration"]["mapper"]["name"])
+    mapper = run.config["configuration"]["mapper"]
+    names = (run.policy, run.scene, str(run.job.seed), mapper["name"], str(mapper["iterations"]))
     return dict(zip(NAMES, names)) | {
         key: "" if value is None else f"{value:.6g}" for key, value in ((key, values[key]) for key in SHOWN)
     }
@@ -81,17 +83,19 @@ def added(directories: Sequence[Path]) -> None:
 
 
 def markdown(lines: Sequence[dict[str, str]]) -> str:
-    """A table of the runs of a scene, who has observed most first."""
+    """A table of the runs of a scene with the seeds that all have played, who has observed most first."""
     runs: dict[str, dict[str, dict[str, str]]] = {}
     for row in lines:
         runs.setdefault(row["policy"], {})[row["seed"]] = row
+    common = set.intersection(*map(set, runs.values()))
+    runs = {policy: {seed: row for seed, row in by_seed.items() if seed in common} for policy, by_seed in runs.items()}
     heads = [heading for heading, _ in SHOWN.values()]
     heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
-    text = ["| planner | mapper | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
+    text = ["| planner | mapper, iterations | " + " | ".join(heads) + " |", "|---|---|" + "---:|" * len(heads)]
     for policy in sorted(runs, key=lambda policy: (-_mean(runs[policy], "observed"), policy)):
         cells = [_shown(runs[policy], key, digits) for key, (_, digits) in SHOWN.items()]
         cells += [_difference(runs, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
-        mapper = " / ".join(sorted({row["mapper"] for row in runs[policy].values()}))
+        mapper = " / ".join(sorted({f"{row['mapper']}, {row['iterations']}" for row in runs[policy].values()}))
         text.append(f"| `{policy}` | {mapper} | " + " | ".join(cells) + " |")
     return "\n".join(text) + "\n"
 
@@ -107,7 +111,7 @@ def tables() -> dict[str, str]:
 def brought() -> str:
     """What each policy of the file brings and its paper spends, a line for all who declare the same."""
     who: dict[str, list[str]] = {}
-    for name in sorted({row["policy"] for row in rows()}):
+    for name in sorted({row["policy"] for row in rows()} & set(POLICIES)):
         who.setdefault(POLICIES.get(name).brings.told(), []).append(f"`{name}`")
     return "".join(f"- {', '.join(names)}: {told}.\n" for told, names in sorted(who.items(), key=lambda one: one[1]))
 

@@ -30,17 +30,19 @@ def changed_schedule(directory: Path, job: Job) -> list[str]:
     say what they were played with.
     """
     from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies.schedule import schedule_of
 
     name = job.policy.partition("?")[0]
     if job.terms == "shared" or name not in POLICIES or POLICIES.imports(name):
         return []
-    policy = POLICIES.get(name)
-    now = json.loads(json.dumps(store.plain(dataclasses.asdict(configure(job.preset, job.changes(policy))))))
+    schedule = schedule_of(POLICIES.get(name), job.terms)
+    config = configure(job.preset, schedule.overrides() | dict(job.overrides))
+    now = json.loads(json.dumps(store.plain(dataclasses.asdict(config))))
     try:
         then = store.read_json(directory / store.CONFIG, _CHECK).get("configuration", {})
     except InputError:
         return []
-    fields = dict.fromkeys((*_FIELDS, *policy.brings.changes))
+    fields = dict.fromkeys((*_FIELDS, *schedule.changes))
     return [field for field in fields if _at(then, field, _at(now, field)) != _at(now, field)]
 
 

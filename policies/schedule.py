@@ -50,7 +50,7 @@ class Schedule:
             f"views {self.clearance_m} m from what is not free": self.clearance_m,
             f"mapper {self.mapper}": self.mapper,
             f"{self.iterations} iterations a keyframe": self.iterations,
-            f"a keyframe {frames}": self.keyframe_every if not self.goal_keyframes else True,
+            f"a keyframe {frames}": True if self.goal_keyframes else self.keyframe_every,
             ", ".join(f"{name} = {value}" for name, value in self.changes.items()): self.changes or None,
         }
         brought = ", ".join(text for text, value in given.items() if value is not None) or "nothing"

@@ -180,6 +180,40 @@ def test_every_policy_has_its_words_on_the_page_of_planners() -> None:
     assert [name for name in sorted(names) if f"`{name}`" not in told] == []
 
 
+def test_pictures_of_the_benchmark_s_curves_are_those_of_their_numbers() -> None:
+    images = ROOT / "docs" / "images"
+    script = runpy.run_path(str(images / "benchmark_curves.py"))
+    for name, drawn in (("benchmark_curves.svg", script["drawn"]()), ("policies.svg", script["panels"]())):
+        assert drawn == (images / name).read_text(encoding="utf-8"), f"run docs/images/benchmark_curves.py: {name}"
+
+
+def test_a_native_table_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
+    usual = dict.fromkeys(script["SHOWN"], "1") | {"scene": "x", "mapper": "default", "iterations": "10"}
+
+    def run(policy: str, seed: str, observed: str, reached: str = "") -> dict[str, str]:
+        return usual | {"policy": policy, "seed": seed, "observed": observed, "frames_to_95": reached}
+
+    lines = [run("hole_area", "0", "90"), run("hole_area", "1", "92"), run("hole_area", "2", "10")]
+    table = script["markdown"]([*lines, run("random", "0", "93", "1500"), run("random", "1", "93")])
+    heads, _, first, second = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
+    assert (first[1], second[1]) == (
+        "`random`",
+        "`hole_area`",
+    )  # the third seed, which one alone played, does not count
+    assert (first[heads.index("95 %")], second[heads.index("95 %")]) == ("1,500 (1 of 2)", "–")
+    column = heads.index("observed minus `hole_area`")
+    assert (first[column], second[column]) == ("+2.0 [1.0, 3.0]", "")
+
+
+def test_every_threshold_that_is_a_guess_is_there() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "thresholds.py"))
+    told = (ROOT / "docs" / "notebook" / "planners.md").read_text()
+    for guesses in script["GUESSES"].values():
+        for words, (module, constant) in guesses.items():
+            assert f"{words} | {getattr(module, constant):.3g} |" in told, words
+
+
 def test_the_native_table_is_that_of_its_runs() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
     told = (ROOT / "docs" / "notebook" / "benchmark.md").read_text()

@@ -8,6 +8,7 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from statistics import fmean
 
@@ -92,11 +93,16 @@ def _page(name: str, told: dict, sections: dict[str, str]) -> str:
 def _benchmark(name: str, key: str) -> float:
     """The number of a policy in the table of benchmark.md: mean over scenes of means over the seeds that all played."""
     by_scene = defaultdict(list)
-    with RUNS.open(newline="", encoding="utf-8") as file:
-        for run in csv.DictReader(file):
-            if run["policy"] == SAME.get(name, name) and run["seed"] in SEEDS:
-                by_scene[run["scene"]].append(float(run[key]))
+    for run in _runs():
+        if run["policy"] == SAME.get(name, name) and run["seed"] in SEEDS:
+            by_scene[run["scene"]].append(float(run[key]))
     return fmean(map(fmean, by_scene.values()))
+
+
+@cache
+def _runs() -> list[dict[str, str]]:
+    with RUNS.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def _equation(kind: type[Policy]) -> str:

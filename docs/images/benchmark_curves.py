@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.charts import Line, line_chart, panel_chart, span, standalone
@@ -72,12 +73,14 @@ def written(directories: Sequence[Path]) -> None:
     policies, references, every = gathered(directories)
     told = json.loads(PLACE.read_text(encoding="utf-8")) if PLACE.exists() else {}
     told["references"] = dict(sorted((told.get("references", {}) | references).items()))
-    if not references:
+    if references:
+        print("only the references are put in; policies stay as they are")
+    else:
         policies |= {name: policies[same] for name, same in SAME.items() if same in policies}
         told |= {"frames": FRAMES.tolist(), "scenes": len({scene for scene, _ in every}), "runs": len(every)}
         told["policies"] = dict(sorted(policies.items()))
     PLACE.write_text(json.dumps(told, separators=(",", ":")) + "\n", encoding="utf-8")
-    print(f"{len(told['policies'])} policies, {len(told['references'])} references")
+    print(f"{len(told['policies'])} policies, references: {', '.join(told['references'])}")
 
 
 def drawn() -> str:
@@ -109,6 +112,9 @@ def panels() -> str:
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        written([Path(word) for word in sys.argv[1:]])
+        try:
+            written([Path(word) for word in sys.argv[1:]])
+        except InputError as error:
+            sys.exit(f"benchmark_curves.py: {error}")
     PLACE.with_suffix(".svg").write_text(drawn(), encoding="utf-8")
     PLACE.with_name("policies.svg").write_text(panels(), encoding="utf-8")

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import PLANNING, value_of
 from activestructure_gym.evaluation.report.results import gather
@@ -153,4 +154,7 @@ def main(words: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except InputError as error:
+        sys.exit(f"native_table.py: {error}")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from contextlib import ExitStack
 from importlib import import_module
 from types import ModuleType
 from unittest import mock
@@ -73,8 +72,7 @@ def row_of(name: str, words: str, usual: Played) -> str:
     value = getattr(module, constant)
     cells = [words, f"{value:.3g}"]
     for factor in (0.5, 2.0):
-        with ExitStack() as stack:
-            stack.enter_context(mock.patch.object(module, constant, type(value)(value * factor)))
+        with mock.patch.object(module, constant, type(value)(value * factor)):
             other = played(name)
         cells += change(other, usual)
     return "| " + " | ".join(cells) + " |"

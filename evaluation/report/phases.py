@@ -29,6 +29,7 @@ _TERMS = {
     "floor": ("#7F7F7F", ":"),
 }
 FACTORS = {"travel": ("#009E73", "-"), "discount": ("#CC79A7", "--"), "suppressed": ("#E69F00", "-.")}
+SETTLED = "settled"  # the band of what is decided once nothing is left for the last phase to do
 _SHORT = 0.16  # share of the axis below which a phase's name is cut to its first word
 
 
@@ -43,17 +44,19 @@ class Band:
 
 
 def bands(steps: Steps) -> list[Band]:
-    """The phases of an episode; empty for a policy that has none."""
+    """The phases of an episode, what follows once its trace says ``settled`` as one more; empty without phases."""
     found: list[Band] = []
     for step, start in zip(steps, starts(steps)):
         trace = step.get("trace") or {}
-        phase = trace.get("phase")
+        phase, reason = trace.get("phase"), trace.get("changed")
         if phase is None:
             continue
+        if settled := trace.get("settled"):
+            phase, reason = SETTLED, settled if isinstance(settled, str) else None
         if found and found[-1].phase == phase and found[-1].end == start:
             found[-1] = replace(found[-1], end=step["frames"])
         else:
-            found.append(Band(str(phase), start, step["frames"], trace.get("changed")))
+            found.append(Band(str(phase), start, step["frames"], reason))
     return found
 
 

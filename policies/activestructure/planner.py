@@ -17,6 +17,8 @@ from activestructure_gym.policies.activestructure.information_gain import (
 )
 from activestructure_gym.policies.activestructure.phases import (
     GOOD_PSNR,
+    LEAST_RISE,
+    LOT,
     PHASES,
     Mending,
     PhaseMachine,
@@ -194,7 +196,7 @@ class ActiveStructure(StructurePolicy):
         views = np.concatenate([candidates.xyz, candidates.look], axis=1)
         open_ = candidates.revisit & candidates.valid & ~self._sent.includes(views)
         lowest = float(observation["fidelity"][0])
-        settled = not open_.any() or lowest >= GOOD_PSNR or not self._mending.goes_on(lowest, len(self._sent))
+        settled = self._settled(bool(open_.any()), lowest)
         more = {**more, "fidelity": lowest, "settled": settled}
         if settled and candidates.offers(_END) and (ending := np.flatnonzero(candidates.source(_END))).size:
             self._trace = more
@@ -204,6 +206,16 @@ class ActiveStructure(StructurePolicy):
         choice = self._choose(open_.astype(np.float64), terms, observation, more)
         self._sent.add(views[choice])
         return choice
+
+    def _settled(self, left: bool, lowest: float) -> str | None:
+        """Why no keyframe is worth a revisit, if none is."""
+        if not left:
+            return "no keyframe left to revisit"
+        if lowest >= GOOD_PSNR:
+            return f"nine tenths of the keyframes reach {GOOD_PSNR:g} dB"
+        if not self._mending.goes_on(lowest, len(self._sent)):
+            return f"{LOT} revisits raised the lowest tenth by less than {LEAST_RISE:g} dB"
+        return None
 
 
 # Table 3 in its order; each rung adds one component.

@@ -33,6 +33,22 @@ def test_bands_begin_with_the_decision_that_changed_the_phase(steps):
     ]
 
 
+def test_what_follows_once_nothing_is_left_to_do_is_a_band_of_its_own(steps, tmp_path):
+    steps = with_phases(steps)
+    for step in steps[3:]:
+        step["trace"]["phase"] = "III post-refinement"
+        step["trace"]["settled"] = None
+    steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = "no keyframe left to revisit"
+    assert bands(steps)[2:] == [
+        Band("III post-refinement", 30, 40),
+        Band("settled", 40, 60, "no keyframe left to revisit"),
+    ]
+    plot_phases([("", steps)], tmp_path / "settled.png", title="title")
+    assert tinted(tmp_path / "settled.png", 3) > 1000
+    steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = True  # of a run before reasons were told
+    assert bands(steps)[-1] == Band("settled", 40, 60)
+
+
 def test_terms_are_those_of_the_choice_or_of_the_whole_trace(steps):
     plain = chosen_terms(steps)
     np.testing.assert_allclose(plain["pixel"], 0.5 / np.arange(1, 7))

@@ -1,6 +1,7 @@
 """Further passes over the tile lists of a finished rendering.
 
-After `Workspace.render` the sorted lists, the records and the pictures stand. A pass walks the lists once more and asks
+After `Workspace.render` the sorted lists, the records and the pictures stand, after `Workspace.prepare` lists that are
+still to be sorted and the records. A pass walks the lists once more and asks
 something that most callers do not need: a median depth, more channels. Each has a kernel of its own or drives the
 kernels of `kernels` again, and a function that takes the workspace.
 """
@@ -17,6 +18,7 @@ from activestructure_gym.splatting import blending, layout
 from activestructure_gym.splatting.counters import take_ticket
 from activestructure_gym.splatting.memory import load, lowest_bit, peek, scratch_of, store
 from activestructure_gym.splatting.simd import LANES, bits, fma, lane_x, lane_y, neg, sel, spread
+from activestructure_gym.splatting.tile_lists import sort_tile
 from activestructure_gym.splatting.workspace import Workspace, aligned_zeros
 
 _TO_GRADIENT = np.zeros(layout.RATES, np.float32)
@@ -35,21 +37,24 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
     return np.where(gaussian >= 0, np.maximum(depth, layout.NEAR_PLANE), np.float32(0.0))
 
 
-def median_gaussian(workspace: Workspace) -> np.ndarray:  # [H, W] int64
-    """Column of the Gaussian with which the transmittance first falls to 0.5 or below; -1 where none does."""
+def median_gaussian(workspace: Workspace, *, blended: bool = True) -> np.ndarray:  # [H, W] int64
+    """Column of the Gaussian with which the transmittance first falls to 0.5 or below; -1 where none does.
+
+    Not ``blended``: only `Workspace.prepare` has gone before, and the lists are still to be sorted.
+    """
     camera = workspace.camera
     picture = np.empty((camera.height, camera.width), np.float32)  # exact up to 16 million
     workspace.tickets[:] = 0
-    workspace._run(_median, workspace.lists, picture.reshape(-1))
+    workspace._run(_median, workspace.lists, not blended, picture.reshape(-1))
     return picture.astype(np.int64)
 
 
 @kernel
-def _median(tickets, lists, picture):
+def _median(tickets, lists, sorts, picture):
     view, grid, records, entries = lists.camera, lists.grid, lists.records, lists.entries
     tile_start, tile_order = lists.tile_start, lists.tile_order
     width = 2 * LANES  # floats of state per block: transmittance, who crosses one half
-    state = scratch_of(64 * width)
+    state, digits = scratch_of(64 * width), np.empty(layout.DIGITS, np.int64)
     half, nobody = np.float32(0.5), spread(np.float32(-1.0))
     room, tiles_x = entries.shape[1], grid[layout.TILES_X]
     while True:
@@ -58,6 +63,8 @@ def _median(tickets, lists, picture):
             return
         tile = tile_order[ticket]
         x, y = layout.TILE * (tile % tiles_x), layout.TILE * (tile // tiles_x)
+        if sorts:
+            sort_tile(tile, lists, digits)
         alive = blending.open_tile(tile, grid, state, width)
         for block in range(64):
             store(state, width * block + LANES, nobody)

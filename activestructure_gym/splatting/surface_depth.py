@@ -32,10 +32,10 @@ def surface_depth(
     depth = np.empty((len(world_from_camera), camera.height, camera.width), np.float32)
     intrinsics, whitening = np.array([camera.fx, camera.fy, camera.cx, camera.cy]), _whitening(used[:, :count])
     for picture, pose in zip(depth, np.asarray(world_from_camera, np.float64)):
-        pooled.workspace.render(
-            used, count, camera, inverse_of_pose(pose), blur_variance=blur_variance, threads=threads, keep=False
+        pooled.workspace.prepare(
+            used, count, camera, inverse_of_pose(pose), blur_variance=blur_variance, threads=threads
         )
-        _densest(used, whitening, median_gaussian(pooled.workspace), pose, intrinsics, picture)
+        _densest(used, whitening, median_gaussian(pooled.workspace, blended=False), pose, intrinsics, picture)
     return depth
 
 

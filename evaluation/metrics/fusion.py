@@ -196,6 +196,7 @@ def _integrate(
     # How far beyond the image's edge a sphere of that radius still touches the frustum, per metre of radius.
     slack_x = np.sqrt(1.0 + (max(cx, width - cx) / fx) ** 2)
     slack_y = np.sqrt(1.0 + (max(cy, height - cy) / fy) ** 2)
+    away, across, down = np.empty(8), np.empty(8), np.empty(8)
     for b in range(len(blocks)):
         corner_x = origin[0] + blocks[b, 0] * block
         corner_y = origin[1] + blocks[b, 1] * block
@@ -231,23 +232,40 @@ def _integrate(
             for i in range(8):
                 for j in range(8):
                     px, py = corner_x + (i + 0.5) * voxel, corner_y + (j + 0.5) * voxel
-                    for k in range(8):
+                    x = pose[0, 0] * px + pose[0, 1] * py
+                    y = pose[1, 0] * px + pose[1, 1] * py
+                    z = pose[2, 0] * px + pose[2, 1] * py
+                    for k in range(8):  # a loop of its own: on several voxels at once
                         pz = corner_z + (k + 0.5) * voxel
-                        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
-                        if z < 0.05:
-                            continue
-                        u = fx * (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z + cx
-                        v = fy * (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z + cy
-                        if not (0.0 <= u < width and 0.0 <= v < height):
-                            continue
-                        seen = depth[image, int(v), int(u)]
-                        ahead = seen - z
-                        if not seen > 0.0 or ahead < -truncation:
-                            continue
-                        count = weight[b, i, j, k]
-                        ahead = min(ahead, truncation)
-                        distance[b, i, j, k] = (distance[b, i, j, k] * count + ahead) / (count + 1.0)
-                        weight[b, i, j, k] = count + 1.0
+                        away[k] = z + pose[2, 2] * pz + pose[2, 3]
+                        across[k] = fx * (x + pose[0, 2] * pz + pose[0, 3]) / away[k] + cx
+                        down[k] = fy * (y + pose[1, 2] * pz + pose[1, 3]) / away[k] + cy
+                    _add_row(away, across, down, depth[image], truncation, distance[b, i, j], weight[b, i, j])
+
+
+@kernel
+def _add_row(
+    away: np.ndarray,  # [8] metres, along the optical axis
+    across: np.ndarray,  # [8] pixels
+    down: np.ndarray,  # [8] pixels
+    depth: np.ndarray,  # [H, W]
+    truncation: float,
+    distance: np.ndarray,  # [8] changed
+    weight: np.ndarray,  # [8] changed
+) -> None:
+    """What an image says of a row of voxels that lie there in it."""
+    height, width = depth.shape
+    for k in range(8):
+        z, u, v = away[k], across[k], down[k]
+        if not (z >= 0.05 and 0.0 <= u < width and 0.0 <= v < height):
+            continue
+        seen = depth[int(v), int(u)]
+        ahead = seen - z
+        if not seen > 0.0 or ahead < -truncation:
+            continue
+        count = weight[k]
+        distance[k] = (distance[k] * count + min(ahead, truncation)) / (count + 1.0)
+        weight[k] = count + 1.0
 
 
 @kernel

@@ -1,9 +1,12 @@
+import numpy as np
 import pytest
 import torch
 
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import rasterize
+from activestructure_gym.splatting.passes import median_gaussian
 from activestructure_gym.splatting.reference import MIN_ALPHA, MIN_TRANSMITTANCE, project_gaussians
+from activestructure_gym.splatting.workspace import Workspace, fitted
 
 KINDS = ("random", "behind", "border", "clamped", "crowd", "needle", "flat", "large", "empty", "pixel")
 
@@ -46,6 +49,17 @@ def test_median_depth_agrees_with_the_reference(kind, splats_of, settled):
     assert (found.median_depth[sure & ~open_pixels] > 0).all()
     without = rasterize(*tensors, camera_from_world=pose, camera=splats.camera)
     assert without.median_depth is None and torch.equal(without.color, found.color)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_median_needs_no_blending(kind, splats_of):
+    splats, workspace = splats_of(kind, seed=4), Workspace()
+    block = fitted(splats.parameters())
+    given = (block, len(splats.tensors[0]), splats.camera, splats.camera_from_world.detach().numpy())
+    workspace.render(*given, keep=False)
+    blended = median_gaussian(workspace)
+    workspace.prepare(*given)
+    assert np.array_equal(median_gaussian(workspace, blended=False), blended)
 
 
 @pytest.mark.parametrize("dtype", (torch.float32, torch.float64))

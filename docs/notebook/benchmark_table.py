@@ -6,8 +6,9 @@
     python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
 
 References, who decide by the ground truth, stand on top and are never the best. Means over scenes of means over seeds;
-differences are those of pairs with ``BASELINE`` on the same scene and seed, with bootstrap intervals of 95 % over the
-seeds within the scenes (`paired_difference`). The table is of the scenes and seeds that every policy played.
+differences are those of pairs with the first of ``BASELINES`` that played, on the same scene and seed, with bootstrap
+intervals of 95 % over the seeds within the scenes (`paired_difference`). The table is of the scenes and seeds that
+every policy played.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from activestructure_gym.evaluation.statistics.aggregates import mean
 from activestructure_gym.evaluation.statistics.paired import Cell, paired_difference
 
 PLACE = Path(__file__).with_name("benchmark.csv")
-BASELINE = "hole_area"
+BASELINES = ("hole_area", "pixel_only")
 SHOWN = {  # key: heading, digits, best
     "completion_ratio": ("C.R. (%) ↑", 1, max),
     "tsdf_completion_ratio": ("C.R. surface (%) ↑", 1, max),
@@ -81,6 +82,7 @@ def markdown(table: Table) -> str:
         key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
     }
     cells = set.intersection(*map(set, table.values()))
+    baseline = next(name for name in BASELINES if name in table)
     table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
     means = {
         policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in shown}
@@ -91,7 +93,7 @@ def markdown(table: Table) -> str:
         for key, (_, digits, choose) in shown.items()
     }
     heads = [heading for heading, _, _ in shown.values()]
-    heads += [f"{name} minus `{BASELINE}`" for name, _ in DIFFERENCES.values()]
+    heads += [f"{name} minus `{baseline}`" for name, _ in DIFFERENCES.values()]
     lines = ["| policy | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for policy in sorted(means, key=lambda name: (not is_reference(name), -means[name]["completion_ratio"], name)):
         reference = is_reference(policy)
@@ -100,7 +102,7 @@ def markdown(table: Table) -> str:
             text = f"{means[policy][key]:.{digits}f}"
             is_best = not reference and round(means[policy][key], digits) == best[key]
             cells.append(f"**{text}**" if is_best else text)
-        cells += [_difference(table, policy, key, digits) for key, (_, digits) in DIFFERENCES.items()]
+        cells += [_difference(table, policy, key, digits, baseline) for key, (_, digits) in DIFFERENCES.items()]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -132,7 +134,7 @@ def _mean(values: dict[Cell, float]) -> float:
     return float(mean([value for part in by_scene for value in part], [len(part) for part in by_scene]))
 
 
-def _difference(table: Table, policy: str, key: str, digits: int, baseline: str = BASELINE) -> str:
+def _difference(table: Table, policy: str, key: str, digits: int, baseline: str) -> str:
     if policy == baseline:
         return ""
     ours, theirs = ({cell: run[key] for cell, run in table[name].items()} for name in (policy, baseline))

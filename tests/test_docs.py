@@ -197,10 +197,8 @@ def test_a_native_table_by_hand() -> None:
     lines = [run("hole_area", "0", "90"), run("hole_area", "1", "92"), run("hole_area", "2", "10")]
     table = script["markdown"]([*lines, run("random", "0", "93", "1500"), run("random", "1", "93")])
     heads, _, first, second = ([cell.strip() for cell in line.split("|")] for line in table.splitlines())
-    assert (first[1], second[1]) == (
-        "`random`",
-        "`hole_area`",
-    )  # the third seed, which one alone played, does not count
+    # The third seed, which one alone played, does not count.
+    assert (first[1], second[1]) == ("`random`", "`hole_area`")
     assert (first[heads.index("95 %")], second[heads.index("95 %")]) == ("1,500 (1 of 2)", "–")
     column = heads.index("observed minus `hole_area`")
     assert (first[column], second[column]) == ("+2.0 [1.0, 3.0]", "")

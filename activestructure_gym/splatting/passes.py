@@ -1,9 +1,9 @@
 """Further passes over the tile lists of a finished rendering.
 
 After `Workspace.render` the sorted lists, the records and the pictures stand, after `Workspace.prepare` lists that are
-still to be sorted and the records. A pass walks the lists once more and asks
-something that most callers do not need: a median depth, more channels. Each has a kernel of its own or drives the
-kernels of `kernels` again, and a function that takes the workspace.
+still to be sorted and the records. A pass walks the lists once more and asks something that most callers do not need: a
+median depth, more channels. Each has a kernel of its own or drives the kernels of `kernels` again, and a function that
+takes the workspace.
 """
 
 # mypy: ignore-errors
@@ -40,7 +40,8 @@ def median_depth(workspace: Workspace) -> np.ndarray:  # [H, W] float32 metres
 def median_gaussian(workspace: Workspace, *, blended: bool = True) -> np.ndarray:  # [H, W] int64
     """Column of the Gaussian with which the transmittance first falls to 0.5 or below; -1 where none does.
 
-    Not ``blended``: only `Workspace.prepare` has gone before, and the lists are still to be sorted.
+    Not ``blended``: only `Workspace.prepare` has gone before, and the lists are still to be sorted. After blending that
+    must not be done again, as `Workspace.backward` would then go wrong.
     """
     camera = workspace.camera
     picture = np.empty((camera.height, camera.width), np.float32)  # exact up to 16 million

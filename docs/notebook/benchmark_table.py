@@ -82,7 +82,9 @@ def markdown(table: Table) -> str:
         key: column for key, column in SHOWN.items() if all(key in r for runs in table.values() for r in runs.values())
     }
     cells = set.intersection(*map(set, table.values()))
-    baseline = next(name for name in BASELINES if name in table)
+    baseline = next((name for name in BASELINES if name in table), "")
+    if not baseline:
+        raise InputError(f"nothing to compare with: expected runs of {' or '.join(BASELINES)}, got {', '.join(table)}")
     table = {policy: {cell: runs[cell] for cell in cells} for policy, runs in table.items()}
     means = {
         policy: {key: _mean({cell: run[key] for cell, run in runs.items()}) for key in shown}
@@ -114,6 +116,8 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str]]) -> str:
         "|---|" + "---|" * (len(OF_PAIRS) + 1),
     ]
     for ours, theirs in wanted:
+        if missing := [name for name in (ours, theirs) if name not in table]:
+            raise InputError(f"no runs of '{missing[0]}' here; expected A:B, each of {', '.join(sorted(table))}")
         common = set(table[ours]) & set(table[theirs])
         both = {name: {cell: table[name][cell] for cell in common} for name in (ours, theirs)}
         found = [_difference(both, ours, key, digits, theirs) for key, (_, digits) in OF_PAIRS.items()]
@@ -156,6 +160,8 @@ def main() -> None:
     if options.runs:
         added(place, options.runs)
     table = read(place)
+    if not table:
+        raise InputError(f"no runs in {place}")
     if options.pairs:
         print(
             pairs(table, [(ours, theirs) for ours, _, theirs in (pair.partition(":") for pair in options.pairs)]),

@@ -226,10 +226,44 @@ def test_the_native_table_is_that_of_its_runs() -> None:
 _RUNS = ("benchmark.csv", "ladder_300.csv", "ladder_pixels_300.csv", "ladder_2000.csv", "benchmark_blurred.csv")
 
 
+_LADDERS = tuple(name for name in _RUNS if name.startswith("ladder"))
+
+
 @pytest.mark.parametrize("runs", _RUNS)
 def test_the_tables_of_the_benchmark_are_those_of_its_runs(runs: str) -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
-    table = script["markdown"](script["read"](script["PLACE"].with_name(runs)))
-    assert table in (ROOT / "docs" / "notebook" / "benchmark.md").read_text(), (
-        f"docs/notebook/benchmark.md is out of date: paste what benchmark_table.py prints of {runs}"
-    )
+    table = script["read"](script["PLACE"].with_name(runs))
+    rungs = script["ladder"](table)
+    assert bool(rungs) == (runs in _LADDERS)
+    told = (ROOT / "docs" / "notebook" / "benchmark.md").read_text()
+    for expected in (script["markdown"](table), *([script["pairs"](table, rungs)] if rungs else [])):
+        assert expected in told, (
+            f"docs/notebook/benchmark.md is out of date: paste what benchmark_table.py prints of {runs}"
+        )
+
+
+def test_a_ladder_by_hand() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+
+    def runs(*values: float, depth: float = 1.0) -> dict[tuple[str, int], dict[str, float]]:
+        usual = dict.fromkeys(script["OF_PAIRS"], 1.0)
+        return {("x", seed): usual | {"psnr": value, "depth_l1_cm": depth} for seed, value in enumerate(values)}
+
+    table = {
+        "pixel_only": runs(20, 22),
+        "activestructure-b": runs(21, 23, 99, depth=0.5),  # the third seed, which one alone played, does not count
+        "activestructure-c": runs(21, 21),
+        "activestructure-d": runs(21, 21),
+        "activestructure?discovery=pixel": runs(20, 21),
+    }
+    rungs = script["ladder"](table)
+    steps = [(ours, theirs) for _, ours, theirs in rungs]
+    assert steps[:4] == list(zip(list(table)[1:], table)) and steps[4] == (list(table)[-1], "pixel_only")
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in script["pairs"](table, rungs).splitlines()]
+    columns = [lines[0].index(name) for name in ("pairs", "PSNR (dB)", "better in PSNR", "depth error, ratio")]
+    assert [[line[column] for column in columns] for line in lines[2:4]] == [
+        ["2", "+1.00 [1.00, 1.00]", "2", "0.50 [0.50, 0.50]"],
+        ["2", "-1.00 [-2.00, 0.00]", "0", "2.00 [2.00, 2.00]"],
+    ]
+    del table["activestructure-c"]
+    assert script["ladder"](table) == []

@@ -1,6 +1,6 @@
-"""Prints the table of benchmark.md from benchmark.csv, which has a line per run.
+"""Prints the tables of benchmark.md from benchmark.csv, which has a line per run.
 
-    python docs/notebook/benchmark_table.py                          # the table
+    python docs/notebook/benchmark_table.py                          # the table; of a ladder also rung by rung
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
     python docs/notebook/benchmark_table.py --pairs A:B C:D          # A minus B and C minus D instead
     python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.statistics.aggregates import mean
 from activestructure_gym.evaluation.statistics.paired import Cell, paired_difference
+from activestructure_gym.policies import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
 BASELINES = ("hole_area", "pixel_only")
@@ -42,7 +44,13 @@ SHOWN = {  # key: heading, digits, best
     "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
 DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}
-OF_PAIRS = {"completion_ratio": ("C.R.", 1), "observed": ("observed", 1), **DIFFERENCES, "depth_l1_cm": ("depth", 2)}
+OF_PAIRS = {
+    "observed_area": ("area (points)", 1),
+    "completion_ratio": ("C.R. (points)", 1),
+    "observed": ("observed (points)", 1),
+    "psnr": ("PSNR (dB)", 2),
+}
+RUNGS = ("**B**, planes in sight", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
 OTHERS = (
     "precision", "frames_to_80", "frames_to_85", "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians",
     "collisions",
@@ -109,20 +117,31 @@ def markdown(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-def pairs(table: Table, wanted: Sequence[tuple[str, str]]) -> str:
-    """A table of differences, each of the scenes and seeds that both policies played."""
-    lines = [
-        "| | pairs | " + " | ".join(name for name, _ in OF_PAIRS.values()) + " |",
-        "|---|" + "---|" * (len(OF_PAIRS) + 1),
-    ]
-    for ours, theirs in wanted:
+def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
+    """A table of differences, each of the scenes and seeds that both policies played: what it is, A and B."""
+    heads = ["pairs", *(name for name, _ in OF_PAIRS.values()), "better in PSNR", "depth error, ratio"]
+    lines = ["| | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
+    for words, ours, theirs in wanted:
         if missing := [name for name in (ours, theirs) if name not in table]:
             raise InputError(f"no runs of '{missing[0]}' here; expected A:B, each of {', '.join(sorted(table))}")
         common = set(table[ours]) & set(table[theirs])
         both = {name: {cell: table[name][cell] for cell in common} for name in (ours, theirs)}
+        better = sum(both[ours][cell]["psnr"] > both[theirs][cell]["psnr"] for cell in common)
         found = [_difference(both, ours, key, digits, theirs) for key, (_, digits) in OF_PAIRS.items()]
-        lines.append(f"| `{ours}` minus `{theirs}` | {len(common)} | " + " | ".join(found) + " |")
+        cells = [str(len(common)), *found, str(better), _ratio(both, ours, "depth_l1_cm", theirs)]
+        lines.append(f"| {words} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def ladder(table: Table) -> list[tuple[str, str, str]]:
+    """What each rung adds, the rung and the one below; last, the whole and its base. [] if the table is no ladder."""
+    for base in BASELINES:
+        discovery = "" if base == "pixel_only" else f"?discovery={base}"
+        top = f"{LADDER[-1]}?discovery={base.removesuffix('_only')}"
+        rungs = [base, *(f"{name}{discovery}" for name in LADDER[1:-1]), top]
+        if all(name in table for name in rungs):
+            return [*zip(RUNGS, rungs[1:], rungs), (f"all over `{base}`", top, base)]
+    return []
 
 
 def _rows(place: Path) -> list[dict[str, str]]:
@@ -136,6 +155,16 @@ def _mean(values: dict[Cell, float]) -> float:
     scenes = sorted({scene for scene, _ in values})
     by_scene = [[value for (place, _), value in values.items() if place == scene] for scene in scenes]
     return float(mean([value for part in by_scene for value in part], [len(part) for part in by_scene]))
+
+
+def _ratio(table: Table, policy: str, key: str, baseline: str) -> str:
+    """exp of the mean difference of logarithms: the geometric mean of the ratios."""
+    ours, theirs = ({cell: math.log(run[key]) for cell, run in table[name].items()} for name in (policy, baseline))
+    found = paired_difference(ours, theirs)
+    assert found is not None
+    value = found.difference
+    text = f"{math.exp(value.value):.2f}"
+    return f"{text} [{math.exp(value.low):.2f}, {math.exp(value.high):.2f}]" if value.has_interval else text
 
 
 def _difference(table: Table, policy: str, key: str, digits: int, baseline: str) -> str:
@@ -163,12 +192,12 @@ def main() -> None:
     if not table:
         raise InputError(f"no runs in {place}")
     if options.pairs:
-        print(
-            pairs(table, [(ours, theirs) for ours, _, theirs in (pair.partition(":") for pair in options.pairs)]),
-            end="",
-        )
-    else:
-        print(markdown(table), end="")
+        parts = (pair.partition(":") for pair in options.pairs)
+        print(pairs(table, [(f"`{ours}` over `{theirs}`", ours, theirs) for ours, _, theirs in parts]), end="")
+        return
+    print(markdown(table), end="")
+    if rungs := ladder(table):
+        print(f"\n{pairs(table, rungs)}", end="")
 
 
 if __name__ == "__main__":

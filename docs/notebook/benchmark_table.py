@@ -4,6 +4,7 @@
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
     python docs/notebook/benchmark_table.py --pairs A:B C:D          # A minus B and C minus D instead
     python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
+    python docs/notebook/benchmark_table.py --ladders                # README's: what every rung adds on every ladder
 
 References, who decide by the ground truth, stand on top and are never the best. Means over scenes of means over seeds;
 differences are those of pairs with the first of ``BASELINES`` that played, on the same scene and seed, with bootstrap
@@ -51,6 +52,12 @@ OF_PAIRS = {
     "psnr": ("PSNR (dB)", 2),
 }
 RUNGS = ("**B**, planes in sight", "**C**, surprise and discount", "**D**, deficiency centres", "**E**, phases")
+LADDERS = {  # file: heading of its column, what of the pairs is in it
+    "ladder_300.csv": ("on `hole_area`, 300 frames: area (points)", "observed_area"),
+    "ladder_2000.csv": ("on `hole_area`, 2,000 frames: PSNR (dB)", "psnr"),
+    "ladder_pixels_300.csv": ("on pixels, 300 frames: area (points)", "observed_area"),
+    "ladder_pixels_2000.csv": ("on pixels, 2,000 frames: PSNR (dB)", "psnr"),
+}
 OTHERS = (
     "precision", "frames_to_80", "frames_to_85", "frames_to_90", "frames_to_95", "metres", "decisions", "gaussians",
     "collisions",
@@ -124,11 +131,10 @@ def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
     for words, ours, theirs in wanted:
         if missing := [name for name in (ours, theirs) if name not in table]:
             raise InputError(f"no runs of '{missing[0]}' here; expected A:B, each of {', '.join(sorted(table))}")
-        common = set(table[ours]) & set(table[theirs])
-        both = {name: {cell: table[name][cell] for cell in common} for name in (ours, theirs)}
-        better = sum(both[ours][cell]["psnr"] > both[theirs][cell]["psnr"] for cell in common)
+        both = _both(table, ours, theirs)
+        better = sum(run["psnr"] > both[theirs][cell]["psnr"] for cell, run in both[ours].items())
         found = [_difference(both, ours, key, digits, theirs) for key, (_, digits) in OF_PAIRS.items()]
-        cells = [str(len(common)), *found, str(better), _ratio(both, ours, "depth_l1_cm", theirs)]
+        cells = [str(len(both[ours])), *found, str(better), _ratio(both, ours, "depth_l1_cm", theirs)]
         lines.append(f"| {words} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -144,6 +150,20 @@ def ladder(table: Table) -> list[tuple[str, str, str]]:
     return []
 
 
+def ladders(folder: Path) -> str:
+    """A table of what each rung adds to the one below it, on every ladder."""
+    columns = []
+    for name, (heading, key) in LADDERS.items():
+        table = read(folder / name)
+        if not (rungs := ladder(table)):
+            raise InputError(f"no ladder in {folder / name}; expected runs of all of {', '.join(LADDER)} on one base")
+        column = [_difference(_both(table, *pair), pair[0], key, OF_PAIRS[key][1], pair[1]) for _, *pair in rungs]
+        columns.append([heading, *column])
+    rows = list(zip(["rung", *RUNGS, "all of it"], *columns, strict=True))
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"
+
+
 def _rows(place: Path) -> list[dict[str, str]]:
     if not place.exists():
         return []
@@ -155,6 +175,13 @@ def _mean(values: dict[Cell, float]) -> float:
     scenes = sorted({scene for scene, _ in values})
     by_scene = [[value for (place, _), value in values.items() if place == scene] for scene in scenes]
     return float(mean([value for part in by_scene for value in part], [len(part) for part in by_scene]))
+
+
+def _both(table: Table, ours: str, theirs: str) -> Table:
+    """The two on the scenes and seeds that both have played."""
+    if not (common := table[ours].keys() & table[theirs].keys()):
+        raise InputError(f"'{ours}' and '{theirs}' have no scene and seed in common")
+    return {name: {cell: table[name][cell] for cell in common} for name in (ours, theirs)}
 
 
 def _ratio(table: Table, policy: str, key: str, baseline: str) -> str:
@@ -184,7 +211,11 @@ def main() -> None:
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--file", default=PLACE.name)
     parser.add_argument("--pairs", nargs="+", metavar="A:B")
+    parser.add_argument("--ladders", action="store_true")
     options = parser.parse_args()
+    if options.ladders:
+        print(ladders(PLACE.parent), end="")
+        return
     place = PLACE.with_name(options.file)
     if options.runs:
         added(place, options.runs)

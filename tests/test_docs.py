@@ -223,9 +223,15 @@ def test_the_native_table_is_that_of_its_runs() -> None:
         assert (row["mapper"], row["iterations"]) == (mapper.name, str(mapper.iterations)), row["policy"]
 
 
-_RUNS = ("benchmark.csv", "ladder_300.csv", "ladder_pixels_300.csv", "ladder_2000.csv", "benchmark_blurred.csv")
-
-
+_RUNS = (
+    "benchmark.csv",
+    "ladder_300.csv",
+    "ladder_pixels_300.csv",
+    "ladder_2000.csv",
+    "ladder_pixels_2000.csv",
+    "planners_2000.csv",
+    "benchmark_blurred.csv",
+)
 _LADDERS = tuple(name for name in _RUNS if name.startswith("ladder"))
 
 
@@ -240,6 +246,13 @@ def test_the_tables_of_the_benchmark_are_those_of_its_runs(runs: str) -> None:
         assert expected in told, (
             f"docs/notebook/benchmark.md is out of date: paste what benchmark_table.py prints of {runs}"
         )
+
+
+def test_readme_has_the_ladders() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    assert set(script["LADDERS"]) == set(_LADDERS)
+    told = script["ladders"](script["PLACE"].parent)
+    assert told in (ROOT / "README.md").read_text(), "README.md is out of date: paste what --ladders prints"
 
 
 def test_a_ladder_by_hand() -> None:

@@ -229,7 +229,6 @@ _RUNS = (
     "ladder_pixels_300.csv",
     "ladder_2000.csv",
     "ladder_pixels_2000.csv",
-    "planners_2000.csv",
     "benchmark_blurred.csv",
 )
 _LADDERS = tuple(name for name in _RUNS if name.startswith("ladder"))

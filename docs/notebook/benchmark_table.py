@@ -2,7 +2,7 @@
 
     python docs/notebook/benchmark_table.py                          # the table; of a ladder also rung by rung
     python docs/notebook/benchmark_table.py runs/benchmark [MORE]    # these runs are put into benchmark.csv first
-    python docs/notebook/benchmark_table.py --pairs A:B C:D          # A minus B and C minus D instead
+    python docs/notebook/benchmark_table.py --pairs A:B C:D          # A over B and C over D instead
     python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
     python docs/notebook/benchmark_table.py --ladders                # README's: what every rung adds on every ladder
 
@@ -18,7 +18,7 @@ import argparse
 import csv
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
@@ -26,7 +26,8 @@ from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.statistics.aggregates import mean
-from activestructure_gym.evaluation.statistics.paired import Cell, paired_difference
+from activestructure_gym.evaluation.statistics.paired import Cell, PairedDifference, paired_difference
+from activestructure_gym.evaluation.statistics.resampling import Estimate
 from activestructure_gym.policies import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
@@ -119,22 +120,23 @@ def markdown(table: Table) -> str:
             text = f"{means[policy][key]:.{digits}f}"
             is_best = not reference and round(means[policy][key], digits) == best[key]
             cells.append(f"**{text}**" if is_best else text)
-        cells += [_difference(table, policy, key, digits, baseline) for key, (_, digits) in DIFFERENCES.items()]
+        cells += [_difference(table, policy, baseline, key, digits) for key, (_, digits) in DIFFERENCES.items()]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
 def pairs(table: Table, wanted: Sequence[tuple[str, str, str]]) -> str:
-    """A table of differences, each of the scenes and seeds that both policies played: what it is, A and B."""
+    """A table of A minus B, each of the scenes and seeds that both have played: what the row is called, A and B."""
     heads = ["pairs", *(name for name, _ in OF_PAIRS.values()), "better in PSNR", "depth error, ratio"]
     lines = ["| | " + " | ".join(heads) + " |", "|---|" + "---:|" * len(heads)]
     for words, ours, theirs in wanted:
         if missing := [name for name in (ours, theirs) if name not in table]:
             raise InputError(f"no runs of '{missing[0]}' here; expected A:B, each of {', '.join(sorted(table))}")
-        both = _both(table, ours, theirs)
-        better = sum(run["psnr"] > both[theirs][cell]["psnr"] for cell, run in both[ours].items())
-        found = [_difference(both, ours, key, digits, theirs) for key, (_, digits) in OF_PAIRS.items()]
-        cells = [str(len(both[ours])), *found, str(better), _ratio(both, ours, "depth_l1_cm", theirs)]
+        psnr = _paired(table, ours, theirs, "psnr")
+        found = [_difference(table, ours, theirs, key, digits) for key, (_, digits) in OF_PAIRS.items()]
+        # exp of the mean difference of logarithms: the geometric mean of the ratios.
+        depth = _paired(table, ours, theirs, "depth_l1_cm", math.log).difference
+        cells = [str(psnr.pairs), *found, str(psnr.higher), _told(depth, 2, sign="", of=math.exp)]
         lines.append(f"| {words} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -157,8 +159,7 @@ def ladders(folder: Path) -> str:
         table = read(folder / name)
         if not (rungs := ladder(table)):
             raise InputError(f"no ladder in {folder / name}; expected runs of all of {', '.join(LADDER)} on one base")
-        column = [_difference(_both(table, *pair), pair[0], key, OF_PAIRS[key][1], pair[1]) for _, *pair in rungs]
-        columns.append([heading, *column])
+        columns.append([heading, *(_difference(table, *pair, key, OF_PAIRS[key][1]) for _, *pair in rungs)])
     rows = list(zip(["rung", *RUNGS, "all of it"], *columns, strict=True))
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"
@@ -177,32 +178,25 @@ def _mean(values: dict[Cell, float]) -> float:
     return float(mean([value for part in by_scene for value in part], [len(part) for part in by_scene]))
 
 
-def _both(table: Table, ours: str, theirs: str) -> Table:
-    """The two on the scenes and seeds that both have played."""
-    if not (common := table[ours].keys() & table[theirs].keys()):
+def _paired(table: Table, ours: str, theirs: str, key: str, of: Callable[[float], float] = float) -> PairedDifference:
+    values = ({cell: of(run[key]) for cell, run in table[name].items()} for name in (ours, theirs))
+    if (found := paired_difference(*values)) is None:
         raise InputError(f"'{ours}' and '{theirs}' have no scene and seed in common")
-    return {name: {cell: table[name][cell] for cell in common} for name in (ours, theirs)}
+    return found
 
 
-def _ratio(table: Table, policy: str, key: str, baseline: str) -> str:
-    """exp of the mean difference of logarithms: the geometric mean of the ratios."""
-    ours, theirs = ({cell: math.log(run[key]) for cell, run in table[name].items()} for name in (policy, baseline))
-    found = paired_difference(ours, theirs)
-    assert found is not None
-    value = found.difference
-    text = f"{math.exp(value.value):.2f}"
-    return f"{text} [{math.exp(value.low):.2f}, {math.exp(value.high):.2f}]" if value.has_interval else text
-
-
-def _difference(table: Table, policy: str, key: str, digits: int, baseline: str) -> str:
-    if policy == baseline:
+def _difference(table: Table, ours: str, theirs: str, key: str, digits: int) -> str:
+    """Ours minus theirs; nothing of a policy from itself."""
+    if ours == theirs:
         return ""
-    ours, theirs = ({cell: run[key] for cell, run in table[name].items()} for name in (policy, baseline))
-    found = paired_difference(ours, theirs)
-    assert found is not None
-    value = found.difference
-    text = f"{value.value:+.{digits}f}"
-    return f"{text} [{value.low:.{digits}f}, {value.high:.{digits}f}]" if value.has_interval else text
+    return _told(_paired(table, ours, theirs, key).difference, digits)
+
+
+def _told(found: Estimate, digits: int, *, sign: str = "+", of: Callable[[float], float] = float) -> str:
+    text = f"{of(found.value):{sign}.{digits}f}"
+    if found.low is None or found.high is None:
+        return text
+    return f"{text} [{of(found.low):.{digits}f}, {of(found.high):.{digits}f}]"
 
 
 def main() -> None:
@@ -210,15 +204,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--file", default=PLACE.name)
-    parser.add_argument("--pairs", nargs="+", metavar="A:B")
-    parser.add_argument("--ladders", action="store_true")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--pairs", nargs="+", metavar="A:B")
+    instead.add_argument("--ladders", action="store_true")
     options = parser.parse_args()
-    if options.ladders:
-        print(ladders(PLACE.parent), end="")
-        return
     place = PLACE.with_name(options.file)
     if options.runs:
         added(place, options.runs)
+    if options.ladders:
+        print(ladders(PLACE.parent), end="")
+        return
     table = read(place)
     if not table:
         raise InputError(f"no runs in {place}")

@@ -20,7 +20,7 @@ from activestructure_gym.evaluation.archive.schema import (
     table,
     text,
 )
-from activestructure_gym.evaluation.metrics.planning import LATE, LEVELS
+from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, LATE, LEVELS
 
 _FARTHEST = 1e6  # metres
 _WIDEST_IMAGE = 16384  # pixels
@@ -80,12 +80,8 @@ _MEASURED = (
 # Of a trajectory that was given.
 _FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_wide", "poses_outside")
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
-_POINT = {
-    "decision": _count, "frames": _size, "metres": _size, "completion_ratio": number(), "psnr": number()
-}  # fmt: skip
-_POINT_MORE = dict.fromkeys(
-    ("observed", "tsdf_completion_ratio", "depth_l1_cm", "precision", "accuracy_cm"), maybe(number())
-)
+_POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": number()}
+_POINT_MORE = {name: maybe(number()) for name in CURVE_MEASURES if name not in _POINT}
 METRICS: Check = table(
     {
         "format": number(whole=True),
@@ -100,7 +96,6 @@ METRICS: Check = table(
             | {"planning_notes": table(others=text)},
         ),
         "curve": each(table(_POINT, _POINT_MORE), least=1),
-        "curve_views": _count,
     },
     {"protocol": PROTOCOL, "scene": text},
 )  # fmt: skip

@@ -38,8 +38,8 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     from activestructure_gym.evaluation.metrics import geometry_scores
     from activestructure_gym.evaluation.running.episode import (
         CHECKPOINT_SAMPLES,
-        CHECKPOINT_VIEWS,
         CHECKPOINTS,
+        IMAGE_CHECKPOINTS,
         SURFACE_CHECKPOINTS,
         run_job,
     )
@@ -73,11 +73,20 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     fresh = protocol.truth(ground_truth_of(scene))
     _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))
     yield {**name, "stage": "finished map, all of it", **whole}
-    views, samples = CHECKPOINT_VIEWS, CHECKPOINT_SAMPLES
-    _, point = _timed(lambda: protocol.checkpoint(gaussians, truth, path, views=views, samples=samples))
-    _, fused = _timed(lambda: protocol.checkpoint(gaussians, truth, path, views=views, samples=samples, surface=True))
+
+
+    def checkpoint(*, images: bool = False, surface: bool = False) -> dict[str, float]:
+        return _timed(
+            lambda: protocol.checkpoint(
+                gaussians, truth, path, images=images, samples=CHECKPOINT_SAMPLES, surface=surface
+            )
+        )[1]
+
+    point, looks, fused = checkpoint(), checkpoint(images=True), checkpoint(surface=True)
     curve = {
-        key: (CHECKPOINTS + 1 - SURFACE_CHECKPOINTS) * value + SURFACE_CHECKPOINTS * fused[key]
+        key: (CHECKPOINTS + 1) * value
+        + IMAGE_CHECKPOINTS * (looks[key] - value)
+        + SURFACE_CHECKPOINTS * (fused[key] - value)
         for key, value in point.items()
     }
     yield {**name, "stage": f"curve of {CHECKPOINTS + 1} points (at most)", **curve}

@@ -8,6 +8,10 @@ import numpy as np
 
 from activestructure_gym.evaluation.statistics import area_under, on_axis
 
+# The measures that a point of a curve can hold; the last point has those of the finished map.
+CURVE_MEASURES = (
+    "completion_ratio", "tsdf_completion_ratio", "observed", "psnr", "depth_l1_cm", "precision", "accuracy_cm"
+)  # fmt: skip
 LEVELS = (80, 85, 90, 95)  # % of the observable surface
 _HALF = 0.5  # of the frame budget, from which on frames are late
 LATE = {"psnr": "late_psnr_rate", "depth_l1_cm": "late_depth_rate"}  # of the curve: its slope in the second half

@@ -227,40 +227,46 @@ class StandardProtocol:
         truth: Truth,
         path: CameraPath | None = None,
         *,
-        views: int,
+        images: bool,
         samples: int,
         surface: bool = False,
     ) -> dict[str, float]:
-        """C.R., PSNR and depth error of an unfinished map on about ``samples`` surface points and the first ``views``.
+        """Measure an unfinished map: C.R. on about ``samples`` points of the surface.
 
-        Precision and Acc of about as many of its means, if there are any. With the ``path`` so far also ``observed``
-        on the same points, and with ``surface`` the C.R. of the TSDF surface, fused anew from the depth of the map as
-        it is.
+        Precision and Acc are of about as many of its means, if there are any. The ``path`` so far adds ``observed`` on
+        the same points. ``images`` adds PSNR and depth error, the means over all held-out views. ``surface`` adds the
+        C.R. of the TSDF surface, fused anew from the depth that the map shows at the keyframes of the ``path``.
         """
         every = slice(None, None, max(1, len(truth.surface.points) // samples))
         part = dataclasses.replace(
             truth.surface, points=truth.surface.points[every], normals=truth.surface.normals[every]
         )
         points = self.points(gaussians)
-        count = min(views, len(truth.views))
-        seen = [self._render(gaussians, truth, index) for index in range(count)]
-        found = {
-            "completion_ratio": self._ratio(part, points),
-            "psnr": _mean(psnr(np.clip(r.color, 0.0, 1.0), _unit(truth.views.rgb[i])) for i, r in enumerate(seen)),
-        }
+        found = {"completion_ratio": self._ratio(part, points)}
         if len(points):
             off = truth.surface.discs.query(points[:: max(1, len(points) // samples)])[0]
             found["precision"] = 100.0 * float(np.mean(off < self.threshold_m))
             found["accuracy_cm"] = 100.0 * float(off.mean())
-        error = mean_of_known(self._depth_error(rendering, truth, i) for i, rendering in enumerate(seen))
-        if error is not None:
-            found["depth_l1_cm"] = error
+        if images:
+            found |= self._image_scores(gaussians, truth)
         observed = self.observed(dataclasses.replace(truth, surface=part), path)
         if observed is not None:
             found["observed"] = observed
         if surface and path is not None and self.points_source == "both":
             found["tsdf_completion_ratio"] = self._ratio(part, self.on_surface(self.surface(gaussians, path)))
         return found
+
+    def _image_scores(self, gaussians: GaussianMap, truth: Truth) -> dict[str, float]:
+        """PSNR and depth error, each the mean over all held-out views that it is defined in."""
+
+        def look(index: int) -> tuple[float, float | None]:
+            rendering = self._render(gaussians, truth, index, threads=1)
+            fidelity = psnr(np.clip(rendering.color, 0.0, 1.0), _unit(truth.views.rgb[index]))
+            return fidelity, self._depth_error(rendering, truth, index)
+
+        looks = every_view(look, len(truth.views))
+        means = {"psnr": mean_of_known(p for p, _ in looks), "depth_l1_cm": mean_of_known(d for _, d in looks)}
+        return {name: value for name, value in means.items() if value is not None}
 
     def _ratio(self, surface: SurfaceSamples, points: np.ndarray) -> float:
         return 100.0 * float(np.mean(completion_distances(surface, points) < self.threshold_m))
@@ -368,7 +374,3 @@ class StandardProtocol2(StandardProtocol3):
 
 def _unit(rgb: np.ndarray) -> np.ndarray:
     return rgb.astype(np.float32) / np.float32(255.0)
-
-
-def _mean(values: Any) -> float:
-    return float(np.mean(list(values)))

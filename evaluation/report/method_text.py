@@ -84,9 +84,8 @@ def protocol_text(results: Results) -> str:
         f"can see (those of {protocol.surface_samples:,} samples on the whole mesh that are seen). "
         "Images are compared (PSNR pooled over the channels, depth by its mean absolute error) "
         f"in {views}, {protocol.view_width} x {protocol.view_height} pixels, "
-        f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy; PSNR of "
-        f"the curves is over the first {run.metrics['curve_views']} of them. Time: wall clock of the episode without "
-        "loading and evaluation."
+        f"{protocol.view_supersample} x {protocol.view_supersample} rays per pixel, the same for every policy. "
+        "Time: wall clock of the episode without loading and evaluation."
     )
 
 

@@ -21,7 +21,7 @@ from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.own_code import first_sum_of, own_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.machine import hardware as machine
-from activestructure_gym.evaluation.metrics.planning import planning_scores
+from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.planes.record import graph_arrays, graph_summary
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 SCENE_FOLDERS = "ASG_SCENES"  # variable: where files are looked for that have moved since a record was made
 CHECKPOINTS = 20  # points of the convergence curve, besides the first
-CHECKPOINT_VIEWS = 8  # held-out views its PSNR is the mean of
+IMAGE_CHECKPOINTS = 10  # points of the PSNR curve, besides the first: each renders every held-out view
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
 # In how many parts the budget is divided by points at which the TSDF surface is fused anew out of the depth at all
 # keyframes: each as dear as at the end in proportion to the keyframes so far. The last point is the finished map's.
@@ -93,7 +93,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
         began = time.perf_counter()
         path = CameraPath.from_arrays(_path_arrays(reconstruction))
         metrics = job.protocol.evaluate(reconstruction.mapper.map, truth, path)
-        episode.note_surface(metrics)
+        episode.end_curve(metrics)
         planned, reasons = planning_scores(episode.curve, reconstruction.frame_budget)
         metrics |= planned | {"planning_notes": reasons} | episode_metrics(scene, reconstruction, episode)
         with store.whole_directory(directory) as part:
@@ -282,6 +282,7 @@ class _Episode:
         self.decision_seconds: list[float] = []  # total seconds at the end of each decision
         self._policy_seconds = 0.0
         self._next_checkpoint = 0
+        self._next_images = 0
         self._next_surface = 0
 
     def run(self) -> None:
@@ -349,14 +350,17 @@ class _Episode:
         began = time.perf_counter()
         reconstruction = self.env.reconstruction
         frames, budget = reconstruction.frames, reconstruction.frame_budget
-        surface = frames >= self._next_surface and not last
+        # The last point is the finished map's: `end_curve` writes it.
+        images, surface = (frames >= following and not last for following in (self._next_images, self._next_surface))
+        if images:
+            self._next_images = _following(frames, budget // IMAGE_CHECKPOINTS)
         if surface:
             self._next_surface = _following(frames, budget // SURFACE_CHECKPOINTS)
         scores = self.job.protocol.checkpoint(
             reconstruction.mapper.map,
             self.truth,
             CameraPath.from_arrays(_path_arrays(reconstruction)),
-            views=CHECKPOINT_VIEWS,
+            images=images,
             samples=CHECKPOINT_SAMPLES,
             surface=surface,
         )
@@ -366,12 +370,11 @@ class _Episode:
         self.evaluation_seconds += time.perf_counter() - began
         return scores
 
-    def note_surface(self, metrics: dict[str, Any]) -> None:
-        """The last point of the surface's curve, from the numbers of the finished map."""
-        ratio = metrics.get("tsdf_completion_ratio")
-        if ratio is not None:
-            for point in (self.curve[-1], self.steps[-1]["checkpoint"] if self.steps else {}):
-                point["tsdf_completion_ratio"] = ratio
+    def end_curve(self, metrics: dict[str, Any]) -> None:
+        """Replace the numbers of the curve's last point by those of the finished map, so that both are equal."""
+        found = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
+        for point in (self.curve[-1], self.steps[-1]["checkpoint"] if self.steps else {}):
+            point |= found
 
 
 def _following(frames: int, spacing: int) -> int:
@@ -425,7 +428,6 @@ def _write_record(
         "scene": scene.content_hash,
         "metrics": metrics,
         "curve": episode.curve,
-        "curve_views": min(CHECKPOINT_VIEWS, len(episode.truth.views)),
     }
     store.write_json(part / "config.json", config)
     store.write_json(part / store.METRICS, results)

@@ -150,7 +150,7 @@ class TrueQuality:
         return np.array(found, np.float64)
 
     def _measured(self, gaussians: GaussianMap) -> dict[str, float]:
-        return self._protocol.checkpoint(gaussians, self._truth, views=len(self._truth.views), samples=_RATIO_SAMPLES)
+        return self._protocol.checkpoint(gaussians, self._truth, images=True, samples=_RATIO_SAMPLES)
 
 
 def shown(

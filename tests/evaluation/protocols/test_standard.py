@@ -89,10 +89,11 @@ def test_a_checkpoint_agrees_with_the_full_measurement(wall):
     half = GaussianMap()
     half.append(gaussians(wall.surface.points[wall.surface.points[:, 0] < 0], opacity=0.95))
     full = PROTOCOL.evaluate(half, wall)
-    quick = PROTOCOL.checkpoint(half, wall, views=2, samples=10**6)
+    quick = PROTOCOL.checkpoint(half, wall, images=True, samples=10**6)
     assert quick["completion_ratio"] == full["completion_ratio"]
-    assert quick["psnr"] == pytest.approx(full["psnr"])
-    rough = PROTOCOL.checkpoint(half, wall, views=1, samples=500)
+    assert quick["psnr"] == full["psnr"] and quick["depth_l1_cm"] == full["depth_l1_cm"]
+    assert "psnr" not in PROTOCOL.checkpoint(half, wall, images=False, samples=500)
+    rough = PROTOCOL.checkpoint(half, wall, images=False, samples=500)
     assert rough["completion_ratio"] == pytest.approx(full["completion_ratio"], abs=5)
 
 
@@ -128,7 +129,7 @@ def test_without_poses_or_a_mesh_nobody_knows_what_was_observed(wall):
     assert scores["observed"] is None and "poses" in scores["notes"]["observed"]
     path = CameraPath(wall.views.camera, np.eye(4), np.eye(4)[None])
     assert "mesh" in PROTOCOL.evaluate(GaussianMap(), wall, path)["notes"]["observed"]
-    assert "observed" not in PROTOCOL.checkpoint(GaussianMap(), wall, path, views=1, samples=10)
+    assert "observed" not in PROTOCOL.checkpoint(GaussianMap(), wall, path, images=False, samples=10)
 
 
 def test_the_surface_of_a_checkpoint_is_that_of_the_full_measurement(wall):
@@ -136,23 +137,23 @@ def test_the_surface_of_a_checkpoint_is_that_of_the_full_measurement(wall):
     solid.append(gaussians(wall.surface.points, opacity=0.95))
     path = CameraPath(wall.views.camera, np.eye(4), np.eye(4)[None])
     full = PROTOCOL.evaluate(solid, wall, path)["tsdf_completion_ratio"]
-    point = PROTOCOL.checkpoint(solid, wall, path, views=1, samples=10**6, surface=True)
+    point = PROTOCOL.checkpoint(solid, wall, path, images=False, samples=10**6, surface=True)
     assert 0.0 < point["tsdf_completion_ratio"] == full < 100.0  # the image is narrower than the wall
-    assert "tsdf_completion_ratio" not in PROTOCOL.checkpoint(solid, wall, path, views=1, samples=10**6)
+    assert "tsdf_completion_ratio" not in PROTOCOL.checkpoint(solid, wall, path, images=False, samples=10**6)
 
 
 def test_a_checkpoint_says_how_many_means_lie_on_the_surface(wall):
     solid = GaussianMap()
     solid.append(gaussians(wall.surface.points, opacity=0.95))
-    assert "precision" not in PROTOCOL.checkpoint(GaussianMap(), wall, views=1, samples=100)
-    everything = PROTOCOL.checkpoint(solid, wall, views=1, samples=10**6)
+    assert "precision" not in PROTOCOL.checkpoint(GaussianMap(), wall, images=False, samples=100)
+    everything = PROTOCOL.checkpoint(solid, wall, images=False, samples=10**6)
     assert everything["precision"] == 100.0 and everything["accuracy_cm"] == pytest.approx(0.0, abs=1e-4)
     off = wall.surface.points + np.where(np.arange(len(wall.surface.points)) % 4 == 0, 0.2, 0.01)[:, None] * (
         wall.surface.normals
     )
     astray = GaussianMap()
     astray.append(gaussians(off, opacity=0.95))
-    found = PROTOCOL.checkpoint(astray, wall, views=1, samples=10**6)
+    found = PROTOCOL.checkpoint(astray, wall, images=False, samples=10**6)
     full = PROTOCOL.evaluate(astray, wall)
     assert found["precision"] == pytest.approx(full["precision"]) == pytest.approx(100 * 1875 / 2501)
     assert found["accuracy_cm"] == pytest.approx(full["accuracy_cm"]) and 5.0 < found["accuracy_cm"] < 6.0

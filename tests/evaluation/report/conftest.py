@@ -53,7 +53,7 @@ def maker(place: Path):
         hardware = {"processor": "none", "cores": 2}
         timing = {"total": seconds, "seconds": stages, "decisions": [2.0, 4.0, 6.0], "hardware": hardware}
         directory = Path(place) / "jobs" / job.name
-        results = {"metrics": metrics, "curve": curve, "curve_views": 8}
+        results = {"metrics": metrics, "curve": curve}
         run = Run(directory, scene_label(scene), job, config, results, timing)
         run.__dict__["pictures"] = _pictures(seed)
         run.__dict__["trajectory"] = _trajectory(seed)

@@ -5,6 +5,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+MOST_NAMES = 5  # that a message lists
+# The commands that list the names of a kind.
+_LISTS = {
+    "policy": "asg policies",
+    "feature": "asg features",
+    "scene": "asg scenes",
+    "command": "asg --help",
+}
+
 
 class InputError(ValueError):
     """User input cannot be used: an option, a file, a name, a keyword.
@@ -22,11 +31,31 @@ class InputWarning(UserWarning):
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
-    """The error for a mistyped name, e.g. ``unknown policy 'frontire'; did you mean 'frontier'? Known: ...``."""
+    """Return the error for a mistyped name, with the nearest name and the command that lists all of them.
+
+    For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg policies` lists the names``. A message holds
+    all names where they are few, and at most `MOST_NAMES` of many.
+    """
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1) if isinstance(name, str) else []
+    word = name if isinstance(name, str) else ""
+    close = difflib.get_close_matches(word, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else "."
-    return InputError(f"unknown {kind} {shown(name)}{hint} Known: {', '.join(names) or 'none'}")
+    command = "asg config" if kind.startswith("field") else _LISTS.get(kind, "")
+    if len(names) <= MOST_NAMES:
+        where = f"Known: {', '.join(names) or 'none'}"
+    elif command:
+        where = f"`{command}` lists the names"
+    else:
+        nearest = difflib.get_close_matches(word, names, n=MOST_NAMES, cutoff=0.0)
+        where = f"Nearest of {len(names)}: {', '.join(nearest)}"
+    return InputError(f"unknown {kind} {shown(name)}{hint} {where}")
+
+
+def listed(names: Iterable[object], most: int = MOST_NAMES) -> str:
+    """Return the names in one line: ``a, b``, or of many the first ``most`` and how many more there are."""
+    words = [str(name) for name in names]
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
 
 
 def shown(value: object) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.console import Console
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError, counted
+from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.cli.fields import (
     Changes,
     Count,
@@ -268,7 +268,7 @@ def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
         called = named_trajectory(given) if is_trajectory(given) else canonical_policy(given)
         if called in known:
             return dataclasses.replace(options, baseline=called)
-    raise InputError(f"--baseline is one of the policies, {', '.join(known)}; got '{given}'")
+    raise InputError(f"--baseline is one of the policies, {listed(known)}; got '{given}'")
 
 
 def _with_demo_defaults(options: Compare) -> Compare:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, listed
 from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
@@ -136,7 +136,7 @@ def _open(names: tuple[str, ...]) -> list[Run]:
     from activestructure_gym.evaluation.archive.store import COMPARISON, read_run
 
     if not names:
-        raise InputError("asg evaluate needs the directory of a comparison or of a run, or --map FILE --scene SPEC")
+        raise InputError("name the directory of a comparison or of a run, or give --map FILE --scene SPEC")
     runs: list[Run] = []
     for name in names:
         directory = Path(name)
@@ -149,7 +149,7 @@ def _open(names: tuple[str, ...]) -> list[Run]:
             print(f"asg: note: {asked - len(finished)} of {asked} runs in '{directory}' are not finished, and are "
                   "left out", file=sys.stderr)  # fmt: skip
     if not runs:
-        raise InputError(f"there is no finished run in {', '.join(names)}")
+        raise InputError(f"there is no finished run in {listed(names)}")
     return runs
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError, counted
+from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.cli.fields import PathName, Runs
 from activestructure_gym.evaluation.cli.output import make_console
 
@@ -34,7 +34,7 @@ class Leaderboard:
         from activestructure_gym.files import replaced
 
         if not self.runs:
-            raise InputError("asg leaderboard needs the directories of comparisons or of runs")
+            raise InputError("name the directories of comparisons or of runs to put on the page")
         out = Path(self.out or "leaderboard.html")
         if out.is_dir() or not out.absolute().parent.is_dir():
             raise InputError(f"--out is a file in a directory that exists, got '{out}'")
@@ -42,7 +42,7 @@ class Leaderboard:
         with console.status("reading"):
             runs, refused = each_run([Path(name) for name in self.runs])
         if not runs:
-            raise InputError("; ".join(refused.values()) or f"there is no finished run in {', '.join(self.runs)}")
+            raise InputError("; ".join(refused.values()) or f"there is no finished run in {listed(self.runs)}")
         with writing(out), replaced(out) as file:
             file.write(leaderboard_page(runs, lambda run: known(run.directory), refused).encode())
         for reason in refused.values():

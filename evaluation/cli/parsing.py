@@ -31,9 +31,9 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     """The options of a command; raises `InputError`, and `SystemExit` after help."""
     for word in words:
         if "\0" in word or not _encodable(word):
-            raise InputError(f"asg {name}: {shown(word)} holds bytes that are no text")
+            raise InputError(f"{name}: {shown(word)} holds bytes that are no text")
     if words and words[0].replace("_", "-") in ("--tyro-print-completion", "--tyro-write-completion"):
-        raise InputError(f"asg {name} has no option {words[0]}; asg completion {'|'.join(_SHELLS[:2])} prints a script")
+        raise InputError(f"{name} has no option {words[0]}; asg completion {'|'.join(_SHELLS[:2])} prints a script")
     part = words[0] if words and words[0] in parts_of(kind) else ""
     said = io.StringIO()
     helped = any(word in ("-h", "--help") for word in words)
@@ -45,8 +45,8 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
         if end.code in (None, 0):
             raise
     command, told = f"asg {name} {part}".rstrip(), sentence(said.getvalue(), part)
-    belongs = [hint for word in _stray(told) if (hint := _option_of(kind, word))]
-    raise InputError("; ".join([told, *belongs, f"{command} --help shows the options"]))
+    belongs = [option for word in _stray(told) if (option := _option_of(kind, word))]
+    raise InputError(f"{_with_options(told, belongs)}; {command} --help shows the options".replace("?; ", "? "))
 
 
 def gathered(words: Sequence[str], lists: Collection[str]) -> list[str]:
@@ -83,7 +83,7 @@ def _stray(told: str) -> list[str]:
 
 
 def _option_of(kind: Any, word: str) -> str:
-    """A sentence on the option that a word without one is the value of, if it names a policy or a scene."""
+    """The option that a word without one is the value of, and that word, if it names a policy or a scene; else ''."""
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.scenes.library import is_scene_name
 
@@ -97,8 +97,18 @@ def _option_of(kind: Any, word: str) -> str:
     ):
         taken = [option for option in options if option in fields]
         if known and taken:
-            return f"did you mean --{taken[0]} {word}?"
+            return f"--{taken[0]} {word}"
     return ""
+
+
+def _with_options(told: str, belongs: Sequence[str]) -> str:
+    """Return the message with options and their values among the options that could have been meant, each once."""
+    if not belongs:
+        return told
+    told, _, meant = told.partition("; did you mean ")
+    options = [option for option in meant.removesuffix("?").split(" and ") if option]
+    options = [option for option in options if not any(more.startswith(f"{option} ") for more in belongs)]
+    return f"{told}; did you mean {' and '.join([*options, *belongs])}?"
 
 
 def sentence(box: str, part: str = "") -> str:

@@ -47,7 +47,7 @@ class Replay:
         directories = [found for name in self.runs for found in _runs_of(Path(name))]
         if not 1 <= len(directories) <= MOST_RUNS:
             raise InputError(
-                f"asg replay takes one run or two, got {len(directories)}: name their directories in jobs/"
+                f"a replay shows one run or two, got {len(directories)}: name their directories in jobs/"
             )
         from activestructure_gym.evaluation.archive.store import REPLAY, read_run
 

@@ -37,7 +37,7 @@ class Report:
         from activestructure_gym.evaluation.archive.store import COMPARISON
 
         if not self.runs:
-            raise InputError("asg report needs the directory of a comparison or of a run")
+            raise InputError("name the directory of a comparison or of a run to report on")
         directories = [Path(name) for name in self.runs]
         alone = len(directories) == 1 and (directories[0] / COMPARISON).is_file()
         out = Path(self.out or (directories[0] if alone else time.strftime("runs/report-%Y%m%d-%H%M%S")))

@@ -71,7 +71,7 @@ class Score:
         """Check, follow, report; exit codes as of `asg compare`."""
         use_trust(self.trust_code)
         if self.trajectory is None:
-            raise InputError("asg score needs --trajectory: a file of poses, or a finished run")
+            raise InputError("give a trajectory to follow with --trajectory: a file of poses, or a finished run")
         run = _run_of(self.trajectory)
         if self.scene is None and run is None:
             raise InputError(f"'{self.trajectory}' is no finished run, which would name its scene: give --scene")

@@ -46,7 +46,7 @@ class Verify:
         from activestructure_gym.evaluation.running.verifying import verify
 
         if not self.runs:
-            raise InputError("asg verify needs the directory of a comparison or of a run")
+            raise InputError("name the directory of a comparison or of a run to play again")
         console = make_console()
         runs, refused = each_run([Path(name) for name in self.runs])
         failed, unplayed = len(refused), 0

@@ -102,7 +102,7 @@ class Watch:
 
         scenes = split_scenes((self.scene,))
         if not scenes:
-            raise InputError(f"asg watch needs a scene to explore, got '{self.scene}'; `asg scenes` lists the names")
+            raise InputError(f"--scene names a scene to explore, got '{self.scene}'; `asg scenes` lists the names")
         preset = self.preset or (NATIVE_PRESET if self.terms == "native" else "default")
         return make_env_and_policy(
             _COLOURED_BY if self.policy == YOU else self.policy,

@@ -15,7 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, counted
+from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.claims import failures
 from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
@@ -57,12 +57,12 @@ class Results:
             raise InputError("a report needs at least one finished run, got none")
         if self.baseline is not None and self.baseline not in self.policies:
             raise InputError(
-                f"the baseline '{self.baseline}' is not among the policies of these runs: {', '.join(self.policies)}"
+                f"the baseline '{self.baseline}' is not among the policies of these runs: {listed(self.policies)}"
             )
         for name, found in conditions(self.runs).items():
             if len(found) > 1:
                 raise InputError(
-                    f"these runs were made under different conditions ({name}: {', '.join(found)}); a report compares "
+                    f"these runs were made under different conditions ({name}: {listed(found)}); a report compares "
                     "like with like, so make one for each"
                 )
         if self.baseline is None and len(self.policies) > 1:
@@ -244,7 +244,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
         asked = sum(len(source.missing) for source in sources)
         resume = "; ".join(f"asg compare --out {shlex.quote(str(source.directory))} --resume" for source in sources)
         raise InputError(
-            f"there is no finished run in {', '.join(map(str, directories))}"
+            f"there is no finished run in {listed(directories)}"
             + (f": {counted(asked, 'run')} asked for and none at its end, go on with {resume}" if asked else "")
         )
     # One content under one file's name is one scene, wherever each machine has it.

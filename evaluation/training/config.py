@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from activestructure_gym.envs.observation import feature_columns
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, listed, shown, unknown_name
 from activestructure_gym.policies.learned.config import NetworkConfig
 from activestructure_gym.ranges import check_ranges
 
@@ -156,7 +156,7 @@ class TrainingConfig:
         for part, kind, given in (("run", cls, values), ("world", WorldConfig, world)):
             known = {field.name for field in dataclasses.fields(kind)} - {"world"}
             if not isinstance(given, Mapping) or not given.keys() <= known:
-                raise InputError(f"this is no description of a training {part}: expected {', '.join(sorted(known))}")
+                raise InputError(f"this is no description of a training {part}: expected {listed(sorted(known))}")
         assert isinstance(world, Mapping)
         changes = world.get("overrides", {})
         if not isinstance(changes, Mapping):

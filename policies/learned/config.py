@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from activestructure_gym.errors import InputError, shown
+from activestructure_gym.errors import InputError, listed, shown
 
 # The entries of the observation that the network reads; all others can be dropped before training.
 USED_KEYS = (
@@ -66,5 +66,5 @@ class NetworkConfig:
         known = {field.name for field in dataclasses.fields(cls)}
         # Checkpoints of before the ablation do not say that they are told of planes.
         if not isinstance(content, Mapping) or set(content) | {"planes_told"} != known:
-            raise InputError(f"a network is described by {', '.join(sorted(known))}, got {shown(content)}")
+            raise InputError(f"a network is described by {listed(sorted(known))}, got {shown(content)}")
         return cls(**content)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from rich.markup import escape
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, listed
 from activestructure_gym.evaluation.cli.fields import Names, NoNames, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, split_policies, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
@@ -51,7 +51,7 @@ class Score(Episodes):
         baselines = [canonical_policy(name) for name in split_policies(asked)]
         for baseline in baselines:
             if baseline not in (*policies, scoring.RANDOM):
-                raise InputError(f"--baseline is one of the policies, {', '.join(policies)}; got '{baseline}'")
+                raise InputError(f"--baseline is one of the policies, {listed(policies)}; got '{baseline}'")
         world = WorldConfig(
             rooms=self.rooms, preset=known_preset(self.preset), frames=self.frames, noise=False,
             overrides=tuple(parse_overrides(self.set).items()),

@@ -101,6 +101,9 @@ def bad_meshes(tmp_path):
             ["frame_budget=10: leave one out"],
         ),
         (["compare", "box"], ["unrecognized options: box", "did you mean --scenes box?"]),
+        (["compare", "--policy", "random"], ["--policy, random; did you mean --policies random? asg compare --help"]),
+        (["compare", "--frmes", "random"], ["did you mean --frames and --policies random? asg compare --help"]),
+        (["report"], ["asg: name the directory of a comparison or of a run to report on"]),
         (["compare", "pixel_only"], ["did you mean --policies pixel_only?"]),
         (["watch", "box"], ["did you mean --scene box?"]),
         (
@@ -121,7 +124,7 @@ def bad_meshes(tmp_path):
         (["scenes", "missing.obj"], ["missing.obj"]),
         (["scenes", "--picture", "a.png"], ["needs a scene"]),
         (["scenes", "box", "--picture", "a.jpg"], [".png"]),
-        (["evaluate"], ["needs the directory"]),
+        (["evaluate"], ["name the directory"]),
         (["evaluate", "nothing"], ["nothing", "not a finished run"]),
         (["compre"], ["unknown command 'compre'", "did you mean 'compare'"]),
     ],
@@ -134,6 +137,7 @@ def test_bad_input_is_one_sentence_and_two_and_nothing_is_written(arguments, wor
     captured = capsys.readouterr()
     assert all(word in captured.err for word in words), captured.err
     *notes, refusal = captured.err.splitlines()
+    assert "asg: asg" not in refusal and refusal.count("did you mean") < 2
     assert refusal.startswith("asg: ") and all(line.startswith("asg: note: ") for line in notes), captured.err
     assert sorted(tmp_path.rglob("*")) == before
 

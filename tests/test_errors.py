@@ -1,0 +1,53 @@
+"""Names in messages: the nearest one, at most five of many, and where all of them are listed."""
+
+import re
+
+import pytest
+
+from activestructure_gym.config import configure, known_preset
+from activestructure_gym.errors import MOST_NAMES, InputError, listed, unknown_name
+from activestructure_gym.evaluation.cli.commands import find_command
+from activestructure_gym.evaluation.cli.options import split_policies
+from activestructure_gym.evaluation.protocols import get_protocol
+from activestructure_gym.features import column_names
+from activestructure_gym.policies import make_policy
+from activestructure_gym.scenes import load_scene
+
+
+def test_few_names_are_all_listed_and_many_by_a_command_or_the_nearest():
+    assert str(unknown_name("thing", "b", "xyz")) == "unknown thing 'b'. Known: x, y, z"
+    assert str(unknown_name("thing", "b", ())) == "unknown thing 'b'. Known: none"
+    many = [f"policy_{number}" for number in range(46)]
+    said = str(unknown_name("policy", "polcy_7", many))
+    assert said == "unknown policy 'polcy_7'; did you mean 'policy_7'? `asg policies` lists the names"
+    said = str(unknown_name("thing", "q", many))
+    assert said.startswith("unknown thing 'q'. Nearest of 46: ") and said.count("policy_") == MOST_NAMES
+    assert str(unknown_name("thing", 3, many)).count("policy_") == MOST_NAMES  # no text
+
+
+@pytest.mark.parametrize(
+    ("give", "command"),
+    [
+        (lambda: make_policy("zzz"), "asg policies"),
+        (lambda: split_policies(["zzz"]), "asg policies"),
+        (lambda: column_names(("zzz",)), "asg features"),
+        (lambda: configure("default", {"mapper.zzz": 1}), "asg config"),
+        (lambda: configure("default", {"zzz": 1}), "asg config"),
+        (lambda: find_command("zzz"), "asg --help"),
+        (lambda: load_scene("zzz"), ""),
+        (lambda: known_preset("zzz"), ""),
+        (lambda: get_protocol("zzz"), ""),
+    ],
+)
+def test_no_message_lists_more_than_five_names(give, command):
+    with pytest.raises(InputError) as error:
+        give()
+    said = str(error.value)
+    assert f"`{command}` lists the names" in said if command else "Known: " in said
+    assert len(re.split(r"Known: |Nearest of \d+: ", said)[-1].split(", ")) <= MOST_NAMES + 1
+    assert len(said) < 150
+
+
+def test_a_long_list_of_given_names_ends_with_how_many_more_there_are():
+    assert listed("ab") == "a, b" and listed("abcde") == "a, b, c, d, e"
+    assert listed(range(46)) == "0, 1, 2, 3, 4 and 41 more"

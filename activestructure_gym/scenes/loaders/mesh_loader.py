@@ -169,7 +169,9 @@ def finished_scene(
 def texture_notes(textures: TextureStore) -> list[str]:
     """Sentences on textures that are missing or unreadable."""
     notes = []
-    missing, bare = (list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv))
+    missing, bare, ignored = (
+        list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv, textures.ignored)
+    )
     if missing:
         notes.append(
             f"{len(missing)} texture or material files could not be read ({_some(missing)}); plain colours stand in "
@@ -180,6 +182,8 @@ def texture_notes(textures: TextureStore) -> list[str]:
             f"{len(bare)} materials have a texture, but surfaces without usable texture coordinates "
             f"({_some(bare)}); plain colours stand in there"
         )
+    if ignored:
+        notes.append(f"texture settings that are not supported were ignored ({_some(ignored)})")
     return notes
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,6 +50,7 @@ class TextureStore:
     images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
     unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
     without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
+    ignored: list[str] = field(default_factory=list)  # what files say about the place of an image and is not read
     _by_key: dict[Hashable, int] = field(default_factory=dict)
 
     def add_bytes(self, data: bytes, name: str) -> int:
@@ -136,16 +138,20 @@ def _eight_bits(image: Image) -> Image:
     return images.fromarray(np.rint(values * np.float32(scale)).astype(np.uint8))
 
 
+_COMMENT = re.compile(r"\s+#")  # behind a name in an OBJ or MTL file; a name may hold it too
+
+
 def find_reference(base: Path, reference: str, *, climb: int = 1) -> Path:
     """The file a mesh refers to by ``reference``: relative to the mesh's folder, ``../`` and absolute paths included.
 
-    Exporters write percent escapes, backslashes, ``file://``, options before the name (OBJ), or the path on the
-    author's disk; the bare file name beside the mesh is the last resort. Nothing is opened outside the folder
+    Exporters write percent escapes, backslashes, ``file://``, options or a comment around the name (OBJ), or the path
+    on the author's disk; the bare file name beside the mesh is the last resort. Nothing is opened outside the folder
     ``climb`` levels above the mesh: models come as ``meshes/`` beside ``textures/``, and a file of a stranger has no
     business anywhere else. Symbolic links are followed, as data stores are full of them. Raises FileNotFoundError.
     """
     name = reference.strip().strip('"')
-    spellings = [reference, name, unquote(name), *name.split()[-1:]]
+    spellings = [reference, name, unquote(name), _COMMENT.split(name)[0]]
+    spellings += name.split()[-1:] if name.startswith("-") else []  # an option that no specification has
     spellings += [spelling.replace("\\", "/") for spelling in spellings]
     spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
     candidates = [base / spelling for spelling in spellings]

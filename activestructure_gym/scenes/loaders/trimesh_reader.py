@@ -25,8 +25,10 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     find_reference,
     full_scale,
 )
+from activestructure_gym.scenes.loaders.mtl_text import texture_map
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
 from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
+from activestructure_gym.scenes.scene import REPEAT
 
 _COLORS = ("vertex_colors", "face_colors")
 
@@ -144,7 +146,7 @@ def _check_ply(data: bytes, textures: TextureStore) -> None:
         textures.budget.take("numbers in arrays", 16 * sum(data.count(end) for end in _LINE_ENDS))
 
 
-# trimesh would decode an image for every material that names it: it gets the name as a word that it only keeps.
+# trimesh would decode an image for every material that names it: it gets the statement as a word that it only keeps.
 _MAP = re.compile(r"^[ \t]*map_kd[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
 _TEXTURE = "texture_reference"
 _MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+(.*)", re.MULTILINE | re.IGNORECASE)
@@ -170,7 +172,7 @@ def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ())
             try:
                 data = textures.budget.read(find_reference(path.parent, name))
                 if name.lower().endswith(".mtl"):
-                    text = _decoded(data)
+                    text = _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
                     self.materials = self.materials | {" ".join(name.split()) for name in _MATERIAL.findall(text)}
                     return _MAP.sub(lambda found: f"{_TEXTURE} {quote(found[1])}", text).encode()
                 opened_image(data)  # trimesh would open any kind of picture
@@ -191,7 +193,7 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray)
     faces, polygon = _triangles(geometry)
     visual = geometry.visual
     colors: np.ndarray = np.full(3, PLAIN_GREY)
-    uv, texture = None, -1
+    uv, texture, wrap = None, -1, (REPEAT, REPEAT)
     if visual.kind == "vertex":
         colors = _srgb(visual.vertex_colors, broken)
     elif visual.kind == "face":
@@ -201,17 +203,19 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray)
     elif visual.kind == "texture":
         material = visual.material
         name = str(getattr(material, "name", "texture"))
-        reference = (getattr(material, "kwargs", None) or {}).get(_TEXTURE)
+        statement = (getattr(material, "kwargs", None) or {}).get(_TEXTURE)
         image = getattr(material, "image", None)  # of a PLY file
+        lies = texture_map(unquote(statement[0]) if statement else "")
         fits = visual.uv is not None and len(visual.uv) == len(vertices)
-        if not fits and (reference or image is not None):
+        if not fits and (statement or image is not None):
             textures.without_uv.append(name)
-        elif reference:
-            texture = textures.add_file(path.parent, unquote(reference[0]))
+        elif statement:
+            texture, wrap = textures.add_file(path.parent, lies.reference), lies.wrap
+            textures.ignored += [f"{option} of {lies.reference}" for option in lies.ignored]
         elif image is not None:
             texture = textures.add(id(image), lambda: image, name)
         if texture >= 0:
-            uv = np.asarray(visual.uv, dtype=np.float64) * [1.0, -1.0] + [0.0, 1.0]
+            uv = lies.placed(np.asarray(visual.uv, dtype=np.float64)) * [1.0, -1.0] + [0.0, 1.0]
             # Exporters leave Kd at 0, 0.8 or 1 beside a map; what the author saw is the map.
             colors = np.ones(3)
         elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
@@ -222,6 +226,7 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray)
         colors=colors,
         uv=uv,
         texture=texture,
+        wrap=wrap,
     )
 
 

@@ -72,7 +72,7 @@ def test_what_cannot_be_read_is_remembered_once(tmp_path):
 @pytest.mark.parametrize(
     "reference",
     ["../textures/oak wood.png", "../textures/oak%20wood.png", "..\\textures\\oak wood.png", "C:\\Users\\me\\plain.png",
-     "-s 2 2 1 plain.png", "./plain.png"],
+     "-halo 2 plain.png", "plain.png # the floor", "./plain.png"],
 )  # fmt: skip
 def test_references_are_found_wherever_exporters_point(tmp_path, reference):
     (tmp_path / "textures").mkdir()
@@ -80,6 +80,14 @@ def test_references_are_found_wherever_exporters_point(tmp_path, reference):
     (tmp_path / "textures" / "oak wood.png").write_bytes(b"x")
     (tmp_path / "models" / "plain.png").write_bytes(b"x")
     assert find_reference(tmp_path / "models", reference).read_bytes() == b"x"
+
+
+def test_the_last_word_of_a_name_is_no_name(tmp_path):
+    (tmp_path / "wood.png").write_bytes(b"x")
+    with pytest.raises(FileNotFoundError):
+        find_reference(tmp_path, "oak wood.png")
+    (tmp_path / "wood #2.png").write_bytes(b"y")
+    assert find_reference(tmp_path, "wood #2.png").read_bytes() == b"y"
 
 
 def test_nothing_outside_of_the_model_is_opened(tmp_path):

@@ -5,8 +5,10 @@ import pytest
 from PIL import Image
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
+from activestructure_gym.scenes.loaders.mesh_loader import texture_notes
 from activestructure_gym.scenes.loaders.mesh_parts import TextureStore
 from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
+from activestructure_gym.scenes.scene import CLAMP, REPEAT
 
 OBJ = """mtllib ../materials/room.mtl
 v 0 0 0
@@ -196,6 +198,37 @@ def test_texture_coordinates_that_do_not_exist_are_said(tmp_path):
     Image.new("RGB", (4, 4), (120, 80, 40)).save(tmp_path / "wood.png")
     parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
     assert all(part.texture < 0 for part in parts) and textures.without_uv == ["wood"]
+
+
+@pytest.mark.parametrize(
+    ("statement", "at_origin", "at_far_corner", "wrap"),
+    [
+        ("map_Kd wood.png", [0, 1], [1, 0], REPEAT),
+        ("map_Kd -s 2 4 1 wood.png", [0, 1], [2, -3], REPEAT),
+        ("map_Kd -o 0.5 0.25 0 -s 2 4 wood.png # floor", [0.5, 0.75], [2.5, -3.25], REPEAT),
+        ("\tMAP_KD\t-o\t.5 -clamp on  oak wood.PNG", [0.5, 1], [1.5, 0], CLAMP),
+    ],
+)
+def test_options_of_a_map_move_the_texture(tmp_path, statement, at_origin, at_far_corner, wrap):
+    (tmp_path / "room.obj").write_text(OBJ.replace("../materials/", ""))
+    (tmp_path / "room.mtl").write_bytes(f"newmtl wood\r\n{statement}\r\nnewmtl red\r\n".encode())
+    for name in ("wood.png", "oak wood.PNG"):
+        Image.new("RGB", (4, 4), (120, 80, 40)).save(tmp_path / name)
+    parts = read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
+    wood = next(part for part in parts if part.texture >= 0)
+    assert not textures.unreadable and not textures.ignored and wood.wrap == (wrap, wrap)
+    corner = {tuple(place): uv for place, uv in zip(wood.vertices[:, :2].tolist(), wood.uv.tolist())}
+    np.testing.assert_allclose(corner[0, 0], at_origin)  # v counts down from the picture's top
+    np.testing.assert_allclose(corner[1, 1], at_far_corner)
+
+
+def test_an_option_that_is_not_read_is_said(tmp_path):
+    (tmp_path / "room.obj").write_text(OBJ.replace("../materials/", ""))
+    (tmp_path / "room.mtl").write_text("newmtl wood\nmap_Kd -t 1 1 1 wood.png\nnewmtl red\n")
+    Image.new("RGB", (4, 4), (120, 80, 40)).save(tmp_path / "wood.png")
+    read_with_trimesh(tmp_path / "room.obj", textures := TextureStore())
+    assert textures.ignored == ["-t 1 1 1 of wood.png"]
+    assert texture_notes(textures) == ["texture settings that are not supported were ignored (-t 1 1 1 of wood.png)"]
 
 
 def test_a_binary_ply_of_triangles_and_quads_is_told_what_to_do(tmp_path):

@@ -1,0 +1,111 @@
+"""Parse the statement of a texture in an MTL file: its options, and the file behind them.
+
+The options stand in any order before the name of the file, which may hold blanks ([mtl1995], "Options for texture map
+statements").
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from activestructure_gym.scenes.scene import CLAMP, REPEAT
+
+_NUMBERS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}  # how many follow at most
+_SWITCH = ("on", "off")
+_WORDS = {
+    **dict.fromkeys(("-clamp", "-blendu", "-blendv", "-cc"), _SWITCH),
+    "-imfchan": ("r", "g", "b", "m", "l", "z"),
+    "-type": ("sphere", *(f"cube_{side}" for side in ("top", "bottom", "front", "back", "left", "right"))),
+}
+# Values under which an option changes nothing, and options that change nothing but the filter of a picture.
+_IDLE = {"-t": (0.0, 0.0, 0.0), "-mm": (0.0, 1.0), "-cc": "off", "-blendu": "on", "-blendv": "on"}
+_OF_FILTERS = ("-boost", "-texres", "-bm")
+_READ = ("-s", "-o", "-clamp", "-imfchan")
+
+_WORD = re.compile(r"\s*(\S+)")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_ODD_OPTION = re.compile(r"-[a-z_]+(?=\s)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class TextureMap:
+    """A texture of an MTL file and where it lies."""
+
+    reference: str  # the file as it is named; "" where no name follows
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+    clamp: bool = False
+    channel: str = ""  # "r", "g", "b", "m" (matte, the alpha), "l" (luminance) or "z"; "" where it is not named
+    ignored: tuple[str, ...] = ()  # options, with their values, that change the picture and are not read
+
+    @property
+    def wrap(self) -> tuple[int, int]:
+        """How the texture goes on outside of its picture, across and down."""
+        return (CLAMP, CLAMP) if self.clamp else (REPEAT, REPEAT)
+
+    def placed(self, uv: np.ndarray) -> np.ndarray:  # [V, 2] -> [V, 2], v up
+        """The coordinates in the picture: offset + scale x those of the mesh."""
+        return uv * self.scale + self.offset
+
+
+def texture_map(statement: str) -> TextureMap:
+    """Parse what follows `map_Kd`, `map_d` and the like.
+
+    An option that is given twice counts with its last values. Numbers that are left out are 1 for `-s` and 0 for `-o`.
+    """
+    values: dict[str, tuple[float, ...] | str] = {}
+    place = 0
+    while (found := _WORD.match(statement, place)) and (option := found[1].lower()) in (*_NUMBERS, *_WORDS):
+        place = found.end()
+        if option in _NUMBERS:
+            values[option], place = _numbers(statement, place, _NUMBERS[option])
+            continue
+        word = _WORD.match(statement, place)
+        known = word is not None and word[1].lower() in _WORDS[option]
+        values[option] = word[1].lower() if word and known else ""
+        place = word.end() if word and known else place
+    reference = statement[place:].strip()
+    if len(reference) > 1 and reference[0] == reference[-1] and reference[0] in "\"'":
+        reference = reference[1:-1]
+    ignored = [_written(option, value) for option, value in values.items() if _matters(option, value)]
+    ignored += [odd[0] for odd in [_ODD_OPTION.match(reference)] if odd]
+    return TextureMap(
+        reference,
+        scale=_pair(values.get("-s"), 1.0),
+        offset=_pair(values.get("-o"), 0.0),
+        clamp=values.get("-clamp") == "on",
+        channel=str(values.get("-imfchan", "")),
+        ignored=tuple(ignored),
+    )
+
+
+def _numbers(statement: str, place: int, most: int) -> tuple[tuple[float, ...], int]:
+    """Up to ``most`` numbers from ``place`` on, and the place behind them."""
+    numbers: list[float] = []
+    while len(numbers) < most and (word := _WORD.match(statement, place)) and _NUMBER.fullmatch(word[1]):
+        numbers.append(float(word[1]))
+        place = word.end()
+    return tuple(numbers), place
+
+
+def _pair(numbers: tuple[float, ...] | str | None, default: float) -> tuple[float, float]:
+    first, second = (*(numbers or ()), default, default)[:2]
+    return float(first), float(second)
+
+
+def _matters(option: str, value: tuple[float, ...] | str) -> bool:
+    """Whether an option that is not read, or has no value, changes what is seen."""
+    if not value:
+        return True
+    if option in _READ or option in _OF_FILTERS:
+        return False
+    idle = _IDLE.get(option, "")
+    return value != (idle[: len(value)] if isinstance(value, tuple) else idle)
+
+
+def _written(option: str, value: tuple[float, ...] | str) -> str:
+    words = [value] if isinstance(value, str) else [f"{number:g}" for number in value]
+    return " ".join([option, *words]).strip()

@@ -10,13 +10,14 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.charts import tick_text, ticks
 from activestructure_gym.evaluation.report.drawing import Group, Part, drawing, path, shape, stroke, words
-from activestructure_gym.evaluation.report.phases import FACTORS, Steps, bands, chosen_terms, graph_series, starts
+from activestructure_gym.evaluation.report.phases import DISCOVERY, FACTORS, Steps, bands, chosen_terms, graph_series, starts
 
 _WIDTH, _LEFT, _RIGHT = 640, 52, 10
 _HEAD, _FOOT = 24, 34  # above every panel its title and legend, below the last one its axis
 _LETTER, _SWATCH = 7.3, 26  # widths of a letter and of a legend's line with the space around it
 # Classes of colours of terms, those of the curves of policies; a policy's other numbers take turns.
-_HUES = {"pixel": "p5", "hole_area": "p5", "structure": "p0", "deficiency": "p1", "floor": "p6", "total": "rest"}
+_HUES = dict.fromkeys(DISCOVERY, "p5")
+_HUES |= {"structure": "p0", "deficiency": "p1", "visibility floor": "p6", "total": "rest"}
 _HUES |= {"travel": "p2", "discount": "p3", "suppressed": "p4"}
 _OTHER_HUES = ("p3", "p2", "p4", "p1", "p0")
 _KINDS = {"structural": "p0", "objects": "p4", "all planes": "rest"}

@@ -20,13 +20,13 @@ Steps = Sequence[Mapping[str, Any]]  # the lines of steps.jsonl
 
 _TINTS = ("#E3EEF6", "#FCEFD9", "#E6F2EA", "#F3E6EE")  # of the phases, in the order they appear
 _KINDS = (("structural", style.STRUCTURAL, "-"), ("objects", style.OBJECT, "--"))
+DISCOVERY = ("pixel", "hole_area", "unknown_volume", "unseen")  # the gain that stands for IG_px
 # Terms of the gain, and factors in 0..1; a policy's other numbers are drawn among the terms in colours left over.
 _TERMS = {
-    "pixel": ("#56B4E9", "-"),
-    "hole_area": ("#56B4E9", "-"),
+    **dict.fromkeys(DISCOVERY, ("#56B4E9", "-")),
     "structure": ("#0072B2", "--"),
     "deficiency": ("#D55E00", "-."),
-    "floor": ("#7F7F7F", ":"),
+    "visibility floor": ("#7F7F7F", ":"),
 }
 FACTORS = {"travel": ("#009E73", "-"), "discount": ("#CC79A7", "--"), "suppressed": ("#E69F00", "-.")}
 SETTLED = "settled"  # the band of what is decided once nothing is left for the last phase to do
@@ -61,17 +61,12 @@ def bands(steps: Steps) -> list[Band]:
 
 
 def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where a decision has no such number
-    """The numbers behind every chosen view: the trace's ``chosen``, or those of a trace without one.
-
-    A trace calls the discovery term ``pixel``, whatever it is made of; here it is called ``hole_area`` where that is
-    what the policy asked for.
-    """
-    rows = []
-    for step in steps:
-        trace, gains = step.get("trace") or {}, step.get("gains") or {}
-        chosen = trace.get("chosen") or trace
-        right = {"pixel": "hole_area"} if "hole_area" in gains and "pixel" not in gains else {}
-        rows.append({right.get(name, name): value for name, value in chosen.items() if isinstance(value, float)})
+    """The numbers behind every chosen view: the trace's ``chosen``, or those of a trace without one."""
+    traces = [step.get("trace") or {} for step in steps]
+    rows = [
+        {name: value for name, value in (trace.get("chosen") or trace).items() if isinstance(value, float)}
+        for trace in traces
+    ]
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 

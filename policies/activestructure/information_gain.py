@@ -67,9 +67,10 @@ class Terms:
     suppressed: np.ndarray  # factor on the whole gain in [0, 1]; 1 outside phase II
     total: np.ndarray  # IG, floored at 0
 
-    def row(self, index: int) -> dict[str, float]:
-        """The terms of one candidate, for a trace."""
-        return {name: float(values[index]) for name, values in vars(self).items()}
+    def row(self, index: int, discovery: str) -> dict[str, float]:
+        """Return the terms of one candidate for a trace; the first has the name of the gain that stands for IG_px."""
+        names = {"pixel": discovery, "floor": "visibility floor"}
+        return {names.get(name, name): float(values[index]) for name, values in vars(self).items()}
 
 
 VISIBILITY_FLOOR = 1e-4  # a view of any tracked plane is worth at least this (Sec. 3.4)

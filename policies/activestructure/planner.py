@@ -71,7 +71,7 @@ class StructurePolicy(Policy):
         super().__init__()
         if discovery not in get_args(Discovery):
             raise InputError(f"option discovery must be {', '.join(get_args(Discovery))}, got '{discovery}'")
-        self._discovers = _DISCOVERY[discovery]
+        self._discovery, self._discovers = discovery, _DISCOVERY[discovery]
         self._weights = self.weights if discovery == "pixel" else self.on_base
         self.required_gains = (*self._discovers, *(("deficiency",) if self.deficiencies else ()))
         self._trace: dict[str, Any] = {}
@@ -98,10 +98,11 @@ class StructurePolicy(Policy):
         choice = best_valid(scores, observation)
         others = observation["action_mask"].astype(bool)
         others[choice] = False
-        self._trace = {**more, "chosen": {**terms.row(choice), "travel": float(travel[choice])}}
+        self._trace = {**more, "chosen": {**terms.row(choice, self._discovery), "travel": float(travel[choice])}}
         if others.any():
             second = int(np.argmax(np.where(others, scores, -np.inf)))
-            self._trace["runner_up"] = {"row": second, **terms.row(second), "travel": float(travel[second])}
+            named = terms.row(second, self._discovery)
+            self._trace["runner_up"] = {"row": second, **named, "travel": float(travel[second])}
         return choice
 
     def trace(self) -> dict[str, Any]:

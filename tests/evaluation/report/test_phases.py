@@ -60,16 +60,6 @@ def test_terms_are_those_of_the_choice_or_of_the_whole_trace(steps):
     np.testing.assert_array_equal(np.isnan(terms["total"]), [False, False, False, True, False, False])
 
 
-def test_the_discovery_term_has_the_name_of_the_gain_it_is_made_of(steps):
-    for step in steps:
-        step["gains"] = {"hole_area": 0.3, "deficiency": 0.1}
-    assert set(chosen_terms(steps)) == {"hole_area", "travel"}
-    np.testing.assert_allclose(chosen_terms(steps)["hole_area"], 0.5 / np.arange(1, 7))
-    for step in steps:
-        step["gains"]["pixel"] = 0.2
-    assert set(chosen_terms(steps)) == {"pixel", "travel"}
-
-
 def test_a_policy_without_phases_has_curves_and_no_bands(steps, tmp_path):
     assert bands(steps) == []
     plot_phases([("", steps)], tmp_path / "plain.png", title="title")

@@ -10,7 +10,15 @@ from markupsafe import Markup
 
 from activestructure_gym.evaluation.report.charts import tick_text, ticks
 from activestructure_gym.evaluation.report.drawing import Group, Part, drawing, path, shape, stroke, words
-from activestructure_gym.evaluation.report.phases import DISCOVERY, FACTORS, Steps, bands, chosen_terms, graph_series, starts
+from activestructure_gym.evaluation.report.phases import (
+    DISCOVERY,
+    FACTORS,
+    Steps,
+    bands,
+    chosen_terms,
+    graph_series,
+    starts,
+)
 
 _WIDTH, _LEFT, _RIGHT = 640, 52, 10
 _HEAD, _FOOT = 24, 34  # above every panel its title and legend, below the last one its axis

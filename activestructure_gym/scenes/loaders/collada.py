@@ -16,6 +16,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from activestructure_gym.scenes.loaders.collada_textures import (
+    ColladaTexture,
+    chosen_set,
+    leaves_picture,
+    texture_of,
+)
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
 from activestructure_gym.scenes.loaders.polygons import ear_clipped, triangulated
@@ -174,7 +180,9 @@ class _Document:
             target = self.target(skin.get("source")) if skin is not None else None
         return target
 
-    def _geometry(self, geometry: Element, world_from_node: np.ndarray, bindings: dict[str, str]) -> Iterator[MeshPart]:
+    def _geometry(
+        self, geometry: Element, world_from_node: np.ndarray, bindings: dict[str, _Binding]
+    ) -> Iterator[MeshPart]:
         mesh = geometry.find("mesh")
         if mesh is None:  # splines and convex hulls
             return
@@ -182,7 +190,7 @@ class _Document:
         for primitives in mesh:
             if primitives.tag not in _POLYGONS:
                 continue
-            inputs, width = self._once(self._inputs, primitives)
+            inputs, sets, width = self._once(self._inputs, primitives)
             corners, triangles = self._once(_triangulated, primitives, width, inputs["VERTEX"])
             self.textures.budget.take("meshes and copies of them", 1)
             if not len(triangles):
@@ -190,10 +198,9 @@ class _Document:
             self.textures.budget.take("triangles", len(triangles))
             self.textures.budget.take("vertices", len(corners))
             symbol = primitives.get("material", "")
-            color, texture = self._once(self._material, bindings.get(symbol, symbol))
-            uv = None
-            if "TEXCOORD" in inputs:
-                uv = inputs["TEXCOORD"].of(corners, 2) * [1.0, -1.0] + [0.0, 1.0]
+            bound = bindings.get(symbol, _Binding(symbol))
+            color, texture, lies = self._once(self._material, bound.material)
+            uv = self._coordinates(sets, corners, lies, bound.sets) if sets else None
             if texture >= 0 and uv is None:
                 self.textures.without_uv.append(symbol or "without a name")
                 texture = -1
@@ -209,11 +216,28 @@ class _Document:
                 colors=color,
                 uv=uv,
                 texture=texture,
+                wrap=lies.wrap,
             )
 
-    def _inputs(self, primitives: Element) -> tuple[dict[str, _Input], int]:
-        """The first set of each semantic, and the number of columns in <p>."""
+    def _coordinates(
+        self, sets: dict[int, _Input], corners: np.ndarray, lies: ColladaTexture, bound: dict[str, int]
+    ) -> np.ndarray:  # [C, 2], v down
+        """Texture coordinates of the corners in the set that the material uses, placed as its texture says."""
+        chosen, certain = chosen_set(sets, lies.texcoord, bound)
+        if not certain:
+            self._ignore(f"UV set {lies.texcoord}", lies)
+        uv = lies.placed(sets[chosen].of(corners, 2))
+        if lies.bounded and leaves_picture(uv):
+            self._ignore(", ".join(lies.bounded), lies)
+        return uv * [1.0, -1.0] + [0.0, 1.0]
+
+    def _ignore(self, setting: str, lies: ColladaTexture) -> None:
+        self.textures.ignored.append(f"{setting[:60]} of {lies.image[:60]}")
+
+    def _inputs(self, primitives: Element) -> tuple[dict[str, _Input], dict[int, _Input], int]:
+        """The first set of each semantic, the sets of texture coordinates, and the number of columns in <p>."""
         inputs: dict[str, _Input] = {}
+        sets: dict[int, _Input] = {}
         width = 0
         for element in sorted(primitives.findall("input"), key=lambda element: _attribute(element, "set")):
             semantic, offset = element.get("semantic", ""), _attribute(element, "offset")
@@ -222,12 +246,17 @@ class _Document:
                 vertices = self.target(element.get("source"))
                 for shared in vertices.findall("input") if vertices is not None else ():
                     shared_semantic = "VERTEX" if shared.get("semantic") == "POSITION" else shared.get("semantic", "")
-                    inputs.setdefault(shared_semantic, _Input(shared_semantic, offset, self._source(shared)))
-            elif semantic in ("TEXCOORD", "COLOR"):
+                    values = _Input(shared_semantic, offset, self._source(shared))
+                    inputs.setdefault(shared_semantic, values)
+                    if shared_semantic == "TEXCOORD":
+                        sets.setdefault(_attribute(shared, "set"), values)
+            elif semantic == "TEXCOORD":
+                sets.setdefault(_attribute(element, "set"), _Input(semantic, offset, self._source(element)))
+            elif semantic == "COLOR":
                 inputs.setdefault(semantic, _Input(semantic, offset, self._source(element)))
         if "VERTEX" not in inputs:
             raise UnreadableMesh(f"a <{primitives.tag}> has no vertex positions")
-        return inputs, width
+        return inputs, sets, width
 
     def _source(self, element: Element) -> np.ndarray:  # [count, stride]
         source = self.target(element.get("source"))
@@ -235,36 +264,34 @@ class _Document:
             raise UnreadableMesh(f"the source '{element.get('source')}' is missing")
         return self._once(_array, source)
 
-    def _material(self, name: str) -> tuple[np.ndarray | None, int]:
+    def _material(self, name: str) -> tuple[np.ndarray | None, int, ColladaTexture]:
         """Diffuse colour [3], None where it has none, and texture of a material; the colours are display-referred."""
+        nothing = ColladaTexture("")
         material = self.target(name)
         instance = material.find("instance_effect") if material is not None else None
         effect = self.target(instance.get("url")) if instance is not None else None
         profile = effect.find("profile_COMMON") if effect is not None else None
-        if profile is None:
-            return None, -1
+        if instance is None or effect is None or profile is None:
+            return None, -1, nothing
         shader = next((s for s in profile.iterfind("technique/*") if s.tag in _SHADERS), None)
         # <constant> has no diffuse; its emission is all one sees.
         channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
         if channel is None:
-            return None, -1
+            return None, -1, nothing
         reference = channel.find("texture")
         if reference is not None:
-            index = self._texture(profile, reference.get("texture", ""))
-            return (np.ones(3) if index >= 0 else None), index
+            new = (*effect.findall("newparam"), *profile.iter("newparam"))
+            parameters = {element.get("sid", ""): element for element in new}
+            parameters |= {element.get("ref", ""): element for element in instance.findall("setparam")}
+            lies = texture_of(reference, parameters)
+            for setting in lies.ignored:
+                self._ignore(setting, lies)
+            index = self._image(lies.image)
+            return (np.ones(3) if index >= 0 else None), index, lies
         color = _floats(channel.findtext("color"))
-        return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else None), -1
+        return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else None), -1, nothing
 
-    def _texture(self, profile: Element, name: str) -> int:
-        """Follow sampler -> surface -> image (1.4), sampler -> image (1.5), or the image itself (sloppy exporters)."""
-        parameters = {p.get("sid"): p for p in profile.iter("newparam")}
-        for _ in range(3):
-            parameter = parameters.get(name)
-            if parameter is None:
-                break
-            instance = parameter.find(".//instance_image")
-            source = parameter.findtext(".//source") or parameter.findtext(".//init_from")
-            name = (instance.get("url", "") if instance is not None else source or "").strip().removeprefix("#")
+    def _image(self, name: str) -> int:
         image = self.by_id.get(name)
         if image is None:
             self.textures.note_unreadable(name)
@@ -286,10 +313,25 @@ def _array(source: Element) -> np.ndarray:  # [count, stride]
 _SHADERS = ("phong", "lambert", "blinn", "constant")
 
 
-def _bindings(instance: Element) -> dict[str, str]:
-    """Material symbol -> material id of an instance."""
+@dataclass(frozen=True)
+class _Binding:
+    """What an instance binds to a material symbol of its geometry."""
+
+    material: str  # id
+    sets: dict[str, int] = field(default_factory=dict)  # of texture coordinates, by the name that effects use
+
+
+def _bindings(instance: Element) -> dict[str, _Binding]:
+    """Bindings of an instance by material symbol."""
     return {
-        bound.get("symbol", ""): bound.get("target", "").removeprefix("#")
+        bound.get("symbol", ""): _Binding(
+            bound.get("target", "").removeprefix("#"),
+            {
+                vertex.get("semantic", ""): _attribute(vertex, "input_set")
+                for vertex in bound.iterfind("bind_vertex_input")
+                if vertex.get("input_semantic", "TEXCOORD") == "TEXCOORD"
+            },
+        )
         for bound in instance.iterfind("bind_material/technique_common/instance_material")
     }
 

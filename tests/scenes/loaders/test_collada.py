@@ -7,6 +7,7 @@ from PIL import Image
 from activestructure_gym.scenes.loaders.collada import read_collada
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import TextureStore
+from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 # A unit square in the x, y plane as one quad (polylist) and as two triangles, shown by nested, turned nodes.
 DOCUMENT = """<?xml version="1.0"?>
@@ -83,6 +84,126 @@ def test_both_ways_to_name_a_texture(document, texture):
     (document.parent.parent / "maps" / "wood.png").rename(document.parent.parent / "maps" / "Map #1.png")
     quad = read_collada(document, textures := TextureStore()).parts[0]
     assert quad.texture == 0 and not textures.unreadable
+
+
+TEXTURE = '<texture texture="wood-sampler" texcoord="UV"/>'
+
+
+def square(document, changes):
+    """The textured square of the document, with words replaced, and the store of its textures."""
+    text = DOCUMENT
+    for before, after in changes.items():
+        assert before in text
+        text = text.replace(before, after)
+    document.write_text(text)
+    parts = read_collada(document, textures := TextureStore()).parts
+    return next(part for part in parts if part.texture >= 0), textures
+
+
+def corner_uv(part):
+    """Coordinates at the square's corners (0, 0) and (1, 1), v up."""
+    return (part.uv[[0, 2]] * [1, -1] + [0, 1]).tolist()
+
+
+def extra(profile="MAYA", **values):
+    said = "".join(f"<{name}>{value}</{name}>" for name, value in values.items())
+    return TEXTURE.replace("/>", f'><extra><technique profile="{profile}">{said}</technique></extra></texture>')
+
+
+@pytest.mark.parametrize(
+    ("words", "wrap"),
+    [
+        ("", (REPEAT, REPEAT)),
+        ("<wrap_s>CLAMP</wrap_s>", (CLAMP, REPEAT)),
+        ("<wrap_s>WRAP</wrap_s><wrap_t> mirror </wrap_t>", (REPEAT, MIRROR)),
+        ("<wrap_s>BORDER</wrap_s><wrap_t>NONE</wrap_t>", (CLAMP, CLAMP)),
+        ("<wrap_s>MIRROR_ONCE</wrap_s><wrap_t>CLAMP</wrap_t>", (MIRROR, CLAMP)),
+    ],
+)
+def test_wrap_modes_of_the_sampler(document, words, wrap):
+    part, textures = square(document, {"</source></sampler2D>": f"</source>{words}</sampler2D>"})
+    assert part.wrap == wrap and not textures.ignored  # a border is not seen where coordinates stay in the picture
+    of_1_5 = {"<source>wood-surface</source></sampler2D>": f'<instance_image url="#wood-image"/>{words}</sampler2D>'}
+    assert square(document, of_1_5)[0].wrap == wrap
+
+
+def test_a_border_that_is_seen_and_a_word_that_is_no_wrap_mode_are_said(document):
+    both = "<wrap_s>BORDER</wrap_s><wrap_t>FOLD</wrap_t></sampler2D>"
+    _, textures = square(document, {"</sampler2D>": both, TEXTURE: extra(repeatU=2)})
+    assert textures.ignored == ["wrap FOLD of wood-image", "wrap BORDER of wood-image"]
+
+
+@pytest.mark.parametrize(
+    ("placing", "expected", "wrap"),
+    [
+        (extra(repeatU=2, offsetU=0.5), [[0.5, 0], [2.5, 1]], (REPEAT, REPEAT)),
+        (extra("OpenCOLLADA3dsMax", repeatV="3", offsetV="-1"), [[0, -1], [1, 2]], (REPEAT, REPEAT)),
+        (extra(wrapU="TRUE", wrapV="FALSE", repeatU=1), [[0, 0], [1, 1]], (REPEAT, CLAMP)),
+        (extra(wrapU=0, wrapV=1, mirrorV=1), [[0, 0], [1, 1]], (CLAMP, MIRROR)),
+        (extra(wrapU=0, repeatU=4), [[0, 0], [4, 1]], (REPEAT, REPEAT)),
+        (extra(translateFrameU=0.25, coverageU=2, coverageV=-1), [[-0.125, 0], [0.375, -1]], (REPEAT, REPEAT)),
+        (extra(rotateUV=90), [[1, 0], [0, 1]], (REPEAT, REPEAT)),
+        (extra(rotateUV=90, repeatU=2), [[1, 0], [0, 2]], (REPEAT, REPEAT)),
+        (extra(rotateFrame=90, repeatU=2), [[2, 0], [0, 1]], (REPEAT, REPEAT)),
+        (extra(rotateFrame=0, repeatU=1.0, offsetU=0, coverageU=1, noiseU=0, stagger="FALSE"), [[0, 0], [1, 1]],
+         (REPEAT, REPEAT)),
+    ],
+)  # fmt: skip
+def test_a_texture_is_placed_as_maya_does(document, placing, expected, wrap):
+    part, textures = square(document, {TEXTURE: placing})
+    np.testing.assert_allclose(corner_uv(part), expected, atol=1e-12)
+    assert part.wrap == wrap and not textures.ignored
+
+
+def test_what_cannot_be_followed_is_said(document):
+    _, textures = square(document, {TEXTURE: extra(coverageV=0.5, noiseU=0.1, stagger=1, repeatU="2,5")})
+    said = ["coverageV 0.5", "repeatU 2,5", "noiseU 0.1", "stagger"]
+    assert sorted(textures.ignored) == sorted(f"{setting} of wood-image" for setting in said)
+
+
+SECOND_SET = """<input semantic="TEXCOORD" source="#uvs" offset="2" set="0"/>
+      <input semantic="TEXCOORD" source="#half" offset="2" set="1"/>"""
+HALF = """<source id="half"><float_array id="half-array" count="8">.5 0 .75 0 .75 1 .5 1</float_array>
+      <technique_common><accessor source="#half-array" count="4" stride="2"/></technique_common></source>
+    <vertices"""
+
+
+@pytest.mark.parametrize(
+    ("texcoord", "binding", "u", "certain"),
+    [
+        ("UV", '<bind_vertex_input semantic="UV" input_semantic="TEXCOORD" input_set="1"/>', [0.5, 0.75], True),
+        ("CHANNEL1", '<bind_vertex_input semantic="CHANNEL1" input_semantic="TEXCOORD" input_set="0"/>', [0, 1], True),
+        ("UV", '<bind_vertex_input semantic="UV" input_semantic="TEXCOORD"/>', [0, 1], True),
+        ("TEX1", "", [0.5, 0.75], True),
+        ("CHANNEL0", "", [0, 1], True),
+        ("", "", [0, 1], True),
+        ("UVMap", "", [0, 1], False),
+        ("UV", '<bind_vertex_input semantic="UV" input_semantic="TEXCOORD" input_set="7"/>', [0, 1], False),
+    ],
+)
+def test_the_set_of_coordinates_that_is_bound(document, texcoord, binding, u, certain):
+    part, textures = square(document, {
+        '<input semantic="TEXCOORD" source="#uvs" offset="2" set="0"/>': SECOND_SET,
+        "<vertices": HALF,
+        'texcoord="UV"': f'texcoord="{texcoord}"',
+        'target="#wood"/>': f'target="#wood">{binding}</instance_material>',
+    })  # fmt: skip
+    assert [corner[0] for corner in corner_uv(part)] == u
+    assert textures.ignored == ([] if certain else [f"UV set {texcoord} of wood-image"])
+
+
+def test_a_single_set_is_used_whatever_it_is_called(document):
+    part, textures = square(document, {' set="0"/>': ' set="4"/>', 'texcoord="UV"': 'texcoord="CHANNEL2"'})
+    assert corner_uv(part) == [[0, 0], [1, 1]] and not textures.ignored
+
+
+def test_parameters_of_the_effect_and_of_the_material(document):
+    sampler = '<newparam sid="wood-sampler"><sampler2D><source>wood-surface</source></sampler2D></newparam>'
+    clamped = "<sampler2D><source>wood-surface</source><wrap_s>CLAMP</wrap_s></sampler2D>"
+    of_effect = f'<effect id="wood-effect"><newparam sid="wood-sampler">{clamped}</newparam>'
+    assert square(document, {sampler: "", '<effect id="wood-effect">': of_effect})[0].wrap == (CLAMP, REPEAT)
+    of_material = f'"#wood-effect"><setparam ref="wood-sampler">{clamped}</setparam></instance_effect>'
+    assert square(document, {'"#wood-effect"/>': of_material})[0].wrap == (CLAMP, REPEAT)
 
 
 def test_polygons_strips_and_fans_cover_the_same_square(document):

@@ -16,6 +16,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from activestructure_gym.scenes.loaders.collada_nodes import node_matrix
+from activestructure_gym.scenes.loaders.collada_numbers import attribute, fixed, floats, integers
 from activestructure_gym.scenes.loaders.collada_textures import (
     ColladaTexture,
     chosen_set,
@@ -57,55 +59,10 @@ def read_collada(path: Path, textures: TextureStore) -> ColladaFile:
 
 
 def _metres(unit: Element | None) -> float:
-    metres = float(_fixed(unit.get("meter", "1"), 1, "meter")[0]) if unit is not None else 1.0
+    metres = float(fixed(unit.get("meter", "1"), 1, "meter")[0]) if unit is not None else 1.0
     if not (np.isfinite(metres) and metres > 0):
         raise UnreadableMesh(f"it says that its unit has {metres:g} metres")
     return metres
-
-
-def _floats(text: str | None) -> np.ndarray:
-    return _numbers(text, np.float64)
-
-
-def _fixed(text: str | None, count: int, name: str) -> np.ndarray:  # [count]
-    values = _floats(text)
-    if len(values) != count:
-        raise UnreadableMesh(f"a <{name}> has {len(values)} numbers instead of {count}")
-    return values
-
-
-def _attribute(element: Element, name: str, default: int = 0) -> int:
-    """The value of an attribute that must be a whole number from 0 on."""
-    text = element.get(name, str(default)).strip()
-    if not text.isdecimal() or len(text) > 9:
-        raise UnreadableMesh(f'{name}="{text[:40]}" of an <{element.tag}> is no whole number from 0 on')
-    return int(text)
-
-
-def _integers(text: str | None) -> np.ndarray:
-    return _numbers(text, np.int64)
-
-
-def _numbers(text: str | None, kind: type) -> np.ndarray:
-    words = (text or "").split()
-    try:
-        return np.array(words, dtype=kind)
-    except (ValueError, OverflowError):
-        if any("," in word for word in words):
-            raise UnreadableMesh(
-                "its numbers are written with commas (0,5 for 0.5); export it with decimal points"
-            ) from None
-        wanted = "whole numbers" if kind is np.int64 else "numbers"
-        raise UnreadableMesh(f"'{_first_odd(words, kind)}' stands where {wanted} are expected") from None
-
-
-def _first_odd(words: list[str], kind: type) -> str:
-    for word in words:
-        try:
-            np.array([word], dtype=kind)
-        except (ValueError, OverflowError):
-            return word[:40]
-    return words[0][:40]
 
 
 @dataclass(frozen=True)
@@ -162,7 +119,7 @@ class _Document:
             if depth > 200:
                 raise UnreadableMesh("its nodes form a loop")
             self.textures.budget.take("nodes", 1 + len(node))
-            world_from_node = world_from_parent @ self._once(_node_matrix, node)
+            world_from_node = world_from_parent @ self._once(node_matrix, node)
             for instance in node:
                 if instance.tag in ("instance_geometry", "instance_controller"):
                     shape = self._instanced(instance)
@@ -239,8 +196,8 @@ class _Document:
         inputs: dict[str, _Input] = {}
         sets: dict[int, _Input] = {}
         width = 0
-        for element in sorted(primitives.findall("input"), key=lambda element: _attribute(element, "set")):
-            semantic, offset = element.get("semantic", ""), _attribute(element, "offset")
+        for element in sorted(primitives.findall("input"), key=lambda element: attribute(element, "set")):
+            semantic, offset = element.get("semantic", ""), attribute(element, "offset")
             width = max(width, offset + 1)
             if semantic == "VERTEX":
                 vertices = self.target(element.get("source"))
@@ -249,9 +206,9 @@ class _Document:
                     values = _Input(shared_semantic, offset, self._source(shared))
                     inputs.setdefault(shared_semantic, values)
                     if shared_semantic == "TEXCOORD":
-                        sets.setdefault(_attribute(shared, "set"), values)
+                        sets.setdefault(attribute(shared, "set"), values)
             elif semantic == "TEXCOORD":
-                sets.setdefault(_attribute(element, "set"), _Input(semantic, offset, self._source(element)))
+                sets.setdefault(attribute(element, "set"), _Input(semantic, offset, self._source(element)))
             elif semantic == "COLOR":
                 inputs.setdefault(semantic, _Input(semantic, offset, self._source(element)))
         if "VERTEX" not in inputs:
@@ -288,7 +245,7 @@ class _Document:
                 self._ignore(setting, lies)
             index = self._image(lies.image)
             return (np.ones(3) if index >= 0 else None), index, lies
-        color = _floats(channel.findtext("color"))
+        color = floats(channel.findtext("color"))
         return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else None), -1, nothing
 
     def _image(self, name: str) -> int:
@@ -302,11 +259,11 @@ class _Document:
 
 def _array(source: Element) -> np.ndarray:  # [count, stride]
     accessor = source.find("technique_common/accessor")
-    stride = _attribute(accessor, "stride", 1) if accessor is not None else 3
-    offset = _attribute(accessor, "offset") if accessor is not None else 0
+    stride = attribute(accessor, "stride", 1) if accessor is not None else 3
+    offset = attribute(accessor, "offset") if accessor is not None else 0
     if stride < 1:
         raise UnreadableMesh(f"the source '{source.get('id')}' has a stride of 0")
-    values = _floats(source.findtext("float_array"))[offset:]
+    values = floats(source.findtext("float_array"))[offset:]
     return values[: len(values) // stride * stride].reshape(-1, stride)
 
 
@@ -327,35 +284,13 @@ def _bindings(instance: Element) -> dict[str, _Binding]:
         bound.get("symbol", ""): _Binding(
             bound.get("target", "").removeprefix("#"),
             {
-                vertex.get("semantic", ""): _attribute(vertex, "input_set")
+                vertex.get("semantic", ""): attribute(vertex, "input_set")
                 for vertex in bound.iterfind("bind_vertex_input")
                 if vertex.get("input_semantic", "TEXCOORD") == "TEXCOORD"
             },
         )
         for bound in instance.iterfind("bind_material/technique_common/instance_material")
     }
-
-
-def _node_matrix(node: Element) -> np.ndarray:  # [4, 4] parent_from_node: the node's transforms, first one outermost
-    matrix = np.eye(4)
-    for element in node:
-        step = np.eye(4)
-        if element.tag == "matrix":
-            step = _fixed(element.text, 16, "matrix").reshape(4, 4)
-        elif element.tag == "translate":
-            step[:3, 3] = _fixed(element.text, 3, "translate")
-        elif element.tag == "scale":
-            step[:3, :3] = np.diag(_fixed(element.text, 3, "scale"))
-        elif element.tag == "rotate":
-            from scipy.spatial.transform import Rotation
-
-            x, y, z, degrees = _fixed(element.text, 4, "rotate")
-            axis = np.array([x, y, z]) / max(np.linalg.norm([x, y, z]), 1e-12)
-            step[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
-        else:
-            continue
-        matrix = matrix @ step
-    return matrix
 
 
 def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[np.ndarray, np.ndarray]:
@@ -368,7 +303,7 @@ def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[n
     if primitives.tag in ("tristrips", "trifans"):
         return corners, _strips(sizes, fans=primitives.tag == "trifans")
     if primitives.tag == "polylist":
-        sizes = _integers(primitives.findtext("vcount"))
+        sizes = integers(primitives.findtext("vcount"))
         if (sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners):
             raise UnreadableMesh(f"a <polylist> counts {sizes.sum()} corners and has {len(corners)}")
         corners = corners[: sizes.sum()]
@@ -385,7 +320,7 @@ def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[n
 
 
 def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
-    flat = _integers(indices.text)
+    flat = integers(indices.text)
     if len(flat) % width:
         raise UnreadableMesh(f"a <{indices.tag}> has {len(flat)} indices, which are no rows of {width}")
     return flat.reshape(-1, width)

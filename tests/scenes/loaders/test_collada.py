@@ -224,6 +224,28 @@ def test_polygons_strips_and_fans_cover_the_same_square(document):
         assert len(np.unique(corners.mean(axis=1).round(6), axis=0)) == 2, tag  # not the same half twice
 
 
+@pytest.mark.parametrize(
+    ("transform", "expected"),
+    [
+        ("<skew>45 0 1 0 1 0 0</skew>", [[0, 0, 0], [1, 0, 0], [2, 1, 0], [1, 1, 0]]),  # x + y
+        ("<skew>-45 0 2 0 3 0 0</skew>", [[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 1, 0]]),
+        ("<skew>45 1 1 0 1 0 0</skew>", None),  # the diagonal would become the axis itself
+        ("<skew>30 1 0 0 2 0 0</skew>", None),
+        # By hand: at (1, 2, 3), x of the node along y of the scene, y along z.
+        ("<lookat>1 2 3 0 2 3 0 0 1</lookat>", [[1, 2, 3], [1, 3, 3], [1, 3, 4], [1, 2, 4]]),
+        ("<lookat>1 2 3 1 2 3 0 0 1</lookat>", None),
+        ("<translate>5 0 0</translate><skew>45 0 1 0 0 0 1</skew>", [[5, 0, 0], [6, 0, 0], [6, 1, 1], [5, 1, 1]]),
+    ],
+)
+def test_skews_and_lookats_place_a_node(document, transform, expected):
+    outer, inner = "<translate>10 0 0</translate><rotate>0 0 1 90</rotate>", "<scale>2 2 2</scale>"
+    if expected is None:
+        with pytest.raises(UnreadableMesh, match="beyond the other|zero or parallel"):
+            square(document, {outer: "", inner: transform})
+    else:
+        np.testing.assert_allclose(square(document, {outer: "", inner: transform})[0].vertices, expected, atol=1e-12)
+
+
 def test_instances_from_the_node_library_and_missing_textures(document):
     (document.parent.parent / "maps" / "wood.png").unlink()
     node = DOCUMENT[DOCUMENT.index('<node id="outer">') : DOCUMENT.index("</visual_scene>")]

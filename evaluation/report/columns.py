@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -59,6 +59,8 @@ _SHAPE = (
 _PRECISION = Column("precision", "Prec.", "%", 1, "highest")
 _F_SCORE = Column("f_score", "F", "%", 1, "highest")
 _PICTURE = (Column("psnr", "PSNR", "dB", 2, "highest"), Column("ssim", "SSIM", "", 3, "highest"))
+_DEPTH = Column("depth_l1_cm", "Depth", "cm", 2, "lowest")
+_EXPLORATION = Column("observed_area", "exploration", "%", 1, "highest")
 
 # The overview's: one line per scene and policy.
 COLUMNS = (
@@ -80,14 +82,14 @@ QUALITY = (
     *_PICTURE,
     Column("ms_ssim", "MS-SSIM", "", 3, "highest"),
     Column("lpips", "LPIPS", "", 3, "lowest"),
-    Column("depth_l1_cm", "Depth", "cm", 2, "lowest"),
+    _DEPTH,
 )
 
 # How soon the surface was seen, and what late frames were worth; see `metrics.planning`.
 LEAST = "least_"  # before the name of a number of frames: where the budget was too small, the budget
 PROGRESS = (
     *(Column(f"{LEAST}frames_to_{level}", f"frames to {level} %", "", 0, "lowest") for level in LEVELS),
-    Column("observed_area", "observed, area", "%", 1, "highest"),
+    _EXPLORATION,
     Column("late_psnr_rate", "late PSNR", "dB / 100 frames", 2, "highest"),
     Column("late_depth_rate", "late Depth", "cm / 100 frames", 2, "lowest"),
 )
@@ -106,8 +108,9 @@ COSTS = (
     Column("seconds", "whole", "s", 1),
 )
 
-# What a policy is judged by at a glance, and against the baseline.
-MAIN = (*_SHAPE, *RATIOS, _PICTURE[0])
+# The metrics of the cards and of the comparison with the baseline. Acc and Prec. are not among them: a policy that
+# maps little has the best of both.
+MAIN = (RATIOS[2], _EXPLORATION, RATIOS[0], _PICTURE[0], _DEPTH)
 
 
 def value_of(run: Run, key: str) -> float | None:
@@ -185,6 +188,18 @@ def reason_of(run: Run, key: str) -> str:
     return notes.get(name) or notes.get(name.partition("_")[0], "")
 
 
-def measured(columns: Sequence[Column], runs: Sequence[Run]) -> list[Column]:
-    """The columns that at least one run has a number for."""
-    return [column for column in columns if any(value_of(run, column.key) is not None for run in runs)]
+def measured(columns: Iterable[Column], runs: Sequence[Run]) -> list[Column]:
+    """Return the columns that at least one run has a number for; of a number of frames, that at least one reached."""
+    return [
+        column
+        for column in columns
+        if any(value_of(run, column.key) is not None and not exceeded(run, column.key) for run in runs)
+    ]
+
+
+def unreached(runs: Sequence[Run]) -> str:
+    """Return a sentence that names the shares of the surface that no run observed; empty if there is none."""
+    known = [run for run in runs if run.metrics["metrics"].get("observed_area") is not None]
+    keys = [(level, f"{LEAST}frames_to_{level}") for level in LEVELS]
+    levels = [f"{level} %" for level, key in keys if known and all(exceeded(run, key) for run in known)]
+    return f"No run observed {' or '.join(levels)} of the surface" if levels else ""

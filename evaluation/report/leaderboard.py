@@ -26,7 +26,7 @@ from activestructure_gym.specs import number_text
 
 COLUMNS = (
     *RATIOS,
-    Column("observed_area", "observed, area", "%", 1, "highest"),
+    Column("observed_area", "exploration", "%", 1, "highest"),
     Column("psnr", "PSNR", "dB", 2, "highest"),
 )
 _SORTED_BY = "tsdf_completion_ratio"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from activestructure_gym.evaluation.report.columns import LEAST, PROGRESS, Column, exceeded, measured
+from activestructure_gym.evaluation.report.columns import LEAST, PROGRESS, Column, exceeded, measured, unreached
 from activestructure_gym.evaluation.report.layout import MISSING, Cell, Heading, Table, ranked, with_interval
 from activestructure_gym.evaluation.report.results import Results, once
 from activestructure_gym.evaluation.report.tables import empty_rich_table, styled
@@ -34,10 +34,14 @@ def planning_table(results: Results) -> Table | None:
     rows = [[Cell(policy), *(cells[k] for cells in by_column)] for k, policy in enumerate(results.policies)]
     caption = (
         "Frames until that share of the observable surface was observed (> : runs that did not reach it count with the "
-        "budget); mean height of the curve of what was observed, over the frame budget; change of PSNR and of the "
-        "depth error in the curve's views from half the budget on, per 100 frames. Means over the scenes of the mean "
-        "over their runs, 95 % stratified bootstrap intervals"
+        "budget). Exploration: mean height of the curve of observed surface over the frame budget. Late PSNR and "
+        "Depth: their change per 100 frames in the second half of the budget. Means over the scenes of the mean over "
+        "their runs"
     )
+    if any(len(results.of(policy, scene)) > 1 for policy in results.policies for scene in results.scenes):
+        caption += ", 95 % stratified bootstrap intervals"
+    if missing := unreached(results.runs):
+        caption += f". {missing}"
     headings = [Heading("Policy", numeric=False), *map(Heading.of, columns)]
     return Table("planning", "Planning", headings, rows, caption)
 
@@ -53,7 +57,7 @@ def rich_planning_table(results: Results) -> RichTable | None:
     columns = measured([column for column in PROGRESS if column.key in shown], results.runs)
     if not columns:
         return None
-    table = empty_rich_table("how soon the surface was observed, and the area under that curve")
+    table = empty_rich_table("how soon the surface was observed")
     table.add_column("policy", no_wrap=True)
     for column in columns:
         table.add_column(column.title, justify="right", no_wrap=True)

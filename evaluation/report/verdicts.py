@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from activestructure_gym.evaluation.report.columns import COSTS, MAIN, PROGRESS, QUALITY, Column, measured
+from activestructure_gym.evaluation.report.columns import (
+    COSTS,
+    MAIN,
+    PROGRESS,
+    QUALITY,
+    Column,
+    exceeded,
+    measured,
+    unreached,
+)
 from activestructure_gym.evaluation.report.curves import COSTS as AXES
 from activestructure_gym.evaluation.report.curves import areas, measures_of
 from activestructure_gym.evaluation.report.layout import (
@@ -122,9 +131,10 @@ def difference_table(results: Results) -> Table | None:
         if policy == results.baseline:
             continue
         own = []
-        for column in measured((*MAIN, *(c for c in QUALITY if c not in MAIN), *PROGRESS), results.runs):
+        for column in measured(dict.fromkeys((*MAIN, *QUALITY, *PROGRESS)), results.runs):
             pair = differences(results, column).get(policy)
-            if pair is None:
+            both = (*results.of(policy), *results.of(results.baseline))
+            if pair is None or all(exceeded(run, column.key) for run in both):
                 continue
             wins, losses = (pair.higher, pair.lower) if column.sign > 0 else (pair.lower, pair.higher)
             row = [Cell(policy), Cell(column.title), with_interval(pair.difference, column.digits, signed=True)]
@@ -144,6 +154,7 @@ def difference_table(results: Results) -> Table | None:
     caption = f"Each policy minus {results.baseline}, paired by scene and seed, averaged over the scenes"
     if measured(PROGRESS, results.runs):
         caption += "; frames to a share of the surface are the budget where it was not reached"
+        caption += f". {missing}" if (missing := unreached(results.runs)) else ""
     if chance_known:
         headings.insert(3, Heading("Verdict", numeric=False))
         headings.append(Heading("P(improvement)"))

@@ -32,9 +32,9 @@ def test_who_did_not_reach_it_counts_with_the_budget_and_the_table_says_so(resul
     assert a[at_90].value == 65.0 and a[at_90].rank == 1 and a[at_90].text.startswith("65 [")
     assert b[at_90].value == 90.0 and b[at_90].rank == 2 and b[at_90].text.startswith("> 90 [")
     assert b[at_90].note == "not reached in 1 of 2 runs"
-    at_95 = columns["frames to 95 % ↓"]
-    assert [(row[at_95].text, row[at_95].value, row[at_95].rank) for row in table.rows] == [("> 100", None, 0)] * 2
-    assert a[columns["observed, area (%) ↑"]].value == 66.0
+    assert "frames to 95 % ↓" not in columns and "No run observed 95 % of the surface" in table.caption
+    assert "bootstrap intervals" in table.caption
+    assert a[columns["exploration (%) ↑"]].value == 66.0
     assert {name.partition(".")[0] for name in documents([table])} == {"planning"}
 
 
@@ -42,8 +42,15 @@ def test_differences_to_the_baseline_hold_them_too(results):
     rows = {row[1].text: row for row in difference_table(results).rows}
     # 60 - 80 and 70 - 100.
     assert rows["frames to 90 % ↓"][2].value == -25.0
-    assert rows["observed, area (%) ↑"][2].value == 6.0
-    assert rows["frames to 95 % ↓"][2].value == 0.0
+    assert rows["exploration (%) ↑"][2].value == 6.0
+    assert "frames to 95 % ↓" not in rows and "No run observed 95 % of the surface" in difference_table(results).caption
+
+
+def test_a_row_of_a_pair_that_never_reached_a_level_is_left_out(make_run):
+    runs = [measured(make_run, policy, 0, frames) for policy, frames in (("a", None), ("b", None), ("c", 90.0))]
+    table = difference_table(Results(runs, [], "a"))
+    assert [row[0].text for row in table.rows if row[1].text == "frames to 90 % ↓"] == ["c"]
+    assert "bootstrap" not in planning_table(Results(runs, [], "a")).caption  # a run each has no interval
 
 
 def printed(results):

@@ -67,12 +67,12 @@ def test_a_verdict_is_about_the_numbers_as_they_are_printed(difference, words):
 
 
 def test_what_is_smaller_than_the_last_digit_is_neither_better_nor_worse_anywhere(make_run):
-    runs = [make_run(policy=p, seed=s, accuracy_cm=1.0 - 0.003 * (p == "b")) for p in "ab" for s in range(8)]
+    runs = [make_run(policy=p, seed=s, depth_l1_cm=1.0 - 0.003 * (p == "b")) for p in "ab" for s in range(8)]
     results = Results(runs, [], "a")
-    row = next(row for row in difference_table(results).rows if row[1].text.startswith("Acc"))
+    row = next(row for row in difference_table(results).rows if row[1].text.startswith("Depth"))
     assert [cell.text for cell in row[2:5]] == ["0.00 [0.00, 0.00]", "equal as printed", "0 / 8 / 0"]
     assert row[3].tone == "" and row[5].text == "0.50 [0.50, 0.50]"
-    lead = next(lead for lead in leads(results) if lead.column.key == "accuracy_cm")
+    lead = next(lead for lead in leads(results) if lead.column.key == "depth_l1_cm")
     assert {lead.policy, *lead.level} == {"a", "b"} and lead.ahead is None
 
 
@@ -117,7 +117,14 @@ def test_who_leads_and_by_how_much(grid):
     found = {lead.column.key: lead for lead in leads(grid())}
     assert found["psnr"].policy == "b" and found["psnr"].runner_up == "a"
     assert found["psnr"].ahead.difference.value == 3.5
-    assert found["accuracy_cm"].policy == "a" and found["accuracy_cm"].ahead.difference.value < 0
+    assert list(found) == ["completion_ratio", "psnr"]  # in the order of the cards; Acc has none
+
+
+def test_the_first_card_is_what_was_observed(make_run):
+    numbers = {"observed": 60.0, "observed_area": 40.0, "depth_l1_cm": 2.0}
+    results = Results([make_run(policy=policy, **numbers) for policy in "ab"], [], "a")
+    order = [lead.column.header for lead in leads(results)]
+    assert order == ["observed", "exploration", "C.R.", "PSNR", "Depth"]
 
 
 def test_collisions_are_an_alarm(grid):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import json
 import operator
+import shlex
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,9 +28,9 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     PLAIN_GREY,
     MeshPart,
     TextureStore,
-    find_reference,
     placed,
 )
+from activestructure_gym.scenes.loaders.references import find_reference
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -50,7 +51,7 @@ _REFUSED = {
     "EXT_mesh_gpu_instancing": ("it places its objects by GPU instancing", "export them as single nodes"),
 }
 # Required extensions that are read, or that change nothing for a pinhole camera without lights.
-_READ = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp")
+_READ = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", "MSFT_lod")
 _HARMLESS_PREFIXES = ("KHR_materials_", "KHR_lights_", "EXT_lights_", "KHR_animation_", "KHR_xmp", "KHR_node_")
 
 
@@ -138,9 +139,13 @@ def _refuse(path: Path, extensions: list[str]) -> None:
     unknown = ("it needs the glTF extension {0}", "export it without {0}")
     faults = [[words.format(name) for words in _REFUSED.get(name, unknown)] for name in extensions]
     reasons, remedies = (list(dict.fromkeys(words)) for words in zip(*faults))
+    otherwise = "convert it with gltf-transform or Blender"
+    if remedies == [_WITHOUT_COMPRESSION]:
+        unpacked = path.with_name(f"{path.stem}_uncompressed{path.suffix}")
+        otherwise = f"run: npx @gltf-transform/cli copy {shlex.quote(str(path))} {shlex.quote(str(unpacked))}"
     raise InputError(
         f"'{path}' cannot be read: {' and '.join(reasons)} ({', '.join(extensions)}); {' and '.join(remedies)}, or "
-        "convert it with gltf-transform or Blender"
+        f"{otherwise}"
     )
 
 
@@ -181,7 +186,7 @@ class _Document:
         if scenes:
             roots = self._entry("scenes", self.header.get("scene", 0)).get("nodes", [])
         else:
-            children = {child for node in nodes for child in node.get("children", [])}
+            children = {child for node in nodes for child in (*node.get("children", []), *_lower_levels(node))}
             roots = [index for index in range(len(nodes)) if index not in children]
         if not nodes:  # a mesh library without a scene
             yield from ((index, np.eye(4)) for index in range(len(self.header.get("meshes", []))))
@@ -392,6 +397,11 @@ def _known(table: dict[Any, Any], holder: dict[str, Any], key: str) -> Any:
 
 def _data_uri(uri: str) -> bytes:
     return base64.b64decode(uri.partition(",")[2])
+
+
+def _lower_levels(node: dict[str, Any]) -> list[int]:
+    """The nodes that stand for this one at a distance (MSFT_lod)."""
+    return node.get("extensions", {}).get("MSFT_lod", {}).get("ids", [])
 
 
 def _node_matrix(node: dict[str, Any]) -> np.ndarray:  # [4, 4] parent_from_node

@@ -28,8 +28,8 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     MeshPart,
     TextureStore,
     assemble,
-    find_reference,
 )
+from activestructure_gym.scenes.loaders.references import find_reference
 from activestructure_gym.scenes.scene import Scene
 
 ENDING = ".scene_dataset_config.json"

@@ -18,6 +18,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, InputWarning, shown, unknown_name
 from activestructure_gym.scenes.loaders.damage import in_words
+from activestructure_gym.scenes.loaders.references import PICTURE_FOLDERS
 from activestructure_gym.scenes.loaders.upright import CEILING_HEIGHTS, UP_AXES, DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene, SceneMesh
 
@@ -173,9 +174,12 @@ def texture_notes(textures: TextureStore) -> list[str]:
         list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv, textures.ignored)
     )
     if missing:
+        searched = ""
+        if textures.searched is not None:
+            searched = f", searched in '{textures.searched}', {', '.join(PICTURE_FOLDERS)}"
         notes.append(
-            f"{len(missing)} texture or material files could not be read ({_some(missing)}); plain colours stand in "
-            "for them"
+            f"{len(missing)} texture or material files could not be read ({_some(missing)}){searched}; plain colours "
+            "stand in for them"
         )
     if bare:
         notes.append(

@@ -7,18 +7,16 @@ and all checks happen once, in `mesh_loader`.
 from __future__ import annotations
 
 import hashlib
-import os
-import re
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import unquote
 
 import numpy as np
 
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.images import opened_image
+from activestructure_gym.scenes.loaders.references import PICTURE_FOLDERS, find_reference
 from activestructure_gym.scenes.scene import REPEAT, SceneMesh
 
 if TYPE_CHECKING:
@@ -49,6 +47,7 @@ class TextureStore:
     budget: SceneBudget = field(default_factory=SceneBudget)  # of the whole scene: its readers ask it too
     images: list[np.ndarray] = field(default_factory=list)  # [h, w, 3] uint8
     unreadable: list[str] = field(default_factory=list)  # names of images that could not be read
+    searched: Path | None = None  # the folder of the mesh, where a picture was found neither there nor around it
     without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
     ignored: list[str] = field(default_factory=list)  # what files say about the place of an image and is not read
     _by_key: dict[Hashable, int] = field(default_factory=dict)
@@ -66,10 +65,12 @@ class TextureStore:
         key = ("file", base, reference)
         if key not in self._by_key:
             try:
-                self._by_key[key] = self.add_bytes(self.budget.read(find_reference(base, reference)), reference)
+                file = find_reference(base, reference, folders=PICTURE_FOLDERS)
+                self._by_key[key] = self.add_bytes(self.budget.read(file), reference)
             except LimitError as error:
                 return self._missing(key, f"{reference}: {error}")
             except OSError:
+                self.searched = base
                 return self._missing(key, reference)
         return self._by_key[key]
 
@@ -136,41 +137,6 @@ def _eight_bits(image: Image) -> Image:
             f"has values from {low:g} to {high:g}; at most 65535 of whole numbers and 255 of floats is read"
         )
     return images.fromarray(np.rint(values * np.float32(scale)).astype(np.uint8))
-
-
-_COMMENT = re.compile(r"\s+#")  # behind a name in an OBJ or MTL file; a name may hold it too
-
-
-def find_reference(base: Path, reference: str, *, climb: int = 1) -> Path:
-    """The file a mesh refers to by ``reference``: relative to the mesh's folder, ``../`` and absolute paths included.
-
-    Exporters write percent escapes, backslashes, ``file://``, options or a comment around the name (OBJ), or the path
-    on the author's disk; the bare file name beside the mesh is the last resort. Nothing is opened outside the folder
-    ``climb`` levels above the mesh: models come as ``meshes/`` beside ``textures/``, and a file of a stranger has no
-    business anywhere else. Symbolic links are followed, as data stores are full of them. Raises FileNotFoundError.
-    """
-    name = reference.strip().strip('"')
-    spellings = [reference, name, unquote(name), _COMMENT.split(name)[0]]
-    spellings += name.split()[-1:] if name.startswith("-") else []  # an option that no specification has
-    spellings += [spelling.replace("\\", "/") for spelling in spellings]
-    spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
-    candidates = [base / spelling for spelling in spellings]
-    candidates += [base / Path(spelling).name for spelling in spellings]
-    base = Path(os.path.abspath(base))
-    root = base.parents[climb - 1] if 0 < climb < len(base.parents) else base  # never the whole disk
-    outside = False
-    for candidate in candidates:
-        inside = Path(os.path.abspath(candidate)).is_relative_to(root)
-        try:
-            if candidate.is_file():
-                if inside:
-                    return candidate
-                outside = True
-        except OSError:  # a name that no file can have
-            continue
-    if outside:
-        raise LimitError(f"lies outside of '{root}'; put it into the folder of the mesh")
-    raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
 
 
 def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # [V, 3], [4, 4] -> [V, 3]

@@ -32,7 +32,8 @@ from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh, in_words
 from activestructure_gym.scenes.loaders.json_files import read_json
 from activestructure_gym.scenes.loaders.mesh_loader import check_mesh_file, finished_scene, painted
-from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, assemble, find_reference, full_scale
+from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, assemble, full_scale
+from activestructure_gym.scenes.loaders.references import find_reference
 from activestructure_gym.scenes.loaders.sequence import load_sequence
 from activestructure_gym.scenes.loaders.upright import DeclaredUp, choose_up
 from activestructure_gym.scenes.scene import PartLabels, Scene

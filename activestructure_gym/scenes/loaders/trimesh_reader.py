@@ -22,12 +22,12 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     PLAIN_GREY,
     MeshPart,
     TextureStore,
-    find_reference,
     full_scale,
 )
 from activestructure_gym.scenes.loaders.mtl_text import texture_map
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
 from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
+from activestructure_gym.scenes.loaders.references import find_reference
 from activestructure_gym.scenes.scene import REPEAT
 
 _COLORS = ("vertex_colors", "face_colors")

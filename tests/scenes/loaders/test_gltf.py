@@ -190,7 +190,30 @@ def test_what_cannot_be_decoded_is_refused_with_the_reason(tmp_path, gltf, exten
     path = gltf.write(tmp_path / "c.glb")
     with pytest.raises(InputError, match=reason) as caught:
         read_gltf(path, TextureStore())
-    assert extension in str(caught.value) and "convert" in str(caught.value)
+    assert extension in str(caught.value)
+    assert ("npx @gltf-transform/cli copy " if "compressed" in reason else "convert it") in str(caught.value)
+
+
+def test_the_command_that_unpacks_names_the_file(tmp_path, gltf):
+    gltf.triangle_mesh(TRIANGLE, FACE)
+    gltf.header["extensionsRequired"] = ["EXT_meshopt_compression", "KHR_draco_mesh_compression"]
+    message = _error(gltf.write(tmp_path / "my flat.glb"))
+    command = f"npx @gltf-transform/cli copy '{tmp_path}/my flat.glb' '{tmp_path}/my flat_uncompressed.glb'"
+    assert message.endswith(f"export it without compression, or run: {command}")
+
+
+def test_lower_levels_of_detail_are_not_shown(tmp_path, gltf):
+    for shift in range(4):
+        gltf.triangle_mesh(TRIANGLE + np.float32(shift), FACE)
+    gltf.header["nodes"] = [
+        {"mesh": 0, "extensions": {"MSFT_lod": {"ids": [1, 2]}}},
+        {"mesh": 1},
+        {"children": [3]},  # a lower level with a part of its own
+        {"mesh": 3},
+    ]
+    gltf.header["extensionsRequired"] = ["MSFT_lod"]
+    (part,) = read_gltf(gltf.write(tmp_path / "lod.glb"), TextureStore()).parts
+    np.testing.assert_array_equal(part.vertices, TRIANGLE)
 
 
 def test_gltf_finds_its_buffer_and_a_texture_above_its_folder(tmp_path, gltf):

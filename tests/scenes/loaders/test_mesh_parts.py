@@ -8,7 +8,6 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     MeshPart,
     TextureStore,
     assemble,
-    find_reference,
     srgb_from_linear,
 )
 
@@ -67,50 +66,6 @@ def test_what_cannot_be_read_is_remembered_once(tmp_path):
     store = TextureStore()
     assert [store.add_file(tmp_path, n) for n in ("gone.png", "gone.png", "broken.png")] == [-1, -1, -1]
     assert store.unreadable == ["gone.png", "broken.png"]
-
-
-@pytest.mark.parametrize(
-    "reference",
-    ["../textures/oak wood.png", "../textures/oak%20wood.png", "..\\textures\\oak wood.png", "C:\\Users\\me\\plain.png",
-     "-halo 2 plain.png", "plain.png # the floor", "./plain.png"],
-)  # fmt: skip
-def test_references_are_found_wherever_exporters_point(tmp_path, reference):
-    (tmp_path / "textures").mkdir()
-    (tmp_path / "models").mkdir()
-    (tmp_path / "textures" / "oak wood.png").write_bytes(b"x")
-    (tmp_path / "models" / "plain.png").write_bytes(b"x")
-    assert find_reference(tmp_path / "models", reference).read_bytes() == b"x"
-
-
-def test_the_last_word_of_a_name_is_no_name(tmp_path):
-    (tmp_path / "wood.png").write_bytes(b"x")
-    with pytest.raises(FileNotFoundError):
-        find_reference(tmp_path, "oak wood.png")
-    (tmp_path / "wood #2.png").write_bytes(b"y")
-    assert find_reference(tmp_path, "wood #2.png").read_bytes() == b"y"
-
-
-def test_nothing_outside_of_the_model_is_opened(tmp_path):
-    """Meshes stand beside their textures; a file of a stranger has no business anywhere else."""
-    models = tmp_path / "flat" / "models"
-    models.mkdir(parents=True)
-    Image.new("RGB", (4, 4)).save(tmp_path / "secret.png")
-    store = TextureStore()
-    for reference in ("../../secret.png", str(tmp_path / "secret.png"), f"file://{tmp_path}/secret.png"):
-        assert store.add_file(models, reference) == -1
-        assert f"lies outside of '{models.parent}'" in store.unreadable[-1]
-    assert store.add_file(models, "x" * 5000) == -1 and len(store.unreadable[-1]) <= 200
-    (models.parent / "near.png").write_bytes(b"x")
-    assert find_reference(models, "../near.png").is_file()
-    with pytest.raises(ValueError, match="outside"):
-        find_reference(models, "../near.png", climb=0)
-
-
-def test_a_name_that_begins_with_a_blank(tmp_path):
-    (tmp_path / " wood.png").write_bytes(b"x")
-    (tmp_path / "oak.png").write_bytes(b"x")
-    assert find_reference(tmp_path, " wood.png").name == " wood.png"
-    assert find_reference(tmp_path, " oak.png\n").name == "oak.png"
 
 
 def test_parts_keep_their_order_and_their_own_vertices():

@@ -168,8 +168,8 @@ def finished_scene(
 
 
 def texture_notes(textures: TextureStore) -> list[str]:
-    """Sentences on textures that are missing or unreadable."""
-    notes = []
+    """Sentences on textures that are missing or unreadable, and those of the readers."""
+    notes = list(dict.fromkeys(textures.notes))
     missing, bare, ignored = (
         list(dict.fromkeys(names)) for names in (textures.unreadable, textures.without_uv, textures.ignored)
     )

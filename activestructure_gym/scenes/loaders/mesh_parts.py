@@ -50,6 +50,7 @@ class TextureStore:
     searched: Path | None = None  # the folder of the mesh, where a picture was found neither there nor around it
     without_uv: list[str] = field(default_factory=list)  # materials whose image has no place on some surface
     ignored: list[str] = field(default_factory=list)  # what files say about the place of an image and is not read
+    notes: list[str] = field(default_factory=list)  # sentences of the readers on what is not as the file has it
     _by_key: dict[Hashable, int] = field(default_factory=dict)
 
     def add_bytes(self, data: bytes, name: str) -> int:

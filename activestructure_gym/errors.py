@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 
 MOST_NAMES = 5  # that a message lists
@@ -13,21 +14,52 @@ _LISTS = {
     "scene": "asg scenes",
     "command": "asg --help",
 }
+LONGEST = 1500  # characters of a message
+
+
+def printable(text: str) -> str:
+    """Return the text with its control characters written out (``\\x1b``); line ends stay, a tab becomes a space.
+
+    Among them are the characters that change the direction of writing, and halves of surrogate pairs.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else _written(c) for c in text)
+
+
+def one_line(text: str, longest: int = LONGEST) -> str:
+    """Return foreign text as one printable line, shortened in the middle."""
+    if len(text) > 20 * longest:  # nothing of the rest is shown
+        text = f"{text[: 10 * longest]} {text[-10 * longest :]}"
+    text = printable(" ".join(text.split()))
+    return text if len(text) <= longest else f"{text[: longest - 200]} ... {text[-150:]}"
+
+
+def _written(character: str) -> str:
+    return " " if character == "\t" else character.encode("unicode_escape").decode()
 
 
 class InputError(ValueError):
     """User input cannot be used: an option, a file, a name, a keyword.
 
     The message is one clear sentence: what was expected, what came, what to do. The command line prints it
-    without a traceback and exits with 2.
+    without a traceback and exits with 2. Whatever a file or a name puts into it, it is one printable line of at most
+    `LONGEST` characters.
     """
+
+    def __init__(self, *said: object) -> None:
+        super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
 
 
 class InputWarning(UserWarning):
     """User input is used although something about it is doubtful, or after a choice was made for it.
 
-    Given through `warnings`, so that it is read wherever the input is used; the command line prints it as one line.
+    Given through `warnings`, so that it is read wherever the input is used; the command line prints it as one line. Its
+    message is held to the same form as that of an `InputError`.
     """
+
+    def __init__(self, *said: object) -> None:
+        super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:

@@ -23,6 +23,7 @@ from activestructure_gym.motion import is_level, unrounded_start
 from activestructure_gym.reconstruction import Reconstruction, Visit
 from activestructure_gym.scenes import Scene, load_scene
 from activestructure_gym.sensors import Frame
+from activestructure_gym.streams import write_line
 
 if TYPE_CHECKING:
     from activestructure_gym.viewer import LiveView
@@ -288,7 +289,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
             from activestructure_gym.viewer import LiveView
 
             self._view = LiveView(type(self).__name__ if self.spec is None else self.spec.id)
-            print(f"watch this environment at {self._view.url}", file=sys.stderr, flush=True)
+            write_line(sys.stderr, f"watch this environment at {self._view.url}")
         self._view.begin(self.reconstruction, self.config.gains[0] if self.config.gains else "")
         self._view.show()
         self._view.wait()

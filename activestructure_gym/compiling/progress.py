@@ -21,6 +21,7 @@ from numba.core import event
 from activestructure_gym.compiling import files
 from activestructure_gym.compiling.helper import start_helper
 from activestructure_gym.compiling.locks import LOCKS
+from activestructure_gym.streams import lowest, raw
 
 _EVERY = 30.0  # seconds between two lines in a log
 _QUIET = 10.0  # seconds without compiling, after which it counts as done
@@ -60,7 +61,8 @@ def _heading() -> str:
 
 
 def _standard_error() -> TextIO | None:
-    return sys.stderr  # None in a program without a console
+    stream: TextIO | None = raw(sys.stderr)  # None in a program without a console
+    return stream
 
 
 class Log:
@@ -182,7 +184,7 @@ class Progress(event.Listener):
             return
         seconds = self._spent + time.monotonic() - self._began
         # A live line only where nothing else writes: a spinner puts itself in the place of sys.stderr.
-        live = stream is sys.__stderr__
+        live = lowest(stream) is sys.__stderr__
         if live and stream.isatty():
             line = describe(len(self._told), seconds)[: shutil.get_terminal_size().columns - 1]
             stream.write("\r" + line.ljust(self._width))

@@ -68,10 +68,11 @@ def renderer_status() -> dict[str, str]:
     if importlib.util.find_spec("embreex") is None:
         status["raycast"] = "needs the package embreex: pip install embreex"
     command = "from activestructure_gym.sensors.pyrender_backend import probe; print(probe())"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    path = os.pathsep.join(path for path in sys.path if path)
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONIOENCODING": "utf-8:backslashreplace"}
     try:
         probe = subprocess.run(
-            [sys.executable, "-P", "-c", command], env=environment, capture_output=True, text=True, timeout=60
+            [sys.executable, "-P", "-c", command], env=environment, capture_output=True, encoding="utf-8", timeout=60
         )
         answer = probe.stdout.strip().splitlines()
         status["pyrender"] = answer[-1] if answer else f"starting OpenGL ended the process (code {probe.returncode})"

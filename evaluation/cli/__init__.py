@@ -15,10 +15,10 @@ from typing import Any, NoReturn
 
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
+from activestructure_gym.streams import FULL, complain, kept_streams, say
 
 _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
-_NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
-_LONGEST = 1500  # characters of a message
+_NOT_WRITABLE = (*FULL, errno.EROFS)
 
 # Written out, and not left to the parser, so that it appears at once.
 HELP = """usage: asg COMMAND [OPTIONS]
@@ -53,16 +53,28 @@ Begin with `asg compare`: two planners in a furnished room, in less than a minut
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code.
 
-    0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C, 143 stopped with SIGTERM.
+    0 done, 1 some of it failed, 2 wrong input, 130 stopped with Ctrl-C, 143 stopped with SIGTERM. What reads standard
+    output, and in which encoding, changes nothing of it; only a file on a full disk does.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    with kept_streams() as (out, _):
+        code = _answered(arguments)
+        out.flush()
+        if out.failure is not None:
+            out.drop()
+            complain(f"standard output cannot be written: {out.failure.strerror}")
+            return code or 1
+    return code
+
+
+def _answered(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help") or arguments == ["help"]:
-        print(HELP)
+        say(HELP)
         return 0
     if arguments[0] == "--version":
         from activestructure_gym._version import __version__
 
-        print(f"activestructure-gym {__version__}")
+        say(f"activestructure-gym {__version__}")
         return 0
     set_passive_waiting()
     with _sigterm_as_ctrl_c() as terminated:
@@ -77,29 +89,18 @@ def _exit_code(arguments: Sequence[str]) -> int:
         with _doubts_as_lines():
             return _run(arguments)
     except InputError as error:
-        print(f"asg: {_one_line(str(error))}", file=sys.stderr)
+        complain(str(error))
         return 2
     except KeyboardInterrupt:
-        print("asg: stopped", file=sys.stderr)
+        complain("stopped")
         return _STOPPED
-    except BrokenPipeError:
-        # The reader (`| head`) has gone; nothing more can be said to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except OSError as error:
         if error.errno not in _NOT_WRITABLE and error.filename is None:
             raise
         where = "a file" if error.filename is None else shown(error.filename)
         what = " cannot be written" if error.errno in _NOT_WRITABLE else ""
-        print(f"asg: {_one_line(f'{where}{what}: {error.strerror}')}", file=sys.stderr)
+        complain(f"{where}{what}: {error.strerror}")
         return 1 if error.errno in _NOT_WRITABLE else 2
-
-
-def _one_line(text: str) -> str:
-    """``text`` in one line of printable characters, shortened in the middle."""
-    text = " ".join(text.split())
-    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 200]} ... {text[-150:]}"
 
 
 def _find_in_working_directory() -> None:
@@ -141,7 +142,7 @@ def _doubts_as_lines() -> Iterator[None]:
             usual(message, category, *place, **more)
         elif str(message) not in told:
             told.add(str(message))
-            print(f"asg: note: {message}", file=sys.stderr)
+            complain(f"note: {message}")
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.fields import Switch
+from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.streams import escape
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,7 @@ class Cache:
         parts = ("scenes", "kernels") if self.part == "all" else (self.part,)
         rows = [(_clear if self.what == "clear" else _show)(part) for part in parts]
         if self.json:
-            print(json.dumps(rows, indent=1))
-            return 0
+            return print_json(rows)
         console = make_console()
         if self.what == "clear":
             for row in rows:

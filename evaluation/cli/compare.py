@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
-from rich.markup import escape
 
 from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.cli.fields import (
@@ -39,6 +38,7 @@ from activestructure_gym.evaluation.cli.options import (
 )
 from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
 from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
+from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.running.comparison import Comparison, Result
@@ -211,10 +211,9 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
         if (directory / COMPARISON).is_file():
             trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
-            print(
-                "asg: stopped; finished runs are kept, go on with: "
-                f"asg compare --out {shlex.quote(str(directory))} --resume{trust}",
-                file=sys.stderr,
+            complain(
+                "stopped; finished runs are kept, go on with: "
+                f"asg compare --out {shlex.quote(str(directory))} --resume{trust}"
             )
         if isinstance(error, OSError):
             raise
@@ -385,7 +384,7 @@ def _report(console: Console, result: Result, directory: Path, seconds: float, b
         console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")
     if result.failed:
         what = counted(len(result.failed), "run")
-        print(f"asg: {what} failed; what was said is in {directory / 'logs'}", file=sys.stderr)
+        complain(f"{what} failed; what was said is in {directory / 'logs'}")
     return 1 if result.failed else 0
 
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command, parts_of
+from activestructure_gym.streams import say
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Completion:
 
     def run(self) -> int:
         """Print the script."""
-        print({"bash": _bash, "zsh": _zsh, "fish": _fish}[self.shell]())
+        say({"bash": _bash, "zsh": _zsh, "fish": _fish}[self.shell]())
         return 0
 
 

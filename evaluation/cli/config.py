@@ -14,13 +14,13 @@ from io import StringIO
 from typing import Annotated, Any
 
 import tyro
-from rich.markup import escape
 
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.cli.fields import Changes, Switch, option
 from activestructure_gym.evaluation.cli.listing import print_json, print_listed
 from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
 from activestructure_gym.evaluation.cli.output import list_table
+from activestructure_gym.streams import escape, say
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Config:
         )
         changes = [name for name, value in after.items() if name in before and value != before[name]]
         for name in changes:
-            print(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
+            say(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
         return 0
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from rich.markup import escape
-
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import option
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.streams import escape
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.errors import InputError, listed
 from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
@@ -146,8 +145,8 @@ def _open(names: tuple[str, ...]) -> list[Run]:
         finished, asked = open_comparison(directory), len((read_record(directory) or {"jobs": ()})["jobs"])
         runs += finished
         if len(finished) < asked:
-            print(f"asg: note: {asked - len(finished)} of {asked} runs in '{directory}' are not finished, and are "
-                  "left out", file=sys.stderr)  # fmt: skip
+            left = asked - len(finished)
+            complain(f"note: {left} of {asked} runs in '{directory}' are not finished, and are left out")
     if not runs:
         raise InputError(f"there is no finished run in {listed(names)}")
     return runs

@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, one_line
 from activestructure_gym.evaluation.cli.fields import PathName, option
+from activestructure_gym.streams import say
 
 _FORMATS = {".ply": "ply", ".splat": "splat", ".npz": "splatam"}
 _NAMES = {"ply": "map.ply", "splat": "map.splat", "splatam": "params.npz"}
@@ -65,7 +66,7 @@ class Export:
         except OSError as error:
             raise InputError(f"'{out}' cannot be written: {error.strerror}") from error
         frame = "in its first camera's frame" if form == "splatam" else f"{self.up} up"
-        print(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}")
+        say(one_line(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}"))
         return 0
 
 

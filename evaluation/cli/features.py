@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
-from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.fields import Switch, option
 from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed
 from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import list_table
 from activestructure_gym.evaluation.cli.policies import gains_asked
+from activestructure_gym.streams import escape, say
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Features:
         if self.json:
             return print_json([_facts(name) for name in names or FEATURES])
         if names:
-            print("\n\n".join(map(_described, names)))
+            say("\n\n".join(map(_described, names)))
             return 0
         features = {name: FEATURES.get(name) for name in FEATURES}
         table = list_table("Features of a candidate view", "name", "columns", "unit", "what it is")

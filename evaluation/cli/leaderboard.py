@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.markup import escape
-
 from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.cli.fields import PathName, Runs
 from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.streams import escape
 
 
 @dataclass(frozen=True)

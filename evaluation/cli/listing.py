@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import inspect
 import json
+import sys
 from typing import Any
 
 from rich.table import Table
 
+from activestructure_gym.errors import printable
 from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.streams import fitting, say
 
 
 def first_line(thing: Any) -> str:
@@ -25,5 +28,8 @@ def print_listed(table: Table, hint: str) -> None:
 
 def print_json(content: Any) -> int:
     """Print ``content`` as JSON; returns exit code 0."""
-    print(json.dumps(content, indent=1, default=str, ensure_ascii=False))
+    text = json.dumps(content, indent=1, default=str, ensure_ascii=False)
+    if fitting(printable(text), sys.stdout.encoding or "ascii") != text:  # JSON's own escapes keep it readable as JSON
+        text = json.dumps(content, indent=1, default=str)
+    say(text)
     return 0

@@ -5,22 +5,49 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich import box
-from rich.console import Console
-from rich.markup import escape
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
+
+from activestructure_gym.errors import printable
+from activestructure_gym.streams import Stream, escape, fitting, raw
 
 _WIDEST = 400  # columns
 _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
 
+class PlainConsole(Console):
+    """A console that prints no control characters but its own, and of the others those that its stream can show."""
+
+    def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
+        """Return the string as text, before anything is measured or wrapped."""
+        return super().render_str(self._shown(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the segments of what is printed."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(self._shown(segment.text), segment.style)
+
+    def _shown(self, text: str) -> str:
+        return fitting(printable(text), self.encoding)
+
+
 def make_console() -> Console:
-    """A console on standard output: as wide as the terminal or as ``COLUMNS`` says; a log is not wrapped."""
-    endless = not sys.stdout.isatty() and not os.environ.get("COLUMNS")
-    return Console(highlight=False, width=_WIDEST if endless else None)
+    """Return a console on standard output: as wide as the terminal or as ``COLUMNS`` says; a log is not wrapped."""
+    stream = raw(getattr(sys.stdout, "rich_proxied_file", sys.stdout))
+    stream = stream if isinstance(stream, Stream) else Stream(stream)
+    endless = not stream.isatty() and not os.environ.get("COLUMNS")
+    return _console(stream, _WIDEST if endless else None)
+
+
+def _console(file: Any, width: int | None) -> Console:
+    return PlainConsole(file=file, width=width, highlight=False, emoji=False)
 
 
 @contextmanager
@@ -50,7 +77,7 @@ def print_whole(console: Console, table: Table) -> None:
     needed = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
     if needed > console.width:
         # rich never exceeds a console's width, so the table gets a console of its own.
-        console = Console(file=console.file, width=needed, highlight=False)
+        console = _console(console.file, needed)
     console.print(table, crop=False)
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
-from rich.markup import escape
 
 from activestructure_gym.evaluation.cli.fields import Switch, option
 from activestructure_gym.evaluation.cli.listing import print_json, print_listed
 from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import list_table, make_console, plain_table, print_whole
+from activestructure_gym.streams import escape, say
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Policies:
             return print_json(found if len(found) > 1 else found[0])
         for number, facts in enumerate(found):
             if number:
-                print()
+                say()
             _describe(facts)
         return 0
 

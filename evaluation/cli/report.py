@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.markup import escape
 
 from activestructure_gym.errors import InputError, counted
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, Text, option
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
+from activestructure_gym.streams import escape
 
 
 @dataclass(frozen=True)

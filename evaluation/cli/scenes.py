@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
+from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
+from activestructure_gym.streams import escape
 
 _MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
@@ -39,8 +39,7 @@ class Scenes:
             if self.picture is not None:
                 raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
             if self.json:
-                print(json.dumps(_registered(), indent=1, default=str))
-                return 0
+                return print_json(_registered())
             table = plain_table("Scenes known by name", "name", "options")
             for row in _registered():
                 shown = (name if value is None else f"{name}={value}" for name, value in row["options"].items())
@@ -57,7 +56,7 @@ class Scenes:
             facts = describe(self.spec, status.update)
         if self.json:
             notes = [text for name, text in facts["lines"] if name == "note"]
-            print(json.dumps({**dict(facts["lines"]), "note": notes}, indent=1, ensure_ascii=False))
+            print_json({**dict(facts["lines"]), "note": notes})
         else:
             table = Table.grid(padding=(0, 2))
             for name, text in facts["lines"]:

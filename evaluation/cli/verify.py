@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from rich.markup import escape
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Runs, Switch
 from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -77,7 +75,7 @@ class Verify:
             try:
                 keep(run.directory, found)
             except InputError as error:
-                print(f"asg: note: this is not remembered: {error}", file=sys.stderr)
+                complain(f"note: this is not remembered: {error}")
         asked = len(runs) + len(refused)
         if failed:
             console.print(f"[red]✗[/] {failed} of {asked} did not come out as stored")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from activestructure_gym.evaluation.cli.fields import Changes, Count, Switch, op
 from activestructure_gym.evaluation.cli.options import parse_overrides, parse_start, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, working
 from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
+from activestructure_gym.streams import complain
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -77,10 +77,9 @@ class Watch:
         )
         console = make_console()
         if not ip_address(self.address).is_loopback:
-            print(
-                f"asg: note: whoever reaches {self.address} and has the link can look and steer, and the connection is "
-                "not encrypted",
-                file=sys.stderr,
+            complain(
+                f"note: whoever reaches {self.address} and has the link can look and steer, and the connection is "
+                "not encrypted"
             )
         console.print(f"Watch at [bold]{view.url}[/] (Ctrl+C ends)", soft_wrap=True)
         try:

@@ -8,6 +8,9 @@ import platform
 from functools import cache
 from pathlib import Path
 
+# In the environment of a Python process whose output is read as text, whatever the encoding of this process's.
+UTF_8 = {"PYTHONIOENCODING": "utf-8:backslashreplace"}
+
 
 @cache
 def machine_mark() -> str:

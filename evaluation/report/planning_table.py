@@ -51,7 +51,7 @@ def rich_planning_table(results: Results) -> RichTable | None:
 
     A number of frames is a mean of runs that all reached the level; else there is a dash and how many did.
     """
-    from rich.markup import escape
+    from activestructure_gym.streams import escape
 
     shown = {*_telling(results), "observed_area"}
     columns = measured([column for column in PROGRESS if column.key in shown], results.runs)

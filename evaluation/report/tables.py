@@ -96,7 +96,7 @@ def styled(text: str, best: bool) -> str:
 
 def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
     """The table for a terminal; the best numbers are bold and green."""
-    from rich.markup import escape
+    from activestructure_gym.streams import escape
 
     table = empty_rich_table(title)
     # A wrapped or shortened number cannot be read: no column gives way.
@@ -114,7 +114,7 @@ def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
 
 def in_terminal(table: Table) -> RichTable:
     """A table of the report for a terminal."""
-    from rich.markup import escape
+    from activestructure_gym.streams import escape
 
     shown = empty_rich_table(table.title)
     for heading in table.headings:

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running import episode
 from activestructure_gym.evaluation.running.engines import Outcome
+from activestructure_gym.streams import escape
 
 # Share of a job's time that follows its last frame: measuring and writing.
 _REST_SHARE = 0.1

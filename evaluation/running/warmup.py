@@ -28,6 +28,7 @@ import numpy as np
 from activestructure_gym.cores import core_count
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.machine.processes import UTF_8
 from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.engines.process import search_path
@@ -202,8 +203,9 @@ def _start(part: str, work: str, tally: Callable[[str], None]) -> subprocess.Pop
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         # It must compile what the workers will use, so it finds everything where they do.
-        env=worker_environment(slots=core_count()) | {"PYTHONPATH": os.pathsep.join(search_path())},
+        env=worker_environment(slots=core_count()) | UTF_8 | {"PYTHONPATH": os.pathsep.join(search_path())},
         text=True,
+        encoding="utf-8",
         start_new_session=True,  # Ctrl-C reaches it through us
     )
     assert process.stdin is not None

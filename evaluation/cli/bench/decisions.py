@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from activestructure_gym.errors import InputError
@@ -19,6 +18,7 @@ from activestructure_gym.evaluation.cli.fields import Count, Names, NoNames, Pat
 from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.files import replaced
+from activestructure_gym.streams import escape
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.benchmarks.decisions import Settings

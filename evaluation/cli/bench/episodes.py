@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from rich.markup import escape
-
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
 from activestructure_gym.evaluation.cli.fields import Count, NoNames, PresetName, Switch
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.cli.output import make_console, working
+from activestructure_gym.streams import escape
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.machine import hardware as machine
+from activestructure_gym.streams import escape
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from activestructure_gym.evaluation.cli.fields import option
 from activestructure_gym.evaluation.cli.options import split_list
 from activestructure_gym.evaluation.cli.output import plain_table, print_whole
+from activestructure_gym.streams import escape
 
 SceneNames = Annotated[str | None, option("SCENE,...", "")]
 

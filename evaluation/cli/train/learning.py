@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import shlex
-import sys
 import time
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.train.live import Live
+from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.training.config import TrainingConfig
@@ -43,7 +41,7 @@ def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers:
         words = f"asg train {config.method} --out {shlex.quote(str(directory))} --resume"
         if data:
             words += f" --data {shlex.quote(data)}"
-        print(f"asg: stopped; what is finished is kept, go on with: {words}", file=sys.stderr)
+        complain(f"stopped; what is finished is kept, go on with: {words}")
         return 130
     console.print(
         f"{config.units} {_unit(config)}, {time.monotonic() - began:.0f} s"

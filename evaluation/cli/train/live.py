@@ -6,8 +6,9 @@ import time
 from collections.abc import Mapping
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from activestructure_gym.streams import escape
 
 _SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
 

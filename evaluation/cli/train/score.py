@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from rich.markup import escape
-
 from activestructure_gym.errors import InputError, listed
 from activestructure_gym.evaluation.cli.fields import Names, NoNames, option
 from activestructure_gym.evaluation.cli.options import parse_overrides, parse_seeds, split_policies, split_scenes
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.evaluation.cli.train.common import Episodes, check_empty
 from activestructure_gym.evaluation.cli.train.live import Live
+from activestructure_gym.streams import escape
 
 _BASELINE = "pixel_only"
 

@@ -17,6 +17,7 @@ from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.parts import remove_parts
 from activestructure_gym.evaluation.archive.store import JOBS, is_done
+from activestructure_gym.evaluation.machine.processes import UTF_8
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
 
@@ -63,7 +64,7 @@ class WorkerProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env=dict(environment),
+            env={**environment, **UTF_8},
             text=True,
             encoding="utf-8",
             # Ctrl-C in a terminal goes to the whole group; the workers are stopped by us, in order.

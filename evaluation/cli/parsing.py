@@ -8,7 +8,7 @@ import re
 import sys
 import typing
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from itertools import takewhile
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -18,6 +18,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.evaluation.cli.commands import parts_of
+from activestructure_gym.streams import raw
 
 T = TypeVar("T")
 _SHELLS = ("bash", "zsh", "tcsh", "fish")
@@ -38,7 +39,8 @@ def parse(kind: type[T], name: str, words: Sequence[str]) -> T:
     said = io.StringIO()
     helped = any(word in ("-h", "--help") for word in words)
     try:
-        with _columns(_columns_of_help() if helped else _ENDLESS), redirect_stderr(said):
+        columns = _columns_of_help() if helped else _ENDLESS
+        with _columns(columns), redirect_stderr(said), redirect_stdout(raw(sys.stdout)):
             words = gathered(words, _lists(parts_of(kind).get(part, kind)))
             return tyro.cli(kind, prog=f"asg {name}", args=words, registry=_VALUES)
     except SystemExit as end:

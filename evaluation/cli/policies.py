@@ -53,7 +53,7 @@ def _describe(facts: dict[str, Any]) -> None:
     """Print one policy with its options."""
     console = make_console()
     console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
-    console.print(escape(facts["about"]), soft_wrap=True)
+    console.print("\n".join(map(escape, facts["about"].splitlines())), soft_wrap=True)
     console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
     console.print(escape(f"On native terms it brings {facts['native']}."), soft_wrap=True)
     if not facts["options"]:

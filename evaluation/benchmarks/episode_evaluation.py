@@ -74,7 +74,6 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     _, whole = _timed(lambda: protocol.evaluate(gaussians, fresh, path))
     yield {**name, "stage": "finished map, all of it", **whole}
 
-
     def checkpoint(*, images: bool = False, surface: bool = False) -> dict[str, float]:
         return _timed(
             lambda: protocol.checkpoint(

@@ -37,7 +37,7 @@ from activestructure_gym.evaluation.running.episode import run_job
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.threads import thread_cap
 cv2.setNumThreads(thread_cap())
-run_job(Job.from_dict(json.loads(Path(sys.argv[1]).read_text())), Path(sys.argv[2]))
+run_job(Job.from_dict(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))), Path(sys.argv[2]))
 """
 
 
@@ -96,7 +96,7 @@ def _by_hand(jobs: Sequence[Job], directory: Path) -> None:
         lines.append(f"{file} {directory / job.name}\n")
     environment = worker_environment(slots) | {"PYTHONPATH": os.pathsep.join(search_path())}
     command = ["xargs", "-P", str(slots), "-L", "1", sys.executable, "-c", BY_HAND]
-    subprocess.run(command, input="".join(lines), text=True, env=environment, check=True, capture_output=True)
+    subprocess.run(command, input="".join(lines).encode(), env=environment, check=True, capture_output=True)
 
 
 def _supervised(jobs: Sequence[Job], directory: Path) -> None:

@@ -228,7 +228,7 @@ def gaussians_in_view(
 def resident_mb() -> float:
     """Resident memory of this process in megabytes (where the system does not tell: its largest so far)."""
     try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     except (OSError, ValueError, IndexError):
         import resource

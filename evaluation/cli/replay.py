@@ -46,9 +46,7 @@ class Replay:
         use_trust(self.trust_code)
         directories = [found for name in self.runs for found in _runs_of(Path(name))]
         if not 1 <= len(directories) <= MOST_RUNS:
-            raise InputError(
-                f"a replay shows one run or two, got {len(directories)}: name their directories in jobs/"
-            )
+            raise InputError(f"a replay shows one run or two, got {len(directories)}: name their directories in jobs/")
         from activestructure_gym.evaluation.archive.store import REPLAY, read_run
 
         if self.video is not None:

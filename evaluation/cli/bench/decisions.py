@@ -148,7 +148,8 @@ def _kept(folder: Path, settings: Settings) -> list[dict[str, Any]]:
     try:
         if json.loads(place.read_text(encoding="utf-8")) != written:
             raise InputError(f"'{folder}' was begun with other settings: give the same, or choose another --out")
-        return [json.loads(line) for line in records.read_text().splitlines()] if records.exists() else []
+        lines = records.read_text(encoding="utf-8").splitlines() if records.exists() else []
+        return [json.loads(line) for line in lines]
     except ValueError as error:
         if isinstance(error, InputError):
             raise

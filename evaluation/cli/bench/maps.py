@@ -142,7 +142,7 @@ def _write(out: str, name: str, settings: dict[str, Any], rows: Sequence[dict[st
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     content = {"settings": settings, "hardware": machine.hardware(), "rows": rows}
-    (folder / name).write_text(json.dumps(content, indent=1) + "\n")
+    (folder / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return folder
 
 

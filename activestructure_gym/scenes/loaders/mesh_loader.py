@@ -40,6 +40,7 @@ _WORLD_FROM_FILE = {
 
 _MOST_OVERLAP = 300  # boxes of triangles on a line; scans and furnished scenes have 4 to 20
 _PLAUSIBLE_EXTENT = (0.5, 200.0)  # metres, of the longest side: below is no room, above is no building
+_USUAL_HEIGHT = 2.6  # metres, of a room with its floor and ceiling
 _COARSEST_STEP = 0.001  # metres between neighbouring float32 positions; coarser ones bend walls and blur depth
 _FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once: 50 MB, where a scan would take gigabytes
 
@@ -303,7 +304,7 @@ def _check_extent(path: Path, vertices: np.ndarray, scale: float) -> None:
     if _PLAUSIBLE_EXTENT[0] <= longest <= _PLAUSIBLE_EXTENT[1]:
         return
     # A room or flat is some 2 to 60 m long; the unit that makes it so is what the file was probably drawn in.
-    hint = _units_hint(longest / scale, 2.0, 60.0)
+    hint = _units_hint(extent / scale, longest / scale, 2.0, 60.0)
     size = " x ".join(f"{side:.4g}" for side in extent)
     raise InputError(f"'{path}' is {size} m (x, y, z), which is no room or building: {hint}")
 
@@ -328,10 +329,18 @@ def _box_area(sides: np.ndarray) -> np.ndarray:  # [..., 3] -> [...], half the s
     return x * y + y * z + x * z
 
 
-def _units_hint(file_length: float, low: float, high: float) -> str:
-    """Which units make a length of the file lie between ``low`` and ``high`` metres."""
-    fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= file_length * metres <= high]
-    return f"try units={' or units='.join(fitting)}" if fitting else "pass units= as metres per file unit"
+def _units_hint(extent: np.ndarray, length: float, low: float, high: float) -> str:
+    """Return the units in which a length lies between ``low`` and ``high`` metres, the most plausible one first.
+
+    Both the extent [3] and the length are in file units. The shortest side of a scene is most often its height.
+    """
+    fitting = [unit for unit, metres in METRES_PER_UNIT.items() if low <= length * metres <= high]
+    if not fitting:
+        return "pass units= as metres per file unit"
+    height = extent.min() if (extent > 0).all() else length
+    fitting.sort(key=lambda unit: abs(np.log(height * METRES_PER_UNIT[unit] / _USUAL_HEIGHT)))
+    sizes = [" x ".join(f"{side * METRES_PER_UNIT[unit]:.1f}" for side in extent) for unit in fitting]
+    return "try " + " or ".join(f"units={unit} ({size} m)" for unit, size in zip(fitting, sizes))
 
 
 def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
@@ -343,7 +352,7 @@ def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
         return f"{size} m (x, y, z), no ceiling found: check that the unit is metres (option units)", False
     if CEILING_HEIGHTS[0] <= height <= CEILING_HEIGHTS[1]:
         return f"{size} m (x, y, z), ceiling height {height:.2f} m: plausible", True
-    hint = _units_hint(height / scale, 2.2, 4.0)
+    hint = _units_hint((high - low) / scale, height / scale, 2.2, 4.0)
     return f"{size} m (x, y, z), ceiling height {height:.2f} m: unusual; if the unit is wrong, {hint}", False
 
 

@@ -182,7 +182,16 @@ def test_a_room_in_millimetres_is_told_its_unit(write_box):
     assert "4000 x 3000 x 2500 m" in message and "units=mm" in message
     # The other way round: metres read as millimetres. The hint is about the file, not about what came of it.
     message = _error(write_box(".stl"), units="mm")
-    assert "0.004 x 0.003 x 0.0025 m" in message and message.endswith("try units=m")
+    assert "0.004 x 0.003 x 0.0025 m" in message and message.endswith("try units=m (4.0 x 3.0 x 2.5 m)")
+
+
+def test_units_are_proposed_with_the_size_they_give_the_likeliest_first(tmp_path, make_box):
+    import trimesh
+
+    vertices, faces = make_box((0, 0, 0), (283, 161, 106))  # a hotel room in inches
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "room.stl")
+    sizes = "units=in (7.2 x 4.1 x 2.7 m) or units=cm (2.8 x 1.6 x 1.1 m) or units=dm (28.3 x 16.1 x 10.6 m)"
+    assert _error(tmp_path / "room.stl").endswith(f"no room or building: try {sizes}")
 
 
 def test_unknown_units_and_axes(write_box):
@@ -196,7 +205,7 @@ def test_unknown_units_and_axes(write_box):
         load_mesh_scene(path, up="w")
 
 
-@pytest.mark.parametrize("factor, said", [(1 / 0.3048, "units=ft"), (10.0, "units=dm"), (0.3, "units=")])
+@pytest.mark.parametrize("factor, said", [(1 / 0.3048, "try units=ft (4.0 x 3.0 x 2.5 m)"), (10.0, "units=dm"), (0.3, "units=")])
 def test_the_scale_check_names_units_that_make_a_room(write_box, factor, said):
     note = load_mesh_scene(write_box(".stl", factor)).notes[0]
     assert "unusual" in note and said in note

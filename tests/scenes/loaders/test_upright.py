@@ -233,7 +233,7 @@ def test_auto_refuses_to_guess(tmp_path, write, make_box):
     assert "cannot tell which way is up: floor and ceiling lie" in error(path, up="auto")
     # A wrong unit is the likelier reason, and is what the message is about.
     huge = write(make_box((0, 0, 0), (4000, 3000, 2500)), "y", ".ply")
-    assert error(huge, up="auto").endswith("try units=cm or units=mm")
+    assert error(huge, up="auto").endswith("try units=mm (4.0 x 2.5 x 3.0 m) or units=cm (40.0 x 25.0 x 30.0 m)")
     assert "unknown up axis 'w'" in error(path, up="w") and "auto" in error(path, up="w")
 
 

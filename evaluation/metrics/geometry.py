@@ -36,7 +36,7 @@ class SurfaceSamples:
 
 @dataclass(frozen=True)
 class GeometryScores:
-    """The six numbers; None where they are not defined (no reconstructed point) or not measured."""
+    """The six numbers; None where they are not defined (no reconstructed point, no surface) or not measured."""
 
     accuracy_cm: float | None  # mean distance from a reconstructed point to the true surface
     sample_accuracy_cm: float | None  # the same to the nearest true *sample*, as most papers print it
@@ -78,7 +78,7 @@ def geometry_scores(
     Parameters
     ----------
     reconstructed
-        [P, 3] points, metres, world.
+        [P, 3] points, metres, world. Points that are not finite are left out, as are such samples of the surface.
     surface
         Samples of the true surface.
     threshold_m
@@ -105,6 +105,12 @@ def geometry_scores(
     (2.0, 50.0, 100.0)
     """
     reconstructed = np.asarray(reconstructed, dtype=np.float64).reshape(-1, 3)
+    reconstructed = reconstructed[np.isfinite(reconstructed).all(axis=1)]
+    real = np.isfinite(surface.points).all(axis=1)
+    if not real.any():
+        return GeometryScores(None, None, None, None, None, None)
+    if not real.all():
+        surface = SurfaceSamples(surface.points[real], surface.normals[real], surface.area)
     to_points = completion_distances(surface, reconstructed)
     ratio = _percent(to_points < threshold_m)
     if not len(reconstructed):

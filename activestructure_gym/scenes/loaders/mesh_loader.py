@@ -216,7 +216,7 @@ def _read(path: Path, textures: TextureStore) -> tuple[list[MeshPart], float, De
         if suffix == ".stl":
             from activestructure_gym.scenes.loaders.stl import read_stl
 
-            return read_stl(textures.budget.read(path)), 1.0, declared
+            return read_stl(textures.budget.read(path), textures), 1.0, declared
         from activestructure_gym.scenes.loaders.trimesh_reader import read_with_trimesh
 
         return read_with_trimesh(path, textures), 1.0, declared

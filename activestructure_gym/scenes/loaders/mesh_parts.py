@@ -7,6 +7,7 @@ and all checks happen once, in `mesh_loader`.
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,7 +85,9 @@ class TextureStore:
             shrink = min(1.0, self.max_size / max(image.size))
             self.budget.take("pixels", image.width * image.height)
             self.budget.take("pixels after shrinking", int(image.width * image.height * shrink**2))
-            pixels = _shrunk_pixels(image, self.max_size)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Pillow's, on palettes and metadata: what matters raises
+                pixels = _shrunk_pixels(image, self.max_size)
         except LimitError as error:
             return self._missing(key, f"{name}: {error}")
         except Exception:  # Pillow raises whatever the codec raises

@@ -26,6 +26,7 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
 )
 from activestructure_gym.scenes.loaders.mtl_text import texture_map
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
+from activestructure_gym.scenes.loaders.plain_ply import plain_ply
 from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
 from activestructure_gym.scenes.loaders.references import find_reference
 from activestructure_gym.scenes.scene import REPEAT
@@ -48,7 +49,9 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
             loaded = obj.load_obj(io.StringIO(text), resolver=resolver)
             _note_unknown_materials(text, resolver.materials, textures)
         else:
+            data, pictures = plain_ply(data)
             _check_ply(data, textures)
+            textures.ignored += [f"TextureFile {name}" for name in pictures[1:]]
             try:
                 loaded = ply.load_ply(io.BytesIO(data), resolver=_resolver(path, textures))
             except ValueError as error:

@@ -1,3 +1,5 @@
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -70,6 +72,25 @@ def test_the_threshold_is_strict():
     assert (at_threshold.completion_ratio, at_threshold.precision, at_threshold.f_score) == (0.0, 0.0, 0.0)
     below = geometry_scores(np.array([[0.0, 0.0, 0.499]]), surface, threshold_m=0.5)
     assert (below.completion_ratio, below.precision, below.f_score) == (100.0, 100.0, 100.0)
+
+
+def test_without_a_surface_no_number_is_defined():
+    surface = SurfaceSamples(np.zeros((0, 3)), np.zeros((0, 3)), 0.0)
+    for points in (np.zeros((0, 3)), np.ones((4, 3))):
+        assert set(asdict(geometry_scores(points, surface)).values()) == {None}
+
+
+def test_points_that_are_not_finite_do_not_count(rng):
+    surface, points = wall(400, rng), rng.uniform(0.0, 2.0, (50, 3))
+    odd = np.concatenate([points, [[np.nan, 0, 0], [0, np.inf, 0]]])
+    assert geometry_scores(odd, surface) == geometry_scores(points, surface)
+    broken = SurfaceSamples(
+        np.concatenate([surface.points, [[np.nan] * 3]]), np.concatenate([surface.normals, [[0, 0, 1]]]), surface.area
+    )
+    scores = asdict(geometry_scores(points, broken))
+    assert all(np.isfinite(value) for value in scores.values())
+    nothing = geometry_scores(np.full((3, 3), np.nan), surface)
+    assert nothing == geometry_scores(np.zeros((0, 3)), surface)
 
 
 def test_nothing_reconstructed_scores_zero_and_has_no_distances(rng):

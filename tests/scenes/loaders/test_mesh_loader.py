@@ -205,7 +205,9 @@ def test_unknown_units_and_axes(write_box):
         load_mesh_scene(path, up="w")
 
 
-@pytest.mark.parametrize("factor, said", [(1 / 0.3048, "try units=ft (4.0 x 3.0 x 2.5 m)"), (10.0, "units=dm"), (0.3, "units=")])
+@pytest.mark.parametrize(
+    "factor, said", [(1 / 0.3048, "try units=ft (4.0 x 3.0 x 2.5 m)"), (10.0, "units=dm"), (0.3, "units=")]
+)
 def test_the_scale_check_names_units_that_make_a_room(write_box, factor, said):
     note = load_mesh_scene(write_box(".stl", factor)).notes[0]
     assert "unusual" in note and said in note

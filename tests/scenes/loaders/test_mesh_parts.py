@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -66,6 +68,16 @@ def test_what_cannot_be_read_is_remembered_once(tmp_path):
     store = TextureStore()
     assert [store.add_file(tmp_path, n) for n in ("gone.png", "gone.png", "broken.png")] == [-1, -1, -1]
     assert store.unreadable == ["gone.png", "broken.png"]
+
+
+def test_warnings_of_the_decoder_do_not_reach_the_terminal(tmp_path):
+    image = Image.new("P", (4, 4), 1)
+    image.putpalette([0, 0, 0, 120, 80, 40])
+    image.save(tmp_path / "p.png", transparency=b"\x00\x80")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (store := TextureStore()).add_file(tmp_path, "p.png") == 0
+    assert tuple(store.images[0][0, 0]) == (120, 80, 40)
 
 
 def test_parts_keep_their_order_and_their_own_vertices():

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
     from activestructure_gym.reconstruction import Reconstruction
 
-_STORED_VIEWS = 8  # the first of the held-out views, which are in random order
+STORED_VIEWS = 8  # the first of the held-out views, which are in random order
 _PIXELS_PER_METRE = 90
 _LONGEST_SIDE = 640  # pixels; larger scenes are drawn smaller
 _BAND_M = 0.5  # free and occupied are those of this height above and below the camera
@@ -23,7 +23,7 @@ def picture_arrays(
     protocol: StandardProtocol, truth: Truth, reconstruction: Reconstruction, psnr: Sequence[float]
 ) -> dict[str, np.ndarray]:
     """What a run keeps for its pictures: ``rendered`` and ``true`` [n, H, W, 3] uint8, ``psnr`` [n], and the plan's."""
-    count = min(_STORED_VIEWS, len(truth.views))
+    count = min(STORED_VIEWS, len(truth.views))
     gaussians = reconstruction.mapper.map
     rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
     return {

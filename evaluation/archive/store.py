@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import run_files, schema
+from activestructure_gym.evaluation.archive import agreement, run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
 from activestructure_gym.evaluation.archive.old_names import current_name
 from activestructure_gym.evaluation.archive.parts import part_of, writing
@@ -62,6 +62,7 @@ COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
 JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
+PLY = "map.ply"
 # What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
 _READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
 REPLAY = "replay.html"  # the page to watch a run on, where one was made
@@ -188,8 +189,23 @@ def damage_of(directory: Path, job: Job) -> str | None:
 
 
 def read_all(run: Run) -> None:
-    """Read every file of a run and compare it with its sum; raises `InputError` about the first that is damaged."""
-    _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols, run.gaussians
+    """Read every file of a run, compare it with its checksum and with the others; raises `InputError` at a mismatch."""
+    count = run.gaussians.count
+    read_shown(run)
+    if (told := run.metrics["metrics"].get("gaussians", count)) != count:
+        raise _damaged(run.directory / MAP, f"it holds {count} Gaussians, and {METRICS} says {told}")
+
+
+def read_shown(run: Run) -> None:
+    """Do the same without the map, which no report shows."""
+    steps, trajectory, graph, pictures, _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols
+    try:
+        agreement.check_counts(run.metrics, run.timing["decisions"], steps, trajectory)
+        agreement.check_views(run.metrics, run.job.protocol.views, pictures)
+        if graph is not None:
+            agreement.check_planes(graph, steps)
+    except schema.Mismatch as error:
+        raise _damaged(run.directory / METRICS, f"it does not fit the run's other files ({error})") from error
 
 
 def unsummed(run: Run) -> list[str]:
@@ -341,9 +357,13 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
 
 def write_json(path: Path, content: Any) -> None:
     """Write ``content`` at once: readers see the old file or the new one."""
-    text = json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
     with replaced(path) as file:
-        file.write(text.encode("utf-8"))
+        file.write(json_text(content).encode("utf-8"))
+
+
+def json_text(content: Any) -> str:
+    """Return the text of a JSON file as it is written."""
+    return json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
 
 
 def read_json(path: Path, check: schema.Check = schema.anything, *, remedy: str = "") -> Any:

@@ -16,8 +16,10 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import parts, schema, store
 
 VARIABLE = "ASG_VERIFIED_DIR"
-Verdict = Literal["identical", "within tolerances", "differs", "damaged"]
-GOOD: tuple[Verdict, ...] = ("identical", "within tolerances")
+# Only what is identical is confirmed. What is not comparable here is neither confirmed nor refuted: other bytes came
+# out on another processor or with other versions than the run names.
+Verdict = Literal["identical", "not comparable here", "differs", "damaged"]
+REFUTED: tuple[Verdict, ...] = ("differs", "damaged")
 
 _MARK: schema.Check = schema.table(
     {"verdict": schema.text, "why": schema.each(schema.text), "processor": schema.text, "code": schema.text}

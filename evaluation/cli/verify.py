@@ -1,4 +1,4 @@
-"""``asg verify``: finished runs played again, and compared with what they stored."""
+"""``asg verify``: play finished runs again and compare them with what they store."""
 
 from __future__ import annotations
 
@@ -17,15 +17,18 @@ if TYPE_CHECKING:
 
     from activestructure_gym.evaluation.running.episode import Progress
 
-_MARKS = {"identical": "[green]✓[/]", "within tolerances": "[yellow]≈[/]"}
+_MARKS = {"identical": "[green]✓[/]", "not comparable here": "[yellow]?[/]"}
+_NOT_COMPARABLE = 3  # exit code
 
 
 @dataclass(frozen=True)
 class Verify:
-    """Play finished runs again and compare them with what they stored: every file byte for byte.
+    """Play finished runs again and compare what they store, byte for byte.
 
-    Where they were made on another processor or with other versions their numbers are compared, within tolerances. What
-    came out is remembered on this machine, outside the runs, and shown by `asg leaderboard`.
+    A run is identical, differs, or is damaged. It is not comparable here where other bytes came out on another
+    processor or with other versions than it names: that confirms nothing. The verdict is remembered on this machine,
+    outside the runs, and shown by `asg leaderboard`. Exit codes: 0, all runs are identical; 1, a run differs, is
+    damaged or cannot be played; 3, a run is not comparable here.
     """
 
     runs: Runs = ()
@@ -34,20 +37,20 @@ class Verify:
     """Let the runs' files name code, package.module:Name, that is run."""
 
     def run(self) -> int:
-        """0 if every run came out as it was stored, 1 if one did not."""
+        """Play, tell and remember; returns the exit code."""
         use_trust(self.trust_code)
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
         from activestructure_gym.evaluation.archive.comparison import each_run
-        from activestructure_gym.evaluation.archive.verified import GOOD, keep
+        from activestructure_gym.evaluation.archive.verified import REFUTED, keep
         from activestructure_gym.evaluation.running.verifying import verify
 
         if not self.runs:
             raise InputError("name the directory of a comparison or of a run to play again")
         console = make_console()
         runs, refused = each_run([Path(name) for name in self.runs])
-        failed, unplayed = len(refused), 0
+        failed, unplayed, open_ = len(refused), 0, 0
         for reason in refused.values():
             console.print(f"[red]✗[/] damaged: {escape(reason)}", soft_wrap=True)
         columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
@@ -68,7 +71,8 @@ class Verify:
                 said = escape(f"{run.job.title}: cannot be played here: {said}")
                 console.print(f"[red]✗[/] {said}", soft_wrap=True)
                 continue
-            failed += found.verdict not in GOOD
+            failed += found.verdict in REFUTED
+            open_ += found.verdict == "not comparable here"
             mark = _MARKS.get(found.verdict, "[red]✗[/]")
             said = f"{mark} {escape(run.job.title)}: {found.verdict}"
             console.print("; ".join((said, *map(escape, found.why))), soft_wrap=True)
@@ -79,6 +83,8 @@ class Verify:
         asked = len(runs) + len(refused)
         if failed:
             console.print(f"[red]✗[/] {failed} of {asked} did not come out as stored")
+        if open_:
+            console.print(f"[yellow]?[/] {open_} of {asked} can neither be confirmed nor refuted on this machine")
         if unplayed:
             console.print(f"[red]✗[/] {unplayed} of {asked} could not be played, so nothing is known of them")
-        return 1 if failed or unplayed else 0
+        return 1 if failed or unplayed else _NOT_COMPARABLE if open_ else 0

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, TRAJECTORY, Job, is_reference
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.archive.verified import GOOD, Verification
+from activestructure_gym.evaluation.archive.verified import REFUTED, Verification
 from activestructure_gym.evaluation.report.columns import RATIOS, Column, value_of
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number, ranked
@@ -53,28 +53,30 @@ class Row:
 
     @property
     def verified(self) -> int:
-        """Runs that came out again as they were stored."""
-        return sum(one is not None and one.verdict in GOOD for one in self.known)
+        """Runs of which every byte came out again here."""
+        return sum(one is not None and one.verdict == "identical" for one in self.known)
+
+    @property
+    def incomparable(self) -> int:
+        """Runs that can neither be confirmed nor refuted here."""
+        return sum(one is not None and one.verdict == "not comparable here" for one in self.known)
 
     @property
     def refuted(self) -> int:
-        """Runs that did not."""
-        return sum(one is not None and one.verdict not in GOOD for one in self.known)
+        """Runs that differ or are damaged."""
+        return sum(one is not None and one.verdict in REFUTED for one in self.known)
 
     @property
     def status(self) -> str:
         """What a reader may rely on, in words."""
         if self.refuted:
             return f"refuted: {counted(self.refuted, 'run')} came out otherwise"
+        told = f", {self.incomparable} not comparable here" if self.incomparable else ""
         if not self.verified:
-            return "self-reported"
-        part = (
-            ""
-            if self.verified == len(self.runs)
-            else f" {self.verified} of {len(self.runs)} runs, others self-reported"
-        )
-        exact = all(one is None or one.verdict == "identical" for one in self.known)
-        return f"verified{part}" + ("" if exact else ", within tolerances")
+            return f"self-reported{told}"
+        if self.verified == len(self.runs):
+            return "verified"
+        return f"verified {self.verified} of {len(self.runs)} runs, others self-reported{told}"
 
     @property
     def command(self) -> str:
@@ -136,7 +138,8 @@ def _each_once(runs: Sequence[Run], known: Known) -> list[Run]:
 
 
 def _weight(found: Verification | None) -> int:
-    return 0 if found is None else 2 if found.verdict in GOOD else 1
+    verdict = None if found is None else found.verdict
+    return 2 if verdict == "identical" else 1 if verdict in REFUTED else 0
 
 
 def leaderboard_page(runs: Sequence[Run], known: Known, refused: Mapping[str, str]) -> str:
@@ -148,7 +151,7 @@ def leaderboard_page(runs: Sequence[Run], known: Known, refused: Mapping[str, st
     body = render(
         "leaderboard.html.j2",
         title=title,
-        verified=sum(row.status.startswith("verified") for row in rows),
+        verified=sum(row.verified == len(row.runs) for row in rows),
         rows=len(rows),
         refused={without_places(name): without_places(reason) for name, reason in refused.items()},
         sections=sections,
@@ -244,7 +247,7 @@ def _column(rows: Sequence[Row], column: Column, ranks: Sequence[bool]) -> list[
 
 
 def _status(row: Row) -> Cell:
-    return Cell(row.status, tone="bad" if row.refuted else "good" if row.verified else "")
+    return Cell(row.status, tone="bad" if row.refuted else "good" if row.verified == len(row.runs) else "")
 
 
 def _made_on(row: Row) -> str:

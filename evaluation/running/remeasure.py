@@ -54,11 +54,12 @@ def differing(stored: dict[str, Any], numbers: dict[str, Any]) -> list[str]:
     """
     partial = stored.get("lpips") is None or numbers.get("lpips") is None
     if partial:
-        stored, numbers = _without_lpips(stored), _without_lpips(numbers)
+        stored, numbers = without_lpips(stored), without_lpips(numbers)
     return [name for name, value in numbers.items() if name not in stored or stored[name] != value]
 
 
-def _without_lpips(numbers: dict[str, Any]) -> dict[str, Any]:
+def without_lpips(numbers: dict[str, Any]) -> dict[str, Any]:
+    """Return the numbers without LPIPS, of every view too."""
     kept = {name: value for name, value in numbers.items() if not name.startswith("lpips")}
     kept["views"] = [{k: v for k, v in view.items() if k != "lpips"} for view in numbers["views"]]
     kept["notes"] = {k: v for k, v in numbers["notes"].items() if k != "lpips"}

@@ -1,13 +1,18 @@
-"""A finished run played again, and compared with what it stored: byte for byte, or within tolerances elsewhere.
+"""Play a finished run again and compare everything that its job decides with what the run stores.
 
-On one kind of processor with the same versions equal jobs give equal bytes. On another kind sums are rounded otherwise,
-and a decision that was close may fall the other way: there the numbers are compared, each within its tolerance.
+Equal jobs give equal bytes on one kind of processor with the same versions, so only equal bytes confirm a run. Other
+bytes refute it where nothing else differs. On another processor or with other versions they do neither: sums are
+rounded otherwise, and a close decision may fall the other way. Processor and versions are the run's own words, so they
+never turn a difference into a confirmation. Such a run is refuted only where it contradicts itself.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +23,35 @@ from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.archive.verified import Verification
 from activestructure_gym.evaluation.machine.hardware import code_sum, hardware
+from activestructure_gym.evaluation.metrics.planning import planning_scores
+from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.running.episode import Progress, run_job
-from activestructure_gym.evaluation.running.remeasure import differing
+from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of, without_lpips
 
-# By how much a number of the same job may be another one on another processor: own choice, a third to a half of what
-# two seeds differ by in docs/notebook/benchmark.md.
-TOLERANCES = {
-    "completion_ratio": 1.0, "tsdf_completion_ratio": 1.0, "observed": 1.0, "observed_area": 1.0, "precision": 1.0,
-    "psnr": 0.5, "ssim": 0.02, "accuracy_cm": 0.2, "completion_cm": 0.5, "depth_l1_cm": 1.0,
-}  # fmt: skip
-# What a run stores and is decided by its job alone; the clock is not.
-COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP)
+# What a run stores and its job decides. The clock is not compared, nor are pictures and pages drawn from these files.
+COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP,
+            store.PLY)  # fmt: skip
+# Up to which a number of one map agrees with that measured on another processor. Own choice, far above rounding:
+# agreement confirms nothing.
+_CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute
+_MOST = 5  # numbers that are named, the leaderboard's first
+_LEADING = ("tsdf_completion_ratio", "completion_ratio", "observed_area", "psnr")
+_SHOWING = ("rich", "tyro", "pillow", "matplotlib")  # packages that make no number
 
 
 def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -> Verification:
-    """Check the stored files of ``run`` against their sums, play its job again, and compare.
+    """Check the stored files of ``run`` against their checksums, play its job again, and compare.
 
-    Raises `InputError` where the job cannot be played here: its scene or policy is not at hand or has changed, or its
+    Raises `InputError` where the job cannot be played here: its scene or policy is missing or has changed, or its
     files name code that was not trusted.
     """
     here = {"processor": str(hardware()["processor"]), "code": code_sum()}
     try:
-        whole = store.open_run(run.directory)
-        store.read_all(whole)
-        if loose := store.unsummed(whole):
-            raise InputError(f"{store.DONE} has no sum of {', '.join(loose)}, which could be changed unseen")
-        if untrue := untrue_evaluations(whole):
+        run = store.open_run(run.directory, run.scene)
+        store.read_all(run)
+        if loose := store.unsummed(run):
+            raise InputError(f"{store.DONE} has no checksum of {', '.join(loose)}: a change would not be detected")
+        if untrue := untrue_evaluations(run):
             raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")
     except InputError as error:
         return Verification("damaged", (str(error),), **here)
@@ -54,84 +62,95 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     refuse_code([run.job], run.directory / store.CONFIG)
     with tempfile.TemporaryDirectory(prefix="asg-verify-") as folder:
         again = run_job(run.job, Path(folder) / "again", tell)
-        others = [name for name in COMPARED if not _same(run, again, name)] + other_protocols(run, again)
-        others += untrue_lpips(run, again)
-        unchecked = unchecked_lpips(run, again)
-        if not others:
-            return Verification("identical", unchecked, **here)
-        wrong = out_of_tolerance(run.metrics["metrics"], again.metrics["metrics"])
-        for name in run.job.also:
-            found = [one.protocols.get(name, {"metrics": {}})["metrics"] for one in (run, again)]
-            wrong += [f"{name}: {text}" for text in out_of_tolerance(*found)]
-        codes = [one.config["versions"].get("code") for one in (run, again)]
-        if store.CONFIG in others and codes[0] == codes[1]:  # which rounds nothing
-            wrong.append(f"another {store.CONFIG} of the same code")
-    before, now = (one.config.get(OWN_CODE, {}) for one in (run, again))
-    wrong += [f"{name} has changed since" for name, total in before.items() if now.get(name, total) != total]
-    elsewhere = elsewhere_in(run, again)
+        evaluations, missing = evaluations_again(run, again)
+        others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
+    if not others:
+        return Verification("not comparable here" if missing else "identical", tuple(missing), **here)
+    told = f"other bytes in {', '.join(others)}"
+    elsewhere = elsewhere_in(run, again) + missing
     if not elsewhere:
-        return Verification("differs", (f"other bytes in {', '.join(others)}", *wrong), **here)
-    return Verification("differs" if wrong else "within tolerances", (*elsewhere, *wrong, *unchecked), **here)
+        return Verification("differs", (told, *numbers_that_differ(run, again)), **here)
+    codes = [one.config["versions"].get("code") for one in (run, again)]
+    wrong = [f"another {store.CONFIG} of the same code"] if store.CONFIG in others and codes[0] == codes[1] else []
+    if wrong := [*wrong, *contradictions(run)]:
+        return Verification("differs", (told, *wrong), **here)
+    return Verification("not comparable here", (*elsewhere, told, *numbers_that_differ(run, again)), **here)
 
 
-def out_of_tolerance(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
-    """Numbers that differ by more than `TOLERANCES`, in words."""
-    wrong = []
-    for name, most in TOLERANCES.items():
-        before, now = stored.get(name), found.get(name)
-        if (before is None) != (now is None) or (before is not None and not abs(now - before) <= most):
-            shown = ["none" if value is None else f"{value:.2f}" for value in (before, now)]
-            wrong.append(f"{name} {shown[0]}, again {shown[1]}, which may differ by {most:g}")
-    return wrong
+def numbers_that_differ(run: Run, again: Run) -> list[str]:
+    """The run's own numbers that come out otherwise, in words, `_MOST` of them."""
+    stored, found = (one.metrics["metrics"] for one in (run, again))
+    names = dict.fromkeys((*_LEADING, *found, *stored))
+    return _first(
+        f"{name} {_shown(stored.get(name))}, again {_shown(found.get(name))}"
+        for name in names
+        if not name.startswith("lpips") and _is_scalar(stored.get(name)) and stored.get(name) != found.get(name)
+    )
 
 
-def other_protocols(run: Run, again: Run) -> list[str]:
-    """The job's further protocols of which the stored numbers are others than those measured again, as files.
+def contradictions(run: Run) -> list[str]:
+    """Numbers that do not follow from the map, the path and the curve that the run itself stores, in words.
 
-    What was measured later is none of the job's: `asg evaluate` says whether those numbers come out again.
+    Whichever processor played the run, its map can be measured on this one.
     """
+    planned, _ = planning_scores(run.metrics["curve"], run.config["configuration"]["frame_budget"])
     wrong = []
-    for name in run.job.also:
-        stored, found = (one.protocols.get(name) for one in (run, again))
-        if stored is None or found is None or differing(stored["metrics"], found["metrics"]):
-            wrong.append(f"{store.EVALUATIONS}/{name}.json")
-    return wrong
+    with suppress(InputError):  # a protocol that this version does not know
+        for protocol, stored in protocols_of(run):
+            stored = stored or {}
+            measured = measure_again(run, protocol) | (planned if protocol.name == run.job.protocol.name else {})
+            wrong += [
+                f"{protocol.name}: {name} is {_shown(stored[name])}, and {_shown(value)} by the run's own map and curve"
+                for name, value in measured.items()
+                if name in stored and not name.startswith("lpips") and _is_scalar(value)
+                and not _is_close(stored[name], value)
+            ]  # fmt: skip
+    return _first(wrong)
 
 
 def untrue_evaluations(run: Run) -> list[str]:
     """Evaluations by the run's own protocol that say more than an LPIPS beside the run's own numbers, in words."""
-    own = run.metrics["metrics"]
-    found = {
-        name: differing(own, content["metrics"])
-        for name, content in run.evaluations.items()
-        if content["protocol"]["name"] == run.job.protocol.name
-    }
-    return [
-        f"{store.EVALUATIONS}/{name} has another {', '.join(numbers)} than metrics.json"
-        for name, numbers in found.items()
-        if numbers
-    ]
+    own, parameters = run.metrics["metrics"], store.plain(run.job.protocol.parameters())
+    wrong = []
+    for name, content in run.evaluations.items():
+        if content["protocol"]["name"] != run.job.protocol.name:
+            continue
+        numbers = differing(own, content["metrics"])
+        if numbers or content["protocol"] != parameters:
+            other = ", ".join(numbers) or "protocol"
+            wrong.append(f"{store.EVALUATIONS}/{name} has another {other} than {store.METRICS}")
+    return wrong
 
 
-def untrue_lpips(run: Run, again: Run) -> list[str]:
-    """Files that hold another LPIPS, measured later by the run's own protocol, than is measured here."""
-    found = again.metrics["metrics"].get("lpips")
-    return [
-        f"{store.EVALUATIONS}/{name}"
-        for name, content in run.evaluations.items()
-        if content["protocol"]["name"] == run.job.protocol.name
-        and None not in (found, stored := content["metrics"].get("lpips"))
-        and stored != found
-    ]
+def evaluations_again(run: Run, again: Run) -> tuple[list[str], list[str]]:
+    """Measure every stored evaluation again, those of later sittings too.
 
-
-def unchecked_lpips(run: Run, again: Run) -> tuple[str, ...]:
-    """That the run stores an LPIPS which nobody can measure here, in words."""
-    told = [run.metrics["metrics"].get("lpips")]
-    told += [content["metrics"].get("lpips") for content in run.evaluations.values()]
-    if again.metrics["metrics"].get("lpips") is not None or told == [None] * len(told):
-        return ()
-    return ("its LPIPS was not measured again, as the weights are not here",)
+    Returns the files with other numbers, and in words what cannot be measured here: LPIPS without its weights, and
+    protocols that this version does not know.
+    """
+    wrong, unknown = [name for name in again.evaluations if name not in run.evaluations], []
+    own, found = run.metrics["metrics"], again.metrics["metrics"]
+    pairs = [(own, found)]
+    for name, content in run.evaluations.items():
+        stored, parameters = content["metrics"], content["protocol"]
+        if parameters["name"] == run.job.protocol.name:  # an LPIPS and nothing else, see `untrue_evaluations`
+            pairs.append((stored, found))
+            same = None in (_lpips_of(stored), _lpips_of(found)) or _lpips_of(stored) == _lpips_of(found)
+        elif (made := again.evaluations.get(name)) is not None:
+            pairs.append((stored, made["metrics"]))
+            same = parameters == made["protocol"] and _same_numbers(*pairs[-1])
+        else:
+            try:
+                pairs.append((stored, measure_again(again, protocol_from(parameters))))
+                same = _same_numbers(*pairs[-1])
+            except InputError as error:
+                unknown.append(f"{store.EVALUATIONS}/{name} cannot be measured here: {error}")
+                continue
+        if not same:
+            wrong.append(name)
+    if any(_lpips_of(stored) is not None and _lpips_of(numbers) is None for stored, numbers in pairs):
+        unknown.append("its LPIPS cannot be measured here, as the weights are missing")
+    return [f"{store.EVALUATIONS}/{name}" for name in wrong], unknown
 
 
 def elsewhere_in(run: Run, again: Run) -> list[str]:
@@ -142,32 +161,76 @@ def elsewhere_in(run: Run, again: Run) -> list[str]:
         found.append(f"made on {before}, played again on {now}")
     for name, version in run.config["versions"].items():
         other = again.config["versions"].get(name)
-        if version != other and name not in ("rich", "tyro", "pillow", "matplotlib"):
+        if version != other and name not in _SHOWING:
             shown = [text[:12] if name == "code" else text for text in (version, str(other))]
             found.append(f"{name} was {shown[0]}, is {shown[1]}")
-    return found
+    before_, now_ = (one.config.get(OWN_CODE, {}) for one in (run, again))
+    found += [f"{name} has changed since" for name, total in before_.items() if now_.get(name, total) != total]
+    weights = [one.metrics["metrics"].get("lpips_weights") for one in (run, again)]
+    return found + (["the weights of LPIPS are others"] if None not in weights and weights[0] != weights[1] else [])
 
 
 def _same(run: Run, again: Run, name: str) -> bool:
-    if name == store.CONFIG:
-        first, second = (
-            {k: v for k, v in one.config.items() if k not in ("versions", OWN_CODE)} for one in (run, again)
-        )
-        return _without_place(first) == _without_place(second)
-    if name == store.METRICS:
-        own, found = run.metrics["metrics"], again.metrics["metrics"]
-        same = {**run.metrics, "metrics": None} == {**again.metrics, "metrics": None} and own.keys() == found.keys()
-        return same and not differing(own, found)  # which sets an LPIPS aside that only one of them has
     files = [one.directory / name for one in (run, again)]
+    if name == store.PLY and not files[0].exists():  # which may be deleted
+        return True
     if not all(file.is_file() for file in files):
-        return not any(file.is_file() for file in files)
-    if name in run.sums and name in again.sums:
-        return run.sums[name] == again.sums[name]
-    return files[0].read_bytes() == files[1].read_bytes()
+        return not any(file.exists() for file in files)
+    if files[0].read_bytes() == files[1].read_bytes():
+        return True
+    if name == store.CONFIG:
+        return _is_as_written(files[0], run.config) and _text(_job_alone(run.config)) == _text(_job_alone(again.config))
+    if name == store.METRICS:
+        stored, found = ({**one.metrics, "metrics": None} for one in (run, again))
+        same = _same_numbers(run.metrics["metrics"], again.metrics["metrics"])
+        return _is_as_written(files[0], run.metrics) and same and _text(stored) == _text(found)
+    return False
 
 
-def _without_place(config: dict[str, Any]) -> dict[str, Any]:
-    """A configuration without where the scene's file lay, whose content counts."""
+def _job_alone(config: dict[str, Any]) -> dict[str, Any]:
+    """A configuration without versions and without where the scene's file was: the content of a scene counts."""
+    kept = {name: value for name, value in config.items() if name not in ("versions", OWN_CODE)}
     scene = {name: value for name, value in config["scene"].items() if name not in ("spec", "source", "name")}
-    job = {name: value for name, value in config["job"].items() if name != "scene"}
-    return {**config, "scene": scene, "job": job}
+    return {**kept, "scene": scene, "job": {**config["job"], "scene": None}}
+
+
+def _same_numbers(stored: dict[str, Any], found: dict[str, Any]) -> bool:
+    """Whether all numbers are equal to the last bit; without LPIPS where one side has none."""
+    if _lpips_of(stored) is None or _lpips_of(found) is None:
+        stored, found = without_lpips(stored), without_lpips(found)
+    return _text(stored) == _text(found)
+
+
+def _lpips_of(numbers: dict[str, Any]) -> list[Any] | None:
+    """LPIPS as the mean and of every view; None where there is none."""
+    told = [numbers.get("lpips"), *(view.get("lpips") for view in numbers["views"])]
+    return None if told == [None] * len(told) else told
+
+
+def _is_as_written(file: Path, content: Any) -> bool:
+    """Whether a file's bytes are those that we write of its content: no name twice, nothing besides."""
+    return file.read_bytes() == store.json_text(content).encode("utf-8")
+
+
+def _text(content: Any) -> str:
+    """Content as text, in which 1, 1.0 and true are different."""
+    return json.dumps(content, sort_keys=True)
+
+
+def _is_scalar(value: Any) -> bool:
+    return not isinstance(value, dict | list)
+
+
+def _is_close(stored: Any, value: Any) -> bool:
+    if isinstance(stored, int | float) and isinstance(value, int | float):
+        return math.isclose(stored, value, rel_tol=_CLOSE, abs_tol=_CLOSE_TO_0)
+    return bool(stored == value)
+
+
+def _shown(value: Any) -> str:
+    return "none" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def _first(texts: Any) -> list[str]:
+    found: Sequence[str] = list(texts)
+    return [*found[:_MOST], *([f"{len(found) - _MOST} more numbers"] if len(found) > _MOST else [])]

@@ -20,11 +20,18 @@ def write_run(directory: Path, job: Job = JOB, *, sums: bool = True) -> Path:
     run = made_up.maker(directory.parent)(job.scene, job.policy, job.seed, planes=True)
     directory.mkdir(parents=True)
     config = {"format": store.FORMAT_VERSION, "job": job.as_dict(), "hash": job.hash, **run.config}
-    metrics = {**run.metrics["metrics"], "lpips": None, "notes": {"lpips": "no weights"}}
+    views = [{"psnr": float(psnr)} for psnr in run.pictures["psnr"]]
+    metrics = {**run.metrics["metrics"], "views": views, "lpips": None, "notes": {"lpips": "no weights"}}
+    points = run.metrics["curve"][1:]  # one after each decision
+    counts = {"structural": 1, "objects": 1, "deficiency_centres": 1}  # of the graph
+    steps = [
+        {**step, "frames": point["frames"], "metres": point["metres"], "graph": {**step["graph"], **counts}}
+        for step, point in zip(run.steps, points)
+    ]
     store.write_json(directory / "config.json", config)
     store.write_json(directory / "metrics.json", {"format": store.FORMAT_VERSION, **run.metrics, "metrics": metrics})
     store.write_json(directory / "timing.json", run.timing)
-    (directory / store.STEPS).write_text("".join(store.json_line(step) for step in run.steps))
+    (directory / store.STEPS).write_text("".join(store.json_line(step) for step in steps))
     camera = {"intrinsics": np.array([48.0, 48, 48, 27]), "image_size": np.array([96, 54])}
     np.savez(directory / store.TRAJECTORY, **run.trajectory, **camera)
     np.savez_compressed(directory / store.GRAPH, **run.graph)

@@ -116,7 +116,7 @@ def test_json_has_no_numpy_and_no_nan(tmp_path):
 def test_a_finished_run_is_read(tmp_path):
     run = store.read_run(write_run(tmp_path / "run"), "the scene")
     assert (run.scene, run.job) == ("the scene", ARCHIVED)
-    assert run.metrics["metrics"]["psnr"] == 20.0 and len(run.steps) == 6 and run.gaussians.count == 0
+    assert run.metrics["metrics"]["psnr"] == 20.0 and len(run.steps) == 3 and run.gaussians.count == 0
     assert run.trajectory["world_from_camera"].shape == (20, 4, 4) and len(run.graph["ids"]) == 2
     assert store.damage_of(tmp_path / "run", ARCHIVED) is None
     assert len((tmp_path / "run" / store.DONE).read_text().splitlines()) == 1 + 8

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,26 +14,22 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare, read_run
-from activestructure_gym.evaluation.archive import verified
+from activestructure_gym.evaluation.archive import store, verified
 from activestructure_gym.evaluation.archive.store import DONE, Run, write_evaluation
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.cli.options import parse_start
-from activestructure_gym.evaluation.machine.hardware import code_sum
-from activestructure_gym.evaluation.report.leaderboard import COLUMNS, leaderboard_page, rows_of
-from activestructure_gym.evaluation.running.verifying import (
-    TOLERANCES,
-    other_protocols,
-    out_of_tolerance,
-    untrue_evaluations,
-    verify,
-)
+from activestructure_gym.evaluation.machine.hardware import code_sum, hardware, versions
+from activestructure_gym.evaluation.protocols import get_protocol
+from activestructure_gym.evaluation.report.leaderboard import leaderboard_page, rows_of
+from activestructure_gym.evaluation.running.verifying import evaluations_again, untrue_evaluations, verify
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
+    """The same episode by two policies."""
     result = compare(
         ["box"],
-        ["random"],
+        ["random", "pixel_only"],
         tmp_path_factory.mktemp("made") / "runs",
         preset="fast",
         frame_budget=12,
@@ -40,7 +37,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Run:
         engine="inline",
         protocol=replace(StandardProtocol(), views=1, view_width=64, view_height=36, surface_samples=2000),
     )
-    return result.runs[0]
+    first, second = result.runs
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def made(both: tuple[Run, Run]) -> Run:
+    return both[0]
 
 
 @pytest.fixture
@@ -60,6 +63,36 @@ def change(run: Run, name: str, act: Any, *, forge: bool = False) -> Run:
         done.write_text("\n".join(lines) + "\n")
         return read_run(run.directory)
     return run
+
+
+def seal(run: Run) -> Run:
+    """``run`` with checksums of whatever its files hold now."""
+    (run.directory / DONE).unlink()
+    store.finish(run.directory, run.job)
+    return read_run(run.directory)
+
+
+def edited(run: Run, name: str, act: Callable[[Any], object]) -> Run:
+    """``run`` with another content of a JSON file, written and sealed as we do."""
+    content = json.loads((run.directory / name).read_bytes())
+    act(content)
+    store.write_json(run.directory / name, content)
+    return seal(run)
+
+
+def claimed(run: Run) -> Run:
+    """``run`` as if it were played on another processor."""
+    return edited(run, "timing.json", lambda content: content["hardware"].update(processor="another one"))
+
+
+@pytest.fixture
+def as_made(made: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the play by the true run, so that the comparison alone is tested."""
+
+    def played(job: Any, directory: Path, tell: Any) -> Run:
+        return replace(made, directory=Path(shutil.copytree(made.directory, directory)))
+
+    monkeypatch.setattr("activestructure_gym.evaluation.running.verifying.run_job", played)
 
 
 def better(data: bytes) -> bytes:
@@ -102,18 +135,36 @@ def test_numbers_that_were_forged_with_their_sums_do_not_come_out(run: Run) -> N
     assert any(why.startswith("psnr ") for why in found.why)
 
 
-def test_numbers_of_a_further_protocol_must_come_out_too(run: Run) -> None:
-    numbers = {"psnr": 20.0, "lpips": None, "views": [], "notes": {"lpips": "no weights"}}
-    asked = replace(run.job, also=("activegamer",))
-    again, forged, partial, none = (
-        replace(run, job=asked, directory=run.directory / name) for name in ("again", "forged", "partial", "none")
+def test_numbers_of_a_further_protocol_must_come_out_too(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    numbers: dict[str, Any] = {"psnr": 20.0, "lpips": None, "views": [], "notes": {"lpips": "no weights"}}
+    again, forged, partial, more, none = (
+        replace(run, directory=tmp_path / name) for name in ("again", "forged", "partial", "more", "none")
     )
-    for one, changed in ((again, {}), (forged, {"psnr": 30.0}), (partial, {"lpips": 0.5, "notes": {}})):
+    other = "another one of the same constants"
+    for one, changed in (
+        (again, {}), (forged, {"psnr": 30.0}), (partial, {"lpips": 0.5, "notes": {}}), (more, {"f_score": 99.0}),
+    ):  # fmt: skip
         one.directory.mkdir()
-        write_evaluation(one.directory, {"name": "activegamer", "version": 1}, "", numbers | changed)
-    assert other_protocols(again, again) == other_protocols(partial, again) == []  # LPIPS needs weights
-    assert other_protocols(forged, again) == other_protocols(none, again) == ["evaluations/activegamer.json"]
-    assert other_protocols(replace(forged, job=run.job), again) == []  # measured later: none of the job's
+        write_evaluation(one.directory, {"name": "activegamer", "version": 1}, other, numbers | changed)
+    wrong = ["evaluations/activegamer.json"]
+    assert evaluations_again(again, again) == ([], [])
+    assert evaluations_again(forged, again)[0] == evaluations_again(more, again)[0] == wrong
+    assert evaluations_again(none, again)[0] == wrong
+    found, unmeasured = evaluations_again(partial, again)
+    assert not found and "LPIPS cannot be measured here" in unmeasured[0]
+    # Measured later: the protocol's numbers of the map that was made again count.
+    measuring = "activestructure_gym.evaluation.running.verifying.measure_again"
+    monkeypatch.setattr(measuring, lambda again, protocol: numbers)
+    parameters = get_protocol("activegamer").parameters()
+    for one, changed in ((again, {}), (forged, {"psnr": 30.0})):
+        write_evaluation(one.directory, parameters, other, numbers | changed)
+    assert evaluations_again(replace(again), replace(none)) == ([], [])
+    assert evaluations_again(replace(forged), replace(none)) == (wrong, [])
+    write_evaluation(again.directory, {"name": "activegamer", "version": 99}, other, numbers)
+    found, unmeasured = evaluations_again(replace(again), replace(none))
+    assert not found and "cannot be measured here" in unmeasured[0]
 
 
 def test_an_evaluation_of_the_runs_own_protocol_adds_an_lpips_and_nothing_else(run: Run) -> None:
@@ -130,87 +181,153 @@ def test_an_evaluation_of_the_runs_own_protocol_adds_an_lpips_and_nothing_else(r
     assert found.verdict == "damaged" and found.why[0].startswith("evaluations/standard.json has another psnr, ")
 
 
-def test_an_lpips_counts_where_it_can_be_measured_and_is_named_where_not(
-    run: Run, monkeypatch: pytest.MonkeyPatch
+def test_an_lpips_is_confirmed_only_where_it_can_be_measured(
+    run: Run, as_made: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def with_lpips(value: float) -> Any:
-        def act(data: bytes) -> bytes:
-            content = json.loads(data)
+    def with_lpips(value: float) -> Callable[[Any], None]:
+        def act(content: Any) -> None:
             content["metrics"]["lpips"] = value
             content["metrics"]["notes"].pop("lpips", None)
             for view in content["metrics"]["views"]:
                 view["lpips"] = value
-            return json.dumps(content).encode()
 
         return act
 
     def later(value: float) -> None:
-        content = with_lpips(value)(json.dumps({"metrics": run.metrics["metrics"]}).encode())
-        write_evaluation(run.directory, run.job.protocol.parameters(), "", json.loads(content)["metrics"])
+        content = json.loads(json.dumps({"metrics": run.metrics["metrics"]}))
+        with_lpips(value)(content)
+        write_evaluation(run.directory, run.job.protocol.parameters(), "", content["metrics"])
 
-    unchecked = ("its LPIPS was not measured again, as the weights are not here",)
-    stored = change(run, "metrics.json", with_lpips(0.25), forge=True)
-    assert (verify(stored).verdict, verify(stored).why) == ("identical", unchecked)
-    untouched = change(run, "metrics.json", lambda _: json.dumps(run.metrics).encode(), forge=True)
+    unmeasured = ("its LPIPS cannot be measured here, as the weights are missing",)
+    whole = (run.directory / "metrics.json").read_bytes()
+    assert verify(run).verdict == "identical"
+    found = verify(edited(run, "metrics.json", with_lpips(0.25)))
+    assert (found.verdict, found.why) == ("not comparable here", unmeasured)
+    (run.directory / "metrics.json").write_bytes(whole)
     later(0.25)
-    assert (verify(untouched).verdict, verify(untouched).why) == ("identical", unchecked)
+    assert (verify(seal(run)).verdict, verify(run).why) == ("not comparable here", unmeasured)
 
     def measured_here(job: Any, directory: Path, tell: Any) -> Run:
         shutil.copytree(run.directory, directory)
-        return change(replace(run, directory=directory), "metrics.json", with_lpips(0.25), forge=True)
+        return edited(replace(run, directory=directory), "metrics.json", with_lpips(0.25))
 
     monkeypatch.setattr("activestructure_gym.evaluation.running.verifying.run_job", measured_here)
-    assert (verify(untouched).verdict, verify(untouched).why) == ("identical", ())
+    assert (verify(run).verdict, verify(run).why) == ("identical", ())
     later(0.5)
-    found = verify(read_run(run.directory))
-    assert (found.verdict, found.why) == ("differs", ("other bytes in evaluations/standard.json",))
-    assert verify(change(run, "metrics.json", with_lpips(0.5), forge=True)).verdict != "identical"
+    found = verify(run)
+    assert (found.verdict, found.why[0]) == ("differs", "other bytes in evaluations/standard.json")
+    (run.directory / store.EVALUATIONS / "standard.json").unlink()
+    assert verify(edited(run, "metrics.json", with_lpips(0.5))).verdict == "differs"
 
 
-def test_elsewhere_numbers_count_within_tolerances(run: Run) -> None:
-    def of_another_machine(data: bytes) -> bytes:
-        content = json.loads(data)
-        content["hardware"]["processor"] = "another one"
-        return json.dumps(content).encode()
-
-    def a_little_better(data: bytes) -> bytes:
-        content = json.loads(data)
-        content["metrics"]["psnr"] += 0.5 * TOLERANCES["psnr"]
-        return json.dumps(content).encode()
-
-    other = change(run, "timing.json", of_another_machine, forge=True)
-    assert verify(other).verdict == "identical"  # it may be slower and reach the same bytes
-    found = verify(change(other, "metrics.json", a_little_better, forge=True))
-    assert found.verdict == "within tolerances" and found.why[0].startswith("made on another one, played again on ")
-    found = verify(change(other, "metrics.json", better, forge=True))
-    assert found.verdict == "differs" and len(found.why) == 2
+FORGED_NUMBERS: dict[str, float] = {
+    "f_score": 99.0, "tsdf_f_score": 99.0, "tsdf_precision": 99.9, "ms_ssim": 0.999, "metres": 0.1, "frames_to_80": 5.0,
+    "gaussians": 10, "keyframes": 99, "collisions": 7, "observed_area": 99.0, "frames": 11, "decisions": 1,
+    "late_psnr_rate": 9.0, "true_area_m2": 1.0, "view_coverage": 0.99,
+}  # fmt: skip
 
 
-def test_what_no_processor_rounds_must_come_out_elsewhere_too(run: Run) -> None:
-    def of_another_machine(data: bytes) -> bytes:
-        content = json.loads(data)
-        content["hardware"]["processor"] = "another one"
-        return json.dumps(content).encode()
+@pytest.mark.parametrize("name", FORGED_NUMBERS)
+def test_one_forged_number_is_never_confirmed(run: Run, as_made: None, name: str) -> None:
+    def forge(content: Any) -> None:
+        assert name in content["metrics"] and content["metrics"][name] != FORGED_NUMBERS[name]
+        content["metrics"][name] = FORGED_NUMBERS[name]
 
-    def longer(data: bytes) -> bytes:
-        content = json.loads(data)
-        content["configuration"]["frame_budget"] = 2000
-        return json.dumps(content).encode()
-
-    change(run, "timing.json", of_another_machine, forge=True)
-    found = verify(change(run, "config.json", longer, forge=True))
-    assert found.verdict == "differs" and "config.json" in found.why[-1]
+    assert verify(edited(run, "metrics.json", forge)).verdict in ("differs", "damaged")
+    found = verify(claimed(run))
+    # Only what neither the files nor the map contradict is left open.
+    assert found.verdict in (("not comparable here",) if name == "collisions" else ("differs", "damaged")), found
+    assert name in " ".join(found.why).lower()
 
 
-def test_every_number_of_the_leaderboard_has_a_tolerance() -> None:
-    assert {column.key for column in COLUMNS} <= TOLERANCES.keys()
+def at_the_edge(content: Any) -> None:
+    """Better by as much as two processors were allowed to differ by."""
+    for name, by in {"psnr": 0.49, "completion_ratio": 0.99, "tsdf_completion_ratio": 0.99, "observed": 0.99}.items():
+        content["metrics"][name] += by
+
+
+def steep(content: Any) -> None:
+    for point in content["curve"]:
+        point |= {"completion_ratio": 99.0, "psnr": 40.0}
+
+
+def more_views(content: Any) -> None:
+    content["metrics"]["views"].append(content["metrics"]["views"][0])
+
+
+@pytest.mark.parametrize("forge", [at_the_edge, steep, more_views])
+def test_numbers_and_curves_better_than_the_map_are_refuted_on_any_processor(
+    run: Run, as_made: None, forge: Callable[[Any], None]
+) -> None:
+    assert verify(edited(run, "metrics.json", forge)).verdict in ("differs", "damaged")
+    assert verify(claimed(run)).verdict in ("differs", "damaged")
+
+
+_OF_THE_PLAY = (store.MAP, store.TRAJECTORY, store.PICTURES, store.GRAPH, store.STEPS)
+
+
+@pytest.mark.parametrize("names", [(name,) for name in (*_OF_THE_PLAY, store.PLY)] + [_OF_THE_PLAY])
+def test_files_of_another_run_are_never_confirmed(
+    run: Run, both: tuple[Run, Run], as_made: None, names: tuple[str, ...]
+) -> None:
+    for name in names:
+        shutil.copy(both[1].directory / name, run.directory / name)
+    found = verify(seal(run))
+    assert found.verdict in ("differs", "damaged")
+    found = verify(claimed(run))
+    assert found.verdict in ("differs", "damaged", "not comparable here")
+    assert store.MAP not in names or found.verdict != "not comparable here"  # whose numbers are others
+
+
+def test_a_whole_other_run_under_this_job_is_not_confirmed(run: Run, both: tuple[Run, Run], as_made: None) -> None:
+    for name in (*_OF_THE_PLAY, store.PLY, store.METRICS, "timing.json"):
+        shutil.copy(both[1].directory / name, run.directory / name)
+    found = verify(seal(run))
+    assert found.verdict == "differs" and "other bytes in metrics.json, steps.jsonl, " in found.why[0]
+    found = verify(claimed(run))  # it agrees with itself: only its processor could tell
+    assert found.verdict == "not comparable here" and found.why[0].startswith("made on another one, played again on ")
+    assert any(why.startswith("tsdf_completion_ratio ") and ", again " in why for why in found.why), found
+
+
+def test_another_processor_neither_hinders_nor_excuses(run: Run, as_made: None) -> None:
+    assert verify(claimed(run)).verdict == "identical"  # it may be slower and reach the same bytes
+
+    def last_digit(content: Any) -> None:  # as another processor rounds
+        content["metrics"]["psnr"] *= 1.0 + 1e-15
+
+    found = verify(edited(run, "metrics.json", last_digit))
+    assert found.verdict == "not comparable here" and "other bytes in metrics.json" in found.why
+    assert verify(edited(run, "timing.json", lambda c: c["hardware"].update(hardware()))).verdict == "differs"
+
+    def older(content: Any) -> None:
+        content["versions"]["numpy"] = "1.0"
+
+    assert verify(edited(run, "config.json", older)).why[0] == f"numpy was 1.0, is {versions()['numpy']}"
+
+
+def test_a_file_that_says_a_number_twice_is_not_identical(run: Run, as_made: None) -> None:
+    def twice(data: bytes) -> bytes:
+        return data.replace(b'"psnr":', b'"psnr": 99.0,\n  "psnr":', 1)
+
+    assert verify(change(run, "metrics.json", twice, forge=True)).verdict == "differs"
+
+
+def test_what_no_processor_rounds_must_come_out_elsewhere_too(run: Run, as_made: None) -> None:
+    claimed(run)
+    found = verify(edited(run, "config.json", lambda content: content["configuration"].update(frame_budget=2000)))
+    assert found.verdict == "differs" and "another config.json of the same code" in found.why
+
+
+def test_the_map_for_viewers_may_be_deleted(run: Run, as_made: None) -> None:
+    (run.directory / store.PLY).unlink()
+    assert verify(run).verdict == "identical"
 
 
 def test_a_file_without_a_sum_is_no_verified_one(run: Run) -> None:
     done = run.directory / DONE
     done.write_text("".join(line for line in done.read_text().splitlines(True) if "metrics.json" not in line))
     found = verify(read_run(run.directory))
-    assert found.verdict == "damaged" and "no sum of metrics.json" in found.why[0]
+    assert found.verdict == "damaged" and "no checksum of metrics.json" in found.why[0]
     verified.keep(run.directory, verified.Verification("identical"))
     assert verified.known(run.directory) is None
 
@@ -247,15 +364,13 @@ def test_what_is_not_remembered_or_raises_says_so(
     assert "differs" not in out and "did not come out" not in out  # nothing is known of it
 
 
-def test_tolerances_are_of_both_sides_and_of_numbers_that_both_have() -> None:
-    assert out_of_tolerance({"psnr": 20.0, "ssim": None}, {"psnr": 20.5, "ssim": None}) == []
-    assert len(out_of_tolerance({"psnr": 20.0}, {"psnr": 19.4})) == 1
-    assert out_of_tolerance({"ssim": None}, {"ssim": 0.5}) == ["ssim none, again 0.50, which may differ by 0.02"]
-
-
 def test_code_is_not_run_for_who_hands_in_a_run(run: Run) -> None:
+    named = replace(run.job, policy="tests.policies.test_schedule:Bringer")
+    content = {**run.config, "job": named.as_dict(), "hash": named.hash}
+    store.write_json(run.directory / store.CONFIG, content)
+    store.finish(run.directory, named)
     with pytest.raises(InputError, match="names the policy .* add --trust-code"):
-        verify(replace(run, job=replace(run.job, policy="tests.policies.test_schedule:Bringer")))
+        verify(read_run(run.directory))
 
 
 def test_a_row_is_self_reported_until_it_was_verified_here(
@@ -334,7 +449,8 @@ def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> No
     played = [("random", 0, 50.0), ("random", 1, 60.0), ("hole_area", 0, 70.0), ("hole_area", 1, 80.0)]
     runs = [other(*one) for one in (*played, ("frontier", 0, 99.0))]
     runs.append(replace(other("random", 0, 1.0), job=replace(run.job, preset="default")))
-    verdicts = {("random", 0): "identical", ("random", 1): "differs", ("hole_area", 0): "within tolerances"}
+    verdicts = {("random", 0): "identical", ("random", 1): "differs", ("hole_area", 0): "identical"}
+    verdicts["frontier", 0] = "not comparable here"
 
     def known(one: Run) -> verified.Verification | None:
         verdict = verdicts.get((one.job.policy, one.job.seed)) if one.job.preset == "fast" else None
@@ -343,8 +459,8 @@ def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> No
     (rows, wanted), (others, _) = rows_of(runs, known)
     assert [row.policy for row in rows] == ["hole_area", "frontier", "random"] and wanted == 2
     assert [row.status for row in rows] == [
-        "verified 1 of 2 runs, others self-reported, within tolerances",
-        "self-reported", "refuted: 1 run came out otherwise",
+        "verified 1 of 2 runs, others self-reported", "self-reported, 1 not comparable here",
+        "refuted: 1 run came out otherwise",
     ]  # fmt: skip
     assert len(others) == 1
     page = leaderboard_page(runs, known, {"/home/who/runs/<b>": "damaged"})

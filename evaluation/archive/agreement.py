@@ -1,0 +1,86 @@
+"""What a run's files say of each other: counts, lengths of lists, and numbers that are stored twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.archive.picture_record import STORED_VIEWS, pixel_size, plan_scale
+from activestructure_gym.evaluation.archive.schema import Mismatch
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def check_counts(
+    results: Mapping[str, Any], decisions: Sequence[float], steps: Sequence[Mapping[str, Any]], trajectory: Arrays
+) -> None:
+    """Raise `Mismatch` unless ``metrics.json``, ``timing.json``, the steps and the path are of one episode.
+
+    ``results`` is the content of ``metrics.json``, ``decisions`` the seconds at the end of each decision. What earlier
+    versions did not store is not asked for.
+    """
+    metrics, curve = results["metrics"], results["curve"]
+    count = len(steps)
+    _agree("decisions", {"metrics.json": metrics.get("decisions"), "steps.jsonl": count, "timing.json": len(decisions),
+                         "the legs of trajectory.npz": len(trajectory["legs"]) if "legs" in trajectory else None,
+                         "the curve of metrics.json": curve[-1]["decision"]})  # fmt: skip
+    last: Mapping[str, Any] = steps[-1] if steps else {}
+    for name in ("frames", "metres"):
+        at_the_end = {"metrics.json": metrics[name], "its curve": curve[-1][name], "steps.jsonl": last.get(name)}
+        _agree(name, at_the_end)
+    _agree("Gaussians", {"metrics.json": metrics.get("gaussians"), "steps.jsonl": last.get("gaussians")})
+    _agree("keyframes", {"metrics.json": metrics.get("keyframes"), "trajectory.npz": len(trajectory["keyframes"])})
+    if count and "legs" in trajectory:
+        poses, frames, _ = (int(value) for value in trajectory["legs"][-1])
+        _agree("poses", {"the legs of trajectory.npz": poses, "its path": len(trajectory["world_from_camera"])})
+        _agree("frames", {"the legs of trajectory.npz": frames, "metrics.json": metrics["frames"]})
+    _check_curve(curve, steps)
+
+
+def _check_curve(curve: Sequence[Mapping[str, Any]], steps: Sequence[Mapping[str, Any]]) -> None:
+    """Every point of the curve but the first is that of the step at whose end it was taken."""
+    taken = [(number, step) for number, step in enumerate(steps, start=1) if step.get("checkpoint") is not None]
+    if not taken:  # as of earlier versions, or of an episode without a decision
+        return
+    _agree("points of the curve", {"metrics.json": len(curve), "steps.jsonl": 1 + len(taken)})
+    for (number, step), point in zip(taken, curve[1:]):
+        stored = {"decision": number, "frames": step["frames"], "metres": step.get("metres"), **step["checkpoint"]}
+        for name, value in stored.items():
+            _agree(f"{name} after decision {number}", {"steps.jsonl": value, "the curve": point.get(name)})
+
+
+def check_views(results: Mapping[str, Any], views: int, pictures: Arrays) -> None:
+    """Raise `Mismatch` unless the pictures are of the first of the views that were measured, at most ``views``."""
+    measured = results["metrics"]["views"]
+    if not 1 <= len(measured) <= views:
+        raise Mismatch(f"metrics.json lists {len(measured)} views, and its protocol looks at 1 to {views}")
+    kept = {"metrics.json": min(STORED_VIEWS, len(measured)), "pictures.npz": len(pictures["psnr"])}
+    _agree("pictures of views", kept)
+    for number, (view, psnr) in enumerate(zip(measured, pictures["psnr"]), start=1):
+        _agree(f"PSNR of view {number}", {"metrics.json": view.get("psnr"), "pictures.npz": float(psnr)})
+    width, height = pixel_size(pictures["plan_extent"], plan_scale(pictures["plan_extent"]))
+    if pictures["above_rgb"].shape[:2] != (height, width):
+        rows, columns = pictures["above_rgb"].shape[:2]
+        raise Mismatch(f"above_rgb of pictures.npz has {columns} x {rows} pixels, and its plan {width} x {height}")
+
+
+def check_planes(graph: Arrays, steps: Sequence[Mapping[str, Any]]) -> None:
+    """Raise `Mismatch` unless the graph is the one after the last step."""
+    last: Mapping[str, Any] = steps[-1] if steps else {}
+    told = last.get("graph") or {}
+    _agree("planes", {"graph.npz": len(graph["ids"]), "steps.jsonl": last.get("planes")})
+    structural = {"graph.npz": int(graph["structural"].sum()), "steps.jsonl": told.get("structural")}
+    _agree("structural planes", structural)
+    _agree("holes", {"graph.npz": len(graph["deficiency_areas"]), "steps.jsonl": told.get("deficiency_centres")})
+
+
+def _agree(what: str, stored: Mapping[str, float | None]) -> None:
+    """Raise `Mismatch` unless all places that say it say the same."""
+    said = {place: value for place, value in stored.items() if value is not None}
+    if len(set(said.values())) > 1:
+        (first, one), (second, other) = next(
+            (a, b) for a in said.items() for b in said.items() if a[1] != b[1]
+        )  # fmt: skip
+        raise Mismatch(f"{what}: {one:.10g} by {first}, {other:.10g} by {second}")

@@ -11,7 +11,7 @@ import errno
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
@@ -49,6 +49,9 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
         os.write(descriptor, f"{os.getpid()} {machine_mark()}".encode())
         yield descriptor
     finally:
+        if fcntl is not None:
+            with suppress(OSError):  # a daemon that a run has left behind may hold the same open file
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
         os.close(descriptor)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import errno
+import faulthandler
 import os
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -19,6 +20,7 @@ from activestructure_gym.streams import FULL, complain, kept_streams, say
 
 _STOPPED, _TERMINATED = 130, 128 + signal.SIGTERM  # exit codes
 _NOT_WRITABLE = (*FULL, errno.EROFS)
+_LEAST_ADDRESS_SPACE = 1_200_000_000  # bytes; with less, libraries end the process by a fault or never return
 
 # Written out, and not left to the parser, so that it appears at once.
 HELP = """usage: asg COMMAND [OPTIONS]
@@ -77,6 +79,9 @@ def _answered(arguments: Sequence[str]) -> int:
         say(f"activestructure-gym {__version__}")
         return 0
     set_passive_waiting()
+    if not faulthandler.is_enabled():
+        with suppress(AttributeError, OSError, ValueError):  # there is no standard error
+            faulthandler.enable()
     with _sigterm_as_ctrl_c() as terminated:
         code = _exit_code(arguments)
     return _TERMINATED if terminated and code == _STOPPED else code
@@ -85,6 +90,7 @@ def _answered(arguments: Sequence[str]) -> int:
 def _exit_code(arguments: Sequence[str]) -> int:
     """Run a command; its exit code, with every expected error printed as one line on standard error."""
     try:
+        _check_address_space()
         _find_in_working_directory()
         with _doubts_as_lines():
             return _run(arguments)
@@ -94,6 +100,9 @@ def _exit_code(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         complain("stopped")
         return _STOPPED
+    except SystemExit as end:  # the commands raise none
+        complain(f"a policy, a feature or a scene ended the program (exit code {end.code})")
+        return 1
     except OSError as error:
         if error.errno not in _NOT_WRITABLE and error.filename is None:
             raise
@@ -101,6 +110,20 @@ def _exit_code(arguments: Sequence[str]) -> int:
         what = " cannot be written" if error.errno in _NOT_WRITABLE else ""
         complain(f"{where}{what}: {error.strerror}")
         return 1 if error.errno in _NOT_WRITABLE else 2
+
+
+def _check_address_space() -> None:
+    """Raise `InputError` where this process may not have the address space that every command needs."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if 0 <= limit < _LEAST_ADDRESS_SPACE:
+        raise InputError(
+            f"the address space is limited to {limit / 1e9:.1f} GB (ulimit -v), and a run needs about 2 GB: "
+            "raise the limit"
+        )
 
 
 def _find_in_working_directory() -> None:

@@ -1,13 +1,17 @@
-"""Which processes of this machine are alive, and how much processor time they took."""
+"""Which processes of this machine are alive, how much processor time they took, and how to end what one left behind."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import platform
+import signal
+import time
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+_DYING_S = 1.0  # a killed process is gone by then
 # In the environment of a Python process whose output is read as text, whatever the encoding of this process's.
 UTF_8 = {"PYTHONIOENCODING": "utf-8:backslashreplace"}
 
@@ -56,3 +60,37 @@ def is_alive(process: int) -> bool:
     except (PermissionError, OverflowError):
         return True
     return True
+
+
+def end_session(leader: int) -> list[str]:
+    """Kill what still runs in the session of a process that has ended, and return the names of these processes.
+
+    Without a ``/proc`` the leader's process group is killed, and the list is empty. A daemon has left the session.
+    """
+    if os.name != "posix" or leader <= 1:
+        return []
+    ended: dict[int, str] = {}
+    deadline = time.monotonic() + _DYING_S
+    while (found := session_members(leader)) and time.monotonic() < deadline:  # one may fork while it is killed
+        ended |= found
+        for process in found:
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(process, signal.SIGKILL)
+        time.sleep(0.01)
+    if not Path("/proc/self/stat").exists():
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(leader, signal.SIGKILL)
+    return [f"{name} ({process})" for process, name in sorted(ended.items())]
+
+
+def session_members(leader: int) -> dict[int, str]:
+    """The living processes of a session except its leader, with their names; none without a ``/proc``."""
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError, ValueError, IndexError):  # it has just ended
+            head, _, tail = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")
+            state, _, _, session = tail.split()[:4]
+            process = int(stat.parent.name)
+            if int(session) == leader != process and state not in "ZX":
+                found[process] = head.partition("(")[2]
+    return found

@@ -28,13 +28,15 @@ import numpy as np
 from activestructure_gym.cores import core_count
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.machine.processes import UTF_8
+from activestructure_gym.evaluation.machine.processes import UTF_8, end_session
 from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.engines.process import search_path
 
 _MARK = "compiling"  # before the name of a kernel, on standard output
 _COUNTS = ("NUMBA_NUM_THREADS",)  # variables of numba that change no machine code
+_PATIENCE_S = 120.0  # without a new kernel, after which a policy or feature of others counts as one that never ends
+_GRACE_S = 5.0  # between asking a process to stop and killing it
 _FRAMES = 12  # enough for a few decisions, a path and two keyframes on it
 
 
@@ -65,14 +67,35 @@ def warming_up(
     try:
         with told_to(tally):
             yield
-        ended = [process.wait() for process in processes]
+        ended = [_wait(process, tally) for process in processes]
         tally.conclude()
         if mark is not None and not any(ended):
             mark.leave()
     finally:
         for process in processes:
-            process.terminate()
-            process.wait()
+            _end(process)
+
+
+def _wait(process: subprocess.Popen[str], tally: _Tally) -> int:
+    """The exit code of a process; 1 where it goes on without compiling anything."""
+    began = time.monotonic()
+    while True:
+        try:
+            return process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            if time.monotonic() - max(began, tally.heard) > _PATIENCE_S:
+                return 1
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End a process and what it has started."""
+    process.terminate()
+    try:
+        process.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    end_session(process.pid)
 
 
 @dataclass(frozen=True)
@@ -172,7 +195,7 @@ class _Tally:
     def __init__(self, notify: Callable[[str], None]) -> None:
         self._notify = notify
         self._names: set[str] = set()
-        self._began = time.monotonic()
+        self._began = self.heard = time.monotonic()  # of the last kernel
         self._lock = threading.Lock()
 
     def __call__(self, name: str) -> None:
@@ -182,6 +205,7 @@ class _Tally:
             if not self._names:
                 self._notify(begin())
             self._names.add(name)
+            self.heard = time.monotonic()
             self._notify(describe(len(self._names), self._seconds()))
 
     def conclude(self) -> None:

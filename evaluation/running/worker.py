@@ -1,30 +1,41 @@
 """The process behind engines ``local`` and ``ray``: ``python -m`` this module, with a run directory to write.
 
 Reads the job as one line of JSON from standard input, writes progress as JSON lines to standard output and everything
-else to standard error. Ends when its standard input does: no worker outlives its supervisor.
+else to standard error. Ends when its standard input does: no worker outlives its supervisor, nor does what it started
+in its session. Further arguments are descriptors that the worker keeps open and no process that it forks.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import faulthandler
 import json
 import os
 import signal
 import sys
 import threading
 import time
+import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import IO, NoReturn
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.machine.processes import end_session
 from activestructure_gym.evaluation.machine.threads import thread_cap
 
 _GRACE_SECONDS = 5.0  # between asking the main thread to clean up and ending without it
+_PATIENCE_SECONDS = 30.0  # with threads and exit handlers of others, after the run
+
+
+class _Terminated(SystemExit):
+    """A signal asked this process to end."""
 
 
 def main() -> int:
     """Run the one job; 0 when its directory is written."""
+    faulthandler.enable()
     signal.signal(signal.SIGTERM, _unwind)
     job_line = sys.stdin.readline()
     if not job_line:
@@ -33,6 +44,7 @@ def main() -> int:
     # Progress keeps the real standard output; what policies print must not get in between.
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
+    _keep_from_children([channel.fileno(), *map(int, sys.argv[2:])])
     threading.Thread(target=_follow_supervisor, daemon=True).start()
 
     import cv2
@@ -47,7 +59,48 @@ def main() -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
+    except _Terminated:
+        raise
+    except SystemExit:  # of a policy, a feature or a scene
+        traceback.print_exc()
+        raise
     return 0
+
+
+def end_after(work: Callable[[], int]) -> NoReturn:
+    """End this process with the exit code of ``work``, even where threads or exit handlers of others never end."""
+    code = 1
+    try:
+        code = work()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        raise
+    finally:
+        threading.Thread(target=_end_late, args=(code,), daemon=True).start()
+    sys.exit(code)
+
+
+def _end_late(code: int) -> None:
+    time.sleep(_PATIENCE_SECONDS)
+    others = [thread.name for thread in threading.enumerate() if not thread.daemon and thread.name != "MainThread"]
+    who = f"threads of it have not ended: {', '.join(others)}" if others else "its exit handlers have not returned"
+    print(f"this process is ended {_PATIENCE_SECONDS:g} s after its run, since {who}", file=sys.stderr, flush=True)
+    os._exit(code)
+
+
+def _keep_from_children(descriptors: Sequence[int]) -> None:
+    """Let no process that a policy starts hold these descriptors: the progress, and the lock of the directory."""
+    for descriptor in descriptors:
+        os.set_inheritable(descriptor, False)
+
+    def replace() -> None:
+        null = os.open(os.devnull, os.O_RDWR)
+        for descriptor in descriptors:
+            os.dup2(null, descriptor, inheritable=False)  # a free number would be somebody else's next file
+        os.close(null)
+
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=replace)
 
 
 def _send(channel: IO[str], content: dict[str, object]) -> None:
@@ -59,14 +112,16 @@ def _follow_supervisor() -> None:
     # Below Python's buffered reader, whose lock a daemon thread would hold when the interpreter ends.
     while os.read(0, 4096):
         pass
+    if os.name == "posix" and os.getsid(0) == os.getpid():
+        end_session(os.getpid())
     os.kill(os.getpid(), signal.SIGTERM)  # handled in the main thread, which cleans up
     time.sleep(_GRACE_SECONDS)
     os._exit(128 + signal.SIGTERM)  # it is busy elsewhere; nobody waits for its result
 
 
 def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
-    raise SystemExit(128 + signum)
+    raise _Terminated(128 + signum)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    end_after(main)

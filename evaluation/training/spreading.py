@@ -7,10 +7,12 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from typing import Any
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.threads import capped_environment
 
 
@@ -32,6 +34,10 @@ def spread(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], worke
             for done, future in enumerate(as_completed(waiting), start=1):
                 future.result()
                 yield done
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a worker process was killed, perhaps because memory ran out: use fewer --workers"
+            ) from error
         except BaseException:
             # Those that wait in the pool's own queue cannot be cancelled, and would be made, too.
             for process in list(pool._processes.values()):  # which has no other name before Python 3.14

@@ -11,6 +11,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
+from activestructure_gym.evaluation.running.engines.last_words import error_words
 from activestructure_gym.evaluation.running.episode import run_job
 
 
@@ -23,11 +24,11 @@ def run_inline(
         outcome = Outcome(job)
         try:
             run_job(job, run_directory(directory, job), partial(listener.progress, job))
-        except Exception as error:  # a third party's policy may raise anything
+        except (Exception, SystemExit) as error:  # a third party's policy may raise anything
             log = directory / LOGS / f"{job.name}.log"
             log.parent.mkdir(parents=True, exist_ok=True)
             log.write_text(traceback.format_exc(), encoding="utf-8")
-            outcome = Outcome(job, f"{type(error).__name__}: {error}")
+            outcome = Outcome(job, error_words(error))
         listener.ended(outcome)
         outcomes.append(outcome)
     return outcomes

@@ -80,6 +80,15 @@ def test_a_hold_ends_with_its_block(tmp_path):
     assert not (tmp_path / "nowhere").exists()
 
 
+def test_a_daemon_that_a_run_has_left_behind_does_not_keep_the_hold(tmp_path):
+    with hold(tmp_path / "out") as held:
+        left_behind = os.dup(held)  # as a fork has it
+    try:
+        check_free(tmp_path / "out")
+    finally:
+        os.close(left_behind)
+
+
 def test_another_machine_is_not_waited_for(holder, tmp_path):
     (tmp_path / "out" / directory_lock.LOCK).write_text("1 abcdef")
     with pytest.raises(InputError, match="a process of another machine is at work"):

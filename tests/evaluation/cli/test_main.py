@@ -197,6 +197,21 @@ def test_ctrl_c_ends_with_130(monkeypatch, capsys):
     assert capsys.readouterr().err == "asg: stopped\n"
 
 
+def test_code_of_others_that_exits_is_no_success(monkeypatch, capsys):
+    monkeypatch.setattr("activestructure_gym.evaluation.cli.doctor.Doctor.run", lambda self: sys.exit(0))
+    assert main(["doctor"]) == 1
+    assert "asg: a policy, a feature or a scene ended the program (exit code 0)" in capsys.readouterr().err
+
+
+def test_too_little_address_space_is_one_sentence(monkeypatch, capsys):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (700_000 * 1024, -1))
+    assert main(["doctor"]) == 2
+    assert capsys.readouterr().err == (
+        "asg: the address space is limited to 0.7 GB (ulimit -v), and a run needs about 2 GB: raise the limit\n"
+    )
+
+
 def test_doctor_names_every_backend_and_the_missing_package(monkeypatch, capsys):
     from activestructure_gym.sensors import renderer
 

@@ -43,10 +43,12 @@ def test_nothing_is_started_where_the_same_warm_up_came_to_its_end(room, monkeyp
     started = []
 
     class Ended:
+        pid = -1
+
         def __init__(self, part, *_):
             started.append(part)
 
-        def wait(self):
+        def wait(self, timeout):
             return 0
 
         def terminate(self):
@@ -62,7 +64,7 @@ def test_nothing_is_started_where_the_same_warm_up_came_to_its_end(room, monkeyp
     with warming_up(["random"], {"sensor.depth_noise": "kinect"}):
         pass
     assert len(started) == 6
-    monkeypatch.setattr(Ended, "wait", lambda self: 1)  # fails
+    monkeypatch.setattr(Ended, "wait", lambda self, timeout: 1)  # fails
     for _ in range(2):
         with warming_up(["random"], {"sensor.depth_noise": "none"}):
             pass
@@ -148,3 +150,22 @@ def test_both_halves_do_their_part_of_the_work(part, monkeypatch):
     main(part)
     of_the_world = ["compile_sensing", "compile_motion", "compile_views", "pixel_only", ("hole_area", "pixel")]
     assert done == (["compile_map"] if part == "map" else of_the_world)
+
+
+DEAF = "import signal, sys, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(1, flush=True); time.sleep(60)"
+
+
+def test_a_policy_of_others_that_never_ends_does_not_hold_the_comparison(room, monkeypatch):
+    processes = []
+
+    def start(part, *_):
+        processes.append(subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE, start_new_session=True))
+        assert processes[-1].stdout.readline() == b"1\n"
+        return processes[-1]
+
+    monkeypatch.setattr(warmup, "_start", start)
+    monkeypatch.setattr(warmup, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(warmup, "_GRACE_S", 0.2)
+    with warming_up(["random"], {}):
+        pass
+    assert [process.returncode for process in processes] == [-9, -9] and not holds(["random"])

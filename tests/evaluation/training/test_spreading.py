@@ -16,12 +16,14 @@ from activestructure_gym.evaluation.training.spreading import spread
 
 # Calls that are long, or fail; `spread` never returns before the workers have ended.
 PROGRAM = """
-    import sys, time
+    import os, sys, time
     from pathlib import Path
     from activestructure_gym.evaluation.training.spreading import spread
 
     def work(place, seconds):
         (Path(place) / f"begun-{time.monotonic_ns()}").touch()
+        if seconds == -2:
+            os.kill(os.getpid(), 9)
         if seconds < 0:
             raise ValueError("broken")
         time.sleep(seconds)
@@ -55,6 +57,12 @@ def test_an_error_is_raised_while_others_are_at_work(tmp_path: Path) -> None:
     process = begun(tmp_path, -1.0, *[60.0] * 3)
     _, said = process.communicate(timeout=20)
     assert process.returncode == 1 and b"ValueError: broken" in said
+
+
+def test_a_killed_worker_is_one_sentence(tmp_path: Path) -> None:
+    process = begun(tmp_path, -2.0, *[60.0] * 3)
+    _, said = process.communicate(timeout=20)
+    assert b"InputError: a worker process was killed, perhaps because memory ran out: use fewer --workers" in said
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -21,10 +21,16 @@ def test_a_job_that_fails_is_reported_with_its_traceback_and_the_others_go_on(tm
     def run_job(job, directory, progress):
         if job.policy == "bad":
             raise ZeroDivisionError("the policy divided by zero")
+        if job.policy == "exits":
+            raise SystemExit(0)
 
     monkeypatch.setattr(inline, "run_job", run_job)
-    jobs = [Job("box", "bad", 0), Job("box", "good", 0)]
+    jobs = [Job("box", "bad", 0), Job("box", "exits", 0), Job("box", "good", 0)]
     outcomes = get_engine("inline").run(jobs, tmp_path, Silent(), Limits())
-    assert outcomes == [Outcome(jobs[0], "ZeroDivisionError: the policy divided by zero"), Outcome(jobs[1])]
-    (log,) = (tmp_path / LOGS).iterdir()
+    assert outcomes == [
+        Outcome(jobs[0], "ZeroDivisionError: the policy divided by zero"),
+        Outcome(jobs[1], "the policy ended the process (exit code 0) before the run was done"),
+        Outcome(jobs[2]),
+    ]
+    (log,) = (tmp_path / LOGS).glob("*bad*")
     assert "Traceback" in log.read_text() and "ZeroDivisionError" in log.read_text()

@@ -77,8 +77,8 @@ def test_a_worker_that_dies_is_reported_and_the_others_go_on(tmp_path):
     errors = {outcome.job.policy: outcome.error for outcome in outcomes}
     assert errors["a"] is None and errors["b"] is None
     assert errors["crash"] == "RuntimeError: the third wheel came off (exit code 1)"
-    assert errors["die"] == "the worker wrote nothing (killed by signal 9)"
-    assert errors["forget"] == "the worker wrote nothing (exit code 0)"  # said it was done and was not
+    assert errors["die"] == "the worker wrote nothing (killed by signal 9, SIGKILL: perhaps because memory ran out)"
+    assert errors["forget"] == "the policy ended the process (exit code 0) before the run was done"
     assert sorted(path.name for path in (tmp_path / JOBS).iterdir()) == sorted(
         run_directory(tmp_path, outcome.job).name for outcome in outcomes if outcome.finished
     )
@@ -120,7 +120,7 @@ def test_what_was_killed_is_tried_again_and_what_failed_by_itself_is_not(tmp_pat
     # The lost ones have their second turn after all others have had their first.
     assert [outcome.job.policy for outcome in listener.outcomes] == ["wrong", "late", "killed", "terminated"]
     assert listener.lost == [
-        ("killed", "attempt of killed (killed by signal 9)"),
+        ("killed", "attempt of killed (killed by signal 9, SIGKILL: perhaps because memory ran out)"),
         ("terminated", "attempt of terminated (exit code 143)"),
     ]
     (log,) = (tmp_path / LOGS).glob("*killed*")

@@ -84,8 +84,16 @@ def samples_by_area(
     cumulated = np.cumsum(area)
     drawn = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
     face = np.minimum(np.searchsorted(cumulated, drawn, side="right"), len(area) - 1)
-    u, v = rng.random(count), rng.random(count)
+    return on_triangles(corners[face], rng.random(count), rng.random(count)), face, float(cumulated[-1])
+
+
+def on_triangles(
+    corners: np.ndarray,  # [N, 3, 3] metres
+    u: np.ndarray,  # [N] 0..1, changed
+    v: np.ndarray,  # [N] 0..1, changed
+) -> np.ndarray:  # [N, 3] metres
+    """Return a point of each triangle, uniform by area where ``u`` and ``v`` are."""
     outside = u + v > 1.0  # the other half of the parallelogram, folded back
     u[outside], v[outside] = 1.0 - u[outside], 1.0 - v[outside]
-    a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]
-    return a + u[:, None] * (b - a) + v[:, None] * (c - a), face, float(cumulated[-1])
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a)

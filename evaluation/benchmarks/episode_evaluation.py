@@ -36,6 +36,7 @@ def measure_evaluation(console: Console, scenes: Sequence[str], *, quick: bool) 
 def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[dict[str, Any]]:
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.metrics import geometry_scores
+    from activestructure_gym.evaluation.metrics.geometry import streamed_scores
     from activestructure_gym.evaluation.running.episode import (
         CHECKPOINT_SAMPLES,
         CHECKPOINTS,
@@ -61,10 +62,11 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     truth.surface.discs, truth.surface.samples  # noqa: B018 - the trees are built once for a scene
     _, cost = _timed(lambda: geometry_scores(protocol.points(gaussians), truth.surface, threshold_m=threshold))
     yield {**name, "stage": "distances of the means", **cost}
-    surface, cost = _timed(lambda: protocol.surface(gaussians, path))
+    points, cost = _timed(lambda: protocol.on_surface(protocol.surface(gaussians, path).pieces))
     yield {**name, "stage": "TSDF surface", **cost}
-    points = protocol.on_surface(surface)
-    _, cost = _timed(lambda: geometry_scores(points, truth.surface, threshold_m=threshold, to_samples=False))
+    _, cost = _timed(
+        lambda: streamed_scores(points.pieces(), points.count, truth.surface, threshold_m=threshold, to_samples=False)
+    )
     yield {**name, "stage": "distances of the surface", **cost}
     _, cost = _timed(lambda: protocol.observed(truth, path))
     yield {**name, "stage": "observed", **cost}

@@ -2,393 +2,248 @@
 
 [curless1996] with projective distances and equal weights. Only blocks that some depth image's surface runs
 through are kept; each of them is carved by every image that looks through it.
+
+The blocks are fused part by part, so that a whole floor needs no more memory than a large flat. A part is fused
+together with the blocks after its own, whose first voxels close its last cells. So no part ends in a crack, and every
+triangle belongs to one part.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
-from activestructure_gym.compiling import kernel
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.machine.threads import thread_cap
+from activestructure_gym.evaluation.metrics.fusion_kernels import (
+    SIDE,
+    Blocks,
+    areas_of,
+    integrate,
+    mark,
+    range_of_tiles,
+    span,
+    triangles,
+)
 from activestructure_gym.geometry import PinholeCamera, invert_rigid
 
-_SIDE = 8  # voxels of a block
+MOST_BLOCKS = 20_000_000  # that are known at a time, 160 MB; about 290,000 square metres at voxels of 2 cm
 _ROOM = 320  # triangles per block to begin with: a plane through the middle, at a slant
 _CHUNK = 64  # blocks that one thread takes at a time
-_MOST_BLOCKS = 200_000  # 100 million voxels: a gigabyte
-_MOST_CELLS = 20_000_000  # of the coarse grid of blocks; more means depths without any sense
+_PIECE = 32 * _CHUNK  # blocks whose triangles are given at a time: 30 MB
+_PART = 50_000  # blocks that are fused at a time, without those after them: 200 MB
+_IMAGES = 64  # that are read, or drawn anew, at a time
+_KEPT_IMAGES = 256 << 20  # bytes; more images are drawn anew for every part
+_KEPT_TRIANGLES = 512 << 20  # bytes; more triangles are made anew whenever they are asked for
+_MOST_CELLS = 20_000_000  # blocks in the box around what one image sees; more means depths without any sense
+_BITS = 21  # of a block's place along each axis, in its key
+
+_AFTER = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])  # a block itself, and the seven after it
 
 
-def fused_surface(
-    depth: np.ndarray,  # [K, H, W] float32 metres along the optical axis, 0 = nothing there
-    camera: PinholeCamera,
-    world_from_camera: np.ndarray,  # [K, 4, 4]
-    *,
-    voxel: float,  # metres
-    truncation: float,  # metres
-) -> np.ndarray:  # [T, 3, 3] float32 metres, the corners of triangles
+class FusedSurface:
     """The zero surface of the fused distances, where all corners of a voxel cell have been seen.
 
-    Raises `InputError` where the images span more than memory can hold.
+    Parameters
+    ----------
+    draw
+        The depth images [n, H, W] float32 at some of the poses [n, 4, 4]: metres along the optical axis, 0 = nothing
+        there. It is called again for the same poses where the images together are too large to keep.
+    camera
+        The camera of all images.
+    world_from_camera
+        [K, 4, 4] the poses of all images.
+    voxel
+        Metres.
+    truncation
+        Metres.
+
+    Raises `InputError` where the images span more than can be fused.
     """
-    empty = np.zeros((0, 3, 3), np.float32)
-    depth = np.ascontiguousarray(depth, np.float32)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    poses = np.ascontiguousarray(world_from_camera, np.float64)
-    bounds = np.array([[np.inf] * 3, [-np.inf] * 3])
-    _span(depth, intrinsics, poses, truncation, bounds)
-    if not np.isfinite(bounds).all():
-        return empty
-    block = _SIDE * voxel
-    # Multiples of the block, so that the same surface meets the same grid whatever else was seen.
-    first = np.floor(bounds[0] / block).astype(np.int64) - 1
-    shape = tuple(np.floor(bounds[1] / block).astype(np.int64) - first + 2)
-    if float(np.prod(np.array(shape, float))) > _MOST_CELLS:
-        raise InputError(f"the depth images span {np.ptp(bounds, axis=0).round(1)} m; expected a scene in metres")
-    marked = np.zeros(shape, np.bool_)
-    _mark(depth, intrinsics, poses, truncation, first, block, marked)
-    blocks = np.argwhere(marked)
-    if len(blocks) > _MOST_BLOCKS:
-        raise InputError(f"the surface needs {len(blocks)} blocks of voxels of {voxel} m; choose larger voxels")
-    slots = np.full(shape, -1, np.int32)
-    slots[tuple(blocks.T)] = np.arange(len(blocks))
-    camera_from_world = np.ascontiguousarray(invert_rigid(poses)[:, :3])
-    tiles = _range_of_tiles(depth)
-    distance = np.zeros((len(blocks), _SIDE, _SIDE, _SIDE), np.float32)
-    weight = np.zeros(distance.shape, np.float32)
-    origin = first * block
 
-    def integrate(start: int) -> None:
-        part = slice(start, start + _CHUNK)
-        own = _Blocks(blocks[part], distance[part], weight[part])
-        _integrate(depth, tiles, intrinsics, camera_from_world, origin, voxel, truncation, own)
+    def __init__(
+        self,
+        draw: Callable[[np.ndarray], np.ndarray],
+        camera: PinholeCamera,
+        world_from_camera: np.ndarray,
+        *,
+        voxel: float,
+        truncation: float,
+    ) -> None:
+        self._draw, self._camera, self._voxel, self._truncation = draw, camera, voxel, truncation
+        self._intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        self._poses = np.ascontiguousarray(world_from_camera, np.float64)
+        self._camera_from_world = np.ascontiguousarray(invert_rigid(self._poses)[:, :3])
+        self._images: np.ndarray | None = None
+        if 4 * len(self._poses) * camera.height * camera.width <= _KEPT_IMAGES:
+            self._images = np.ascontiguousarray(draw(self._poses), np.float32)
+        self._bounds = np.tile([[[np.inf] * 3, [-np.inf] * 3]], (len(self._poses), 1, 1))  # [K, 2, 3] metres
+        self._keys = self._marked()  # [B] rising: by x, then y, then z
+        self._pieces: list[np.ndarray] | None = None
 
-    def extract(start: int) -> np.ndarray:
-        part = blocks[start : start + _CHUNK]
-        corners = np.empty((_ROOM * len(part), 3, 3), np.float32)
-        count = _triangles(distance, weight, slots, part, origin, voxel, corners)
-        if count > len(corners):
-            corners = np.empty((count, 3, 3), np.float32)
-            _triangles(distance, weight, slots, part, origin, voxel, corners)
-        return corners[:count]
+    @property
+    def blocks(self) -> int:
+        """How many blocks of voxels the surface runs through."""
+        return len(self._keys)
 
-    starts = range(0, len(blocks), _CHUNK)
-    with ThreadPoolExecutor(max(1, min(thread_cap(), len(starts)))) as pool:
-        list(pool.map(integrate, starts))
-        pieces = list(pool.map(extract, starts))
-    return np.concatenate(pieces) if pieces else empty
+    def pieces(self) -> Iterator[np.ndarray]:  # [T, 3, 3] float32 metres, the corners of triangles
+        """The triangles, some at a time, in the order of their blocks: the same ones every time."""
+        if self._pieces is not None:
+            yield from self._pieces
+            return
+        kept, size = list[np.ndarray](), 0
+        for start in range(0, len(self._keys), _PART):
+            for piece in self._part(self._keys[start : start + _PART]):
+                size += piece.nbytes
+                if size <= _KEPT_TRIANGLES:
+                    kept.append(piece)
+                else:
+                    kept.clear()
+                yield piece
+        if size <= _KEPT_TRIANGLES:
+            self._pieces = kept
+
+    def _marked(self) -> np.ndarray:  # [B] int64
+        """The keys of all blocks that the truncation band around a seen point runs through."""
+        keys = np.zeros(0, np.int64)
+        for first in range(0, len(self._poses), _IMAGES):
+            images = np.arange(first, min(first + _IMAGES, len(self._poses)))
+            depth, bounds = self._depth(images), self._bounds[first : first + _IMAGES]
+            span(depth, self._intrinsics, self._poses[images], self._truncation, bounds)
+            keys = np.union1d(keys, self._marked_by(depth, images))
+            if len(keys) > MOST_BLOCKS:
+                raise InputError(
+                    f"the surface needs more than {MOST_BLOCKS:,} blocks of {SIDE} x {SIDE} x {SIDE} voxels of "
+                    f"{self._voxel} m"
+                )
+        return keys
+
+    def _marked_by(self, depth: np.ndarray, images: np.ndarray) -> np.ndarray:  # [n] int64
+        seen = np.isfinite(self._bounds[images]).all(axis=(1, 2))
+        depth, images = depth[seen], images[seen]
+        if not len(images):
+            return np.zeros(0, np.int64)
+        block = SIDE * self._voxel
+        low, high = self._bounds[images, 0].min(axis=0), self._bounds[images, 1].max(axis=0)
+        first = np.floor(low / block).astype(np.int64) - 1  # one to spare on every side, for what is rounded
+        shape = np.floor(high / block) - first + 2.0
+        if float(shape.prod()) > _MOST_CELLS or np.abs([low, high]).max() / block >= 2 ** (_BITS - 1) - 2:
+            if len(images) == 1:
+                raise InputError(f"a depth image spans {(high - low).round(1)} m; expected a scene in metres")
+            half = len(images) // 2  # two that look at places far apart
+            parts = [self._marked_by(depth[part], images[part]) for part in (slice(half), slice(half, None))]
+            return np.concatenate(parts)
+        marked = np.zeros(tuple(shape.astype(int)), np.bool_)
+        mark(depth, self._intrinsics, self._poses[images], self._truncation, first, block, marked)
+        return _keys_of(np.argwhere(marked) + first)
+
+    def _depth(self, images: np.ndarray) -> np.ndarray:  # [n, H, W] float32 metres
+        if self._images is not None:
+            return self._images[images]
+        return np.ascontiguousarray(self._draw(self._poses[images]), np.float32)
+
+    def _part(self, own: np.ndarray) -> Iterator[np.ndarray]:
+        """The triangles of some blocks [n], which are given by their keys."""
+        after = own[:, None] + _keys_of(_AFTER, about=0)  # [n, 8]
+        keys = np.unique(after[_rows_of(after, self._keys) >= 0])
+        rows = _rows_of(after, keys)
+        # Multiples of the block, so that the same surface meets the same grid whatever else was seen.
+        block = SIDE * self._voxel
+        first = np.floor(self._bounds[:, 0].min(axis=0) / block).astype(np.int64) - 1
+        origin, places = first * block, _places_of(keys) - first
+        fused = Blocks(places, *(np.zeros((len(keys), SIDE, SIDE, SIDE), np.float32) for _ in range(2)))
+        shown = places[rows[:, 0]]
+
+        def extract(start: int) -> np.ndarray:
+            part = slice(start, start + _CHUNK)
+            rest = rows[part], shown[part], origin, self._voxel
+            corners = np.empty((_ROOM * len(shown[part]), 3, 3), np.float32)
+            count = triangles(fused.distance, fused.weight, *rest, corners)
+            if count > len(corners):
+                corners = np.empty((count, 3, 3), np.float32)
+                triangles(fused.distance, fused.weight, *rest, corners)
+            return corners[:count]
+
+        with ThreadPoolExecutor(max(1, min(thread_cap(), -(-len(keys) // _CHUNK)))) as pool:
+            self._integrate(fused, origin, pool)
+            for piece in range(0, len(own), _PIECE):
+                starts = range(piece, min(piece + _PIECE, len(own)), _CHUNK)
+                yield np.concatenate(list(pool.map(extract, starts)))
+
+    def _integrate(self, fused: Blocks, origin: np.ndarray, pool: ThreadPoolExecutor) -> None:
+        """Add every image to the blocks that it may see."""
+        block = SIDE * self._voxel
+        low, high = origin + fused.places.min(axis=0) * block, origin + (fused.places.max(axis=0) + 1) * block
+        near = np.flatnonzero(self._reaches(low, high))
+        for number in range(0, len(near), _IMAGES):
+            images = near[number : number + _IMAGES]
+            depth = self._depth(images)
+            tiles, poses = range_of_tiles(depth), self._camera_from_world[images]
+
+            rest = self._intrinsics, poses, origin, self._voxel, self._truncation
+            own = (
+                Blocks(*(array[start : start + _CHUNK] for array in fused))
+                for start in range(0, len(fused.places), _CHUNK)
+            )
+            list(pool.map(partial(integrate, depth, tiles, *rest), own))
+
+    def _reaches(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:  # [K] bool
+        """Which images can say something about a box: it meets the box around the camera and all that it sees."""
+        eyes = self._poses[:, :3, 3]
+        lower, upper = np.minimum(self._bounds[:, 0], eyes), np.maximum(self._bounds[:, 1], eyes)
+        # A pixel is that wide at the far end, and half of it lies beyond the point in its middle.
+        wide = np.linalg.norm(upper - lower, axis=1) / min(self._camera.fx, self._camera.fy)
+        spare = (SIDE * self._voxel + wide)[:, None]
+        return np.isfinite(self._bounds).all(axis=(1, 2)) & ((lower - spare <= high) & (upper + spare >= low)).all(
+            axis=1
+        )
 
 
-def triangle_areas(triangles: np.ndarray) -> np.ndarray:  # [T] m^2
-    """Area of each of the triangles [T, 3, 3]."""
-    areas = np.empty(len(triangles))
-    _areas(np.ascontiguousarray(triangles), areas)
+def check_fusing(scene: str, area: float, voxel: float, truncation: float) -> None:
+    """Raise `InputError` where so many square metres of surface, all of it seen, have more blocks than can be fused."""
+    blocks = _blocks_for(area, voxel, truncation)
+    if blocks <= MOST_BLOCKS:
+        return
+    wider = voxel
+    while _blocks_for(area, wider, max(truncation, wider)) > MOST_BLOCKS:
+        wider *= 1.1
+    raise InputError(
+        f"the {area:,.0f} m2 of surface in scene '{scene}' need about {blocks:,.0f} blocks of voxels of {voxel} m, and "
+        f"at most {MOST_BLOCKS:,} are fused: choose a tsdf_voxel_m of at least {math.ceil(1000 * wider) / 1000:g}, or "
+        "'means' as points_source"
+    )
+
+
+def _blocks_for(area: float, voxel: float, truncation: float) -> float:
+    """Return about how many blocks the truncation band around a surface runs through."""
+    block = SIDE * voxel
+    return area / block**2 * (1.0 + 2.0 * truncation / block)
+
+
+def triangle_areas(corners: np.ndarray) -> np.ndarray:  # [T] m^2
+    """Return the area of each of the triangles [T, 3, 3]."""
+    areas = np.empty(len(corners))
+    areas_of(np.ascontiguousarray(corners), areas)
     return areas
 
 
-@kernel
-def _areas(triangles: np.ndarray, areas: np.ndarray) -> None:
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
-        bx, by, bz = b[0] - ax, b[1] - ay, b[2] - az
-        cx, cy, cz = c[0] - ax, c[1] - ay, c[2] - az
-        x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-        areas[t] = 0.5 * np.sqrt(x * x + y * y + z * z)
+def _keys_of(places: np.ndarray, about: int = 1 << (_BITS - 1)) -> np.ndarray:  # [..., 3] -> [...] int64
+    """Numbers that rise with x, then y, then z."""
+    x, y, z = np.moveaxis(places + about, -1, 0)
+    return (x << 2 * _BITS) + (y << _BITS) + z
 
 
-@kernel
-def _span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncation: float, bounds: np.ndarray) -> None:
-    """Grow ``bounds`` [2, 3] to hold everything within the truncation of a seen point."""
-    fx, fy, cx, cy = intrinsics
-    for image in range(len(depth)):
-        for v in range(depth.shape[1]):
-            for u in range(depth.shape[2]):
-                z = depth[image, v, u]
-                if not z > 0.0:
-                    continue
-                x, y = (u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z
-                reach = truncation * np.sqrt(x * x + y * y + z * z) / z
-                for axis in range(3):
-                    pose = poses[image, axis]
-                    place = pose[0] * x + pose[1] * y + pose[2] * z + pose[3]
-                    bounds[0, axis] = min(bounds[0, axis], place - reach)
-                    bounds[1, axis] = max(bounds[1, axis], place + reach)
+def _rows_of(wanted: np.ndarray, keys: np.ndarray) -> np.ndarray:  # [...], [N] rising -> [...] int32
+    """Where each key stands among others, -1 where it does not."""
+    rows = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1).astype(np.int32)
+    return np.where(keys[rows] == wanted, rows, np.int32(-1))
 
 
-@kernel
-def _mark(
-    depth: np.ndarray,
-    intrinsics: np.ndarray,
-    poses: np.ndarray,
-    truncation: float,
-    first: np.ndarray,
-    block: float,
-    marked: np.ndarray,
-) -> None:
-    """Mark the blocks that the truncation band around each seen point runs through."""
-    fx, fy, cx, cy = intrinsics
-    where = np.empty(3, np.int64)
-    steps = int(np.ceil(4.0 * truncation / block))  # at most half a block apart on the axis
-    for image in range(len(depth)):
-        for v in range(depth.shape[1]):
-            for u in range(depth.shape[2]):
-                middle = depth[image, v, u]
-                if not middle > 0.0:
-                    continue
-                for step in range(steps + 1):
-                    z = middle + truncation * (2.0 * step / steps - 1.0)
-                    x, y = (u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z
-                    pose = poses[image]
-                    for axis in range(3):
-                        place = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z + pose[axis, 3]
-                        where[axis] = int(np.floor(place / block)) - first[axis]
-                    marked[where[0], where[1], where[2]] = True
-
-
-class _Blocks(NamedTuple):
-    """Some blocks of voxels and what is known in them."""
-
-    places: np.ndarray  # [B, 3]
-    distance: np.ndarray  # [B, 8, 8, 8] mean of the distances seen, metres, cut at +truncation
-    weight: np.ndarray  # [B, 8, 8, 8] how many
-
-
-_TILE = 8  # pixels
-
-
-@kernel
-def _range_of_tiles(depth: np.ndarray) -> np.ndarray:  # [K, H / 8, W / 8, 2] metres
-    """Least and largest depth in every tile of every image; (0, 0) where some pixel has none and nothing is deeper."""
-    images, height, width = depth.shape
-    tiles = np.empty((images, (height + _TILE - 1) // _TILE, (width + _TILE - 1) // _TILE, 2), np.float32)
-    tiles[..., 0], tiles[..., 1] = np.inf, 0.0
-    for image in range(images):
-        for v in range(height):
-            for u in range(width):
-                here = depth[image, v, u]
-                here = here if here > 0.0 else np.float32(0.0)
-                tile = tiles[image, v // _TILE, u // _TILE]
-                tile[0], tile[1] = min(tile[0], here), max(tile[1], here)
-    return tiles
-
-
-@kernel
-def _integrate(
-    depth: np.ndarray,  # [K, H, W]
-    tiles: np.ndarray,  # [K, H / 8, W / 8, 2] least and largest depth
-    intrinsics: np.ndarray,
-    camera_from_world: np.ndarray,  # [K, 3, 4]
-    origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
-    voxel: float,
-    truncation: float,
-    own: _Blocks,  # changed
-) -> None:
-    blocks, distance, weight = own
-    fx, fy, cx, cy = intrinsics
-    height, width = depth.shape[1], depth.shape[2]
-    block = 8 * voxel
-    radius = 0.5 * np.sqrt(3.0) * block
-    # How far beyond the image's edge a sphere of that radius still touches the frustum, per metre of radius.
-    slack_x = np.sqrt(1.0 + (max(cx, width - cx) / fx) ** 2)
-    slack_y = np.sqrt(1.0 + (max(cy, height - cy) / fy) ** 2)
-    away, across, down = np.empty(8), np.empty(8), np.empty(8)
-    for b in range(len(blocks)):
-        corner_x = origin[0] + blocks[b, 0] * block
-        corner_y = origin[1] + blocks[b, 1] * block
-        corner_z = origin[2] + blocks[b, 2] * block
-        for image in range(len(depth)):
-            pose = camera_from_world[image]
-            mx, my, mz = corner_x + 0.5 * block, corner_y + 0.5 * block, corner_z + 0.5 * block
-            z = pose[2, 0] * mx + pose[2, 1] * my + pose[2, 2] * mz + pose[2, 3]
-            if z < -radius:
-                continue
-            x = pose[0, 0] * mx + pose[0, 1] * my + pose[0, 2] * mz + pose[0, 3]
-            y = pose[1, 0] * mx + pose[1, 1] * my + pose[1, 2] * mz + pose[1, 3]
-            if x < -cx / fx * z - radius * slack_x or x > (width - cx) / fx * z + radius * slack_x:
-                continue
-            if y < -cy / fy * z - radius * slack_y or y > (height - cy) / fy * z + radius * slack_y:
-                continue
-            if z > 2.0 * radius:  # else it may reach around the camera
-                reach = radius / (z - radius)
-                spread_x, spread_y = reach * (fx + abs(x) / z * fx), reach * (fy + abs(y) / z * fy)
-                low_u, high_u = fx * x / z + cx - spread_x, fx * x / z + cx + spread_x
-                low_v, high_v = fy * y / z + cy - spread_y, fy * y / z + cy + spread_y
-                least, most = np.float32(np.inf), np.float32(0.0)
-                for row in range(max(0, int(low_v) // _TILE), min(height - 1, int(high_v)) // _TILE + 1):
-                    for column in range(max(0, int(low_u) // _TILE), min(width - 1, int(high_u)) // _TILE + 1):
-                        least = min(least, tiles[image, row, column, 0])
-                        most = max(most, tiles[image, row, column, 1])
-                if most - (z - radius) < -truncation:  # all of it behind what is seen
-                    continue
-                inside = low_u >= 0.0 and low_v >= 0.0 and high_u < width and high_v < height
-                if inside and least - (z + radius) >= truncation:  # all of it in free space
-                    _add_free_space(distance[b], weight[b], truncation)
-                    continue
-            for i in range(8):
-                for j in range(8):
-                    px, py = corner_x + (i + 0.5) * voxel, corner_y + (j + 0.5) * voxel
-                    x = pose[0, 0] * px + pose[0, 1] * py
-                    y = pose[1, 0] * px + pose[1, 1] * py
-                    z = pose[2, 0] * px + pose[2, 1] * py
-                    for k in range(8):  # a loop of its own: on several voxels at once
-                        pz = corner_z + (k + 0.5) * voxel
-                        away[k] = z + pose[2, 2] * pz + pose[2, 3]
-                        across[k] = fx * (x + pose[0, 2] * pz + pose[0, 3]) / away[k] + cx
-                        down[k] = fy * (y + pose[1, 2] * pz + pose[1, 3]) / away[k] + cy
-                    _add_row(away, across, down, depth[image], truncation, distance[b, i, j], weight[b, i, j])
-
-
-@kernel
-def _add_row(
-    away: np.ndarray,  # [8] metres, along the optical axis
-    across: np.ndarray,  # [8] pixels
-    down: np.ndarray,  # [8] pixels
-    depth: np.ndarray,  # [H, W]
-    truncation: float,
-    distance: np.ndarray,  # [8] changed
-    weight: np.ndarray,  # [8] changed
-) -> None:
-    """What an image says of a row of voxels that lie there in it."""
-    height, width = depth.shape
-    for k in range(8):
-        z, u, v = away[k], across[k], down[k]
-        if not (z >= 0.05 and 0.0 <= u < width and 0.0 <= v < height):
-            continue
-        seen = depth[int(v), int(u)]
-        ahead = seen - z
-        if not seen > 0.0 or ahead < -truncation:
-            continue
-        count = weight[k]
-        distance[k] = (distance[k] * count + min(ahead, truncation)) / (count + 1.0)
-        weight[k] = count + 1.0
-
-
-@kernel
-def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float) -> None:
-    """One more image that sees through every voxel of a block."""
-    for i in range(8):
-        for j in range(8):
-            for k in range(8):
-                count = weight[i, j, k]
-                distance[i, j, k] = (distance[i, j, k] * count + truncation) / (count + 1.0)
-                weight[i, j, k] = count + 1.0
-
-
-# The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell; corner n lies at the bits (x, y, z) of n.
-# Every cell is cut alike, so neighbours agree on the diagonals of their common faces and the surface has no cracks.
-_TETRAHEDRA = np.array(
-    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
-)
-
-
-@kernel
-def _triangles(
-    distance: np.ndarray,
-    weight: np.ndarray,
-    slots: np.ndarray,  # [X, Y, Z] index of a block, -1 = none
-    blocks: np.ndarray,  # [B, 3] whose cells are looked at
-    origin: np.ndarray,
-    voxel: float,
-    corners: np.ndarray,  # [T, 3, 3] out, filled as far as it reaches
-) -> int:
-    """Marching tetrahedra over the cells between voxel centres; returns how many triangles there are."""
-    value, place = np.empty(8), np.empty((8, 3))
-    crossing = np.empty((4, 3))
-    near, unseen = np.empty((9, 9, 9), np.float32), np.empty((9, 9, 9), np.bool_)
-    count = 0
-    for b in range(len(blocks)):
-        if not _with_neighbours(distance, weight, slots, blocks[b], near, unseen):
-            continue
-        for cell in range(512):
-            i, j, k = cell >> 6, (cell >> 3) & 7, cell & 7
-            inside = 0
-            known = True
-            for corner in range(8):
-                gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
-                if unseen[gi, gj, gk]:
-                    known = False
-                    break
-                value[corner] = near[gi, gj, gk]
-                inside += value[corner] < 0.0
-            if not known or inside == 0 or inside == 8:
-                continue
-            for corner in range(8):
-                gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
-                place[corner, 0] = origin[0] + (blocks[b, 0] * 8 + gi + 0.5) * voxel
-                place[corner, 1] = origin[1] + (blocks[b, 1] * 8 + gj + 0.5) * voxel
-                place[corner, 2] = origin[2] + (blocks[b, 2] * 8 + gk + 0.5) * voxel
-            for tetrahedron in _TETRAHEDRA:
-                found = 0
-                behind = 0
-                for a in range(4):
-                    behind += value[tetrahedron[a]] < 0.0
-                if behind == 0 or behind == 4:
-                    continue
-                # Cut edges in an order that goes round: from each corner of the smaller side to the others.
-                if behind == 2:
-                    low, other_low, high, other_high = -1, -1, -1, -1
-                    for a in range(4):
-                        corner = tetrahedron[a]
-                        if value[corner] < 0.0:
-                            low, other_low = (corner, -1) if low < 0 else (low, corner)
-                        else:
-                            high, other_high = (corner, -1) if high < 0 else (high, corner)
-                    _cut(value, place, low, high, crossing[0])
-                    _cut(value, place, low, other_high, crossing[1])
-                    _cut(value, place, other_low, other_high, crossing[2])
-                    _cut(value, place, other_low, high, crossing[3])
-                    found = 4
-                else:
-                    lonely = behind == 1
-                    tip = 0
-                    for a in range(4):
-                        if (value[tetrahedron[a]] < 0.0) == lonely:
-                            tip = tetrahedron[a]
-                    for a in range(4):
-                        if tetrahedron[a] != tip:
-                            _cut(value, place, tip, tetrahedron[a], crossing[found])
-                            found += 1
-                for third in range(2, found):
-                    if count < len(corners):
-                        for axis in range(3):
-                            corners[count, 0, axis] = crossing[0, axis]
-                            corners[count, 1, axis] = crossing[third - 1, axis]
-                            corners[count, 2, axis] = crossing[third, axis]
-                    count += 1
-    return count
-
-
-@kernel
-def _with_neighbours(
-    distance: np.ndarray,
-    weight: np.ndarray,
-    slots: np.ndarray,
-    block: np.ndarray,  # [3]
-    near: np.ndarray,  # [9, 9, 9] out
-    unseen: np.ndarray,  # [9, 9, 9] out
-) -> bool:
-    """A block and the next voxels of its neighbours; returns whether a surface may run through them."""
-    before, behind = False, False
-    for gi in range(9):
-        for gj in range(9):
-            for gk in range(9):
-                slot = slots[block[0] + (gi >> 3), block[1] + (gj >> 3), block[2] + (gk >> 3)]
-                lost = slot < 0 or weight[slot, gi & 7, gj & 7, gk & 7] == 0.0
-                unseen[gi, gj, gk] = lost
-                if not lost:
-                    here = distance[slot, gi & 7, gj & 7, gk & 7]
-                    near[gi, gj, gk] = here
-                    before, behind = before or here >= 0.0, behind or here < 0.0
-    return before and behind
-
-
-@kernel
-def _cut(value: np.ndarray, place: np.ndarray, a: int, b: int, out: np.ndarray) -> None:
-    share = value[a] / (value[a] - value[b])
-    for axis in range(3):
-        out[axis] = place[a, axis] + share * (place[b, axis] - place[a, axis])
+def _places_of(keys: np.ndarray) -> np.ndarray:  # [N] -> [N, 3] int64
+    """The places of keys."""
+    mask = (1 << _BITS) - 1
+    return np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1) - (1 << (_BITS - 1))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from activestructure_gym.evaluation.metrics.nearest import PointTree
+from activestructure_gym.evaluation.metrics.streams import StreamedSum, batched
+
+_BATCH = 1 << 21  # points that are searched among, or asked for, at a time: 300 MB
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,33 @@ class GeometryScores:
 
 def nearest_distances(queries: np.ndarray, points: np.ndarray) -> np.ndarray:  # [Q] metres
     """Distance from every query [Q, 3] to the nearest of ``points`` [P, 3]; inf where there are none."""
-    return PointTree(points).query(queries)[0]
+    return streamed_distances(queries, [np.asarray(points, np.float64).reshape(-1, 3)])
+
+
+def streamed_distances(queries: np.ndarray, pieces: Iterable[np.ndarray]) -> np.ndarray:  # [Q] metres
+    """Return the `nearest_distances` to points that come in pieces [n, 3], in bounded memory."""
+    nearest = NearestPoints(queries)
+    for batch in batched(pieces, _BATCH):
+        nearest.add(batch)
+    return nearest.distances
+
+
+class NearestPoints:
+    """Distances from some places to the nearest of points that come in batches."""
+
+    def __init__(self, places: np.ndarray) -> None:
+        self._places = np.asarray(places, np.float64).reshape(-1, 3)
+        self.distances = np.full(len(self._places), np.inf)  # [Q] metres
+
+    def add(self, points: np.ndarray) -> None:
+        """Take further points [P, 3] into account."""
+        if not len(points):
+            return
+        # No point is nearer than the box around all of them; the share is for what is rounded.
+        apart = np.maximum(np.maximum(points.min(axis=0) - self._places, self._places - points.max(axis=0)), 0.0)
+        ask = np.linalg.norm(apart, axis=1) * (1.0 - 1e-9) < self.distances
+        found = PointTree(points).query(self._places[ask])[0]
+        self.distances[ask] = np.minimum(self.distances[ask], found)
 
 
 def surface_distances(queries: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:  # [Q], [Q]
@@ -106,23 +136,41 @@ def geometry_scores(
     """
     reconstructed = np.asarray(reconstructed, dtype=np.float64).reshape(-1, 3)
     reconstructed = reconstructed[np.isfinite(reconstructed).all(axis=1)]
+    return streamed_scores([reconstructed], len(reconstructed), surface, threshold_m=threshold_m, to_samples=to_samples)
+
+
+def streamed_scores(
+    pieces: Iterable[np.ndarray],  # [n, 3] metres, world, finite
+    count: int,  # of points in all pieces together
+    surface: SurfaceSamples,
+    *,
+    threshold_m: float,
+    to_samples: bool,
+) -> GeometryScores:
+    """Return the `geometry_scores` of points that come in pieces, equal to the last bit and in bounded memory."""
     real = np.isfinite(surface.points).all(axis=1)
     if not real.any():
         return GeometryScores(None, None, None, None, None, None)
     if not real.all():
         surface = SurfaceSamples(surface.points[real], surface.normals[real], surface.area)
-    to_points = completion_distances(surface, reconstructed)
-    ratio = _percent(to_points < threshold_m)
-    if not len(reconstructed):
+    nearest, near = NearestPoints(surface.points), 0
+    to_surface, to_sample = StreamedSum(count), StreamedSum(count if to_samples else 0)
+    for batch in batched(pieces, _BATCH):
+        nearest.add(batch)
+        distances = surface.discs.query(batch)[0]
+        near += int(np.count_nonzero(distances < threshold_m))
+        to_surface.add(distances)
+        if to_samples:
+            to_sample.add(surface.samples.query(batch)[0])
+    ratio = _percent(nearest.distances < threshold_m)
+    if not count:
         return GeometryScores(None, None, None, ratio, 0.0, 0.0)
-    to_surface = surface.discs.query(reconstructed)[0]
-    to_sample = surface.samples.query(reconstructed)[0] if to_samples else None
-    precision = _percent(to_surface < threshold_m)
+    precision = 100.0 * float(near) / count
     f_score = 2.0 * precision * ratio / (precision + ratio) if precision + ratio else 0.0
     return GeometryScores(
-        accuracy_cm=100.0 * float(to_surface.mean()),
-        sample_accuracy_cm=None if to_sample is None else 100.0 * float(to_sample.mean()),
-        completion_cm=100.0 * float(to_points.mean()),
+        accuracy_cm=100.0 * (to_surface.value / count),
+        sample_accuracy_cm=100.0 * (to_sample.value / count) if to_samples else None,
+        completion_cm=100.0 * float(nearest.distances.mean()),
         completion_ratio=ratio,
         precision=precision,
         f_score=f_score,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
@@ -14,20 +14,20 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import (
     GeometryScores,
     SurfaceSamples,
-    completion_distances,
     depth_l1,
     geometry_scores,
     lpips,
     psnr,
 )
-from activestructure_gym.evaluation.metrics.fusion import fused_surface, triangle_areas
+from activestructure_gym.evaluation.metrics.fusion import FusedSurface, check_fusing
+from activestructure_gym.evaluation.metrics.geometry import streamed_distances, streamed_scores
 from activestructure_gym.evaluation.metrics.image import MS_SSIM_SIDE, similarities
+from activestructure_gym.evaluation.metrics.surface_points import SurfacePoints
 from activestructure_gym.evaluation.protocols.base import CameraPath
 from activestructure_gym.evaluation.protocols.looks import every_view, mean_of_known
 from activestructure_gym.evaluation.protocols.sight import seen_by_keyframes
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.ground_truth.observable import SIGHT_MARGIN
-from activestructure_gym.ground_truth.surface_samples import samples_by_area
 from activestructure_gym.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -118,11 +118,16 @@ class StandardProtocol:
         return PinholeCamera.from_size(self.view_width, self.view_height, self.view_fov_deg)
 
     def truth(self, known: GroundTruth) -> Truth:
-        """The observable surface and the held-out views of a scene (both cached by its content)."""
+        """The observable surface and the held-out views of a scene (both cached by its content).
+
+        Raises `InputError` where the TSDF surface of so large a scene could not be fused.
+        """
         from activestructure_gym.evaluation.protocols.held_out_views import free_space_views, recorded_views
         from activestructure_gym.ground_truth.observable import observable_surface_of
 
         seen = observable_surface_of(known.scene, known.free_space, self.surface_samples)
+        if self.points_source == "both":
+            check_fusing(known.scene.name, seen.area, self.tsdf_voxel_m, self.tsdf_truncation_m)
         surface = SurfaceSamples(seen.points, seen.normals, seen.area)
         if self.view_source == "recorded":
             return Truth(surface, recorded_views(known.scene, count=self.views), known.scene)
@@ -170,28 +175,37 @@ class StandardProtocol:
     def _fused_scores(
         self, gaussians: GaussianMap, truth: Truth, path: CameraPath | None, notes: dict[str, str]
     ) -> dict[str, float | None]:
-        if self.points_source == "both" and path is not None:
-            surface = self.surface(gaussians, path)
-            areas = triangle_areas(surface)
-            scores = geometry_scores(
-                self.on_surface(surface, areas), truth.surface, threshold_m=self.threshold_m, to_samples=False
+        scores, area = GeometryScores(None, None, None, None, None, None), None
+        try:
+            if path is None:
+                raise InputError("no poses of keyframes came with the map")
+            points = self.on_surface(self.surface(gaussians, path).pieces)
+            scores = streamed_scores(
+                points.pieces(), points.count, truth.surface, threshold_m=self.threshold_m, to_samples=False
             )
-            area: float | None = float(areas.sum())
-        else:
-            scores, area = GeometryScores(None, None, None, None, None, None), None
-            reason = "no poses of keyframes came with the map" if path is None else "this protocol asks for means only"
-            notes["tsdf"] = reason
+            area = points.area
+        except InputError as error:
+            notes["tsdf"] = str(error)
         found = dataclasses.asdict(scores)
         del found["sample_accuracy_cm"]
         return {f"tsdf_{name}": value for name, value in found.items()} | {"tsdf_area_m2": area}
 
-    def surface(self, gaussians: GaussianMap, path: CameraPath) -> np.ndarray:  # [T, 3, 3] metres
-        """The triangles of the TSDF surface: the surface that the map shows at the keyframes, fused."""
+    def surface(self, gaussians: GaussianMap, path: CameraPath) -> FusedSurface:
+        """The TSDF surface: the surface that the map shows at the keyframes, fused.
+
+        Raises `InputError` where there is none.
+        """
+        if self.points_source != "both":
+            raise InputError("this protocol asks for means only")
         size = (self.tsdf_image_width, round(self.tsdf_image_width * path.camera.height / path.camera.width))
         camera = path.camera.resized(*size)
-        poses = path.keyframes
-        depth = self._surface_depth(gaussians, camera, poses)
-        return fused_surface(depth, camera, poses, voxel=self.tsdf_voxel_m, truncation=self.tsdf_truncation_m)
+        return FusedSurface(
+            lambda poses: self._surface_depth(gaussians, camera, poses),
+            camera,
+            path.keyframes,
+            voxel=self.tsdf_voxel_m,
+            truncation=self.tsdf_truncation_m,
+        )
 
     def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
         """Depth of what the map shows, 0 where it shows nothing: [K, H, W] metres."""
@@ -199,20 +213,12 @@ class StandardProtocol:
 
         return surface_depth(gaussians.parameters, gaussians.count, camera, poses, **self._blur)
 
-    def on_surface(
-        self,
-        surface: np.ndarray,  # [T, 3, 3] metres
-        areas: np.ndarray | None = None,  # [T] m^2, if known
-    ) -> np.ndarray:  # [P, 3] metres, [0, 3] without triangles
-        """Points on triangles, uniform by area, the same ones for the same triangles.
+    def on_surface(self, triangles: Callable[[], Iterable[np.ndarray]]) -> SurfacePoints:
+        """Points on the triangles, uniform by area, the same ones for the same triangles.
 
         As many as a distance to the nearest of them needs to be one to the surface: it decides about completion.
         """
-        areas = triangle_areas(surface) if areas is None else areas
-        if areas.sum() == 0.0:
-            return np.zeros((0, 3))
-        count = max(self.surface_samples, math.ceil(self.tsdf_samples_per_m2 * float(areas.sum())))
-        return samples_by_area(surface, areas, count, np.random.default_rng(0))[0]
+        return SurfacePoints(triangles, per_m2=self.tsdf_samples_per_m2, least=self.surface_samples)
 
     def looks(self, gaussians: GaussianMap, truth: Truth, notes: dict[str, str]) -> list[dict[str, float | None]]:
         """The numbers of every held-out view."""
@@ -242,7 +248,7 @@ class StandardProtocol:
             truth.surface, points=truth.surface.points[every], normals=truth.surface.normals[every]
         )
         points = self.points(gaussians)
-        found = {"completion_ratio": self._ratio(part, points)}
+        found = {"completion_ratio": self._ratio(part, [points])}
         if len(points):
             off = truth.surface.discs.query(points[:: max(1, len(points) // samples)])[0]
             found["precision"] = 100.0 * float(np.mean(off < self.threshold_m))
@@ -252,8 +258,10 @@ class StandardProtocol:
         observed = self.observed(dataclasses.replace(truth, surface=part), path)
         if observed is not None:
             found["observed"] = observed
-        if surface and path is not None and self.points_source == "both":
-            found["tsdf_completion_ratio"] = self._ratio(part, self.on_surface(self.surface(gaussians, path)))
+        if surface and path is not None:
+            with suppress(InputError):  # `evaluate` says why there is none
+                pieces = self.on_surface(self.surface(gaussians, path).pieces).pieces()
+                found["tsdf_completion_ratio"] = self._ratio(part, pieces)
         return found
 
     def _image_scores(self, gaussians: GaussianMap, truth: Truth) -> dict[str, float]:
@@ -268,8 +276,8 @@ class StandardProtocol:
         means = {"psnr": mean_of_known(p for p, _ in looks), "depth_l1_cm": mean_of_known(d for _, d in looks)}
         return {name: value for name, value in means.items() if value is not None}
 
-    def _ratio(self, surface: SurfaceSamples, points: np.ndarray) -> float:
-        return 100.0 * float(np.mean(completion_distances(surface, points) < self.threshold_m))
+    def _ratio(self, surface: SurfaceSamples, pieces: Iterable[np.ndarray]) -> float:
+        return 100.0 * float(np.mean(streamed_distances(surface.points, pieces) < self.threshold_m))
 
     def points(self, gaussians: GaussianMap) -> np.ndarray:  # [P, 3]
         """The reconstructed points: the means of the solid Gaussians."""

@@ -1,13 +1,29 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import trimesh
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.metrics import fusion
-from activestructure_gym.evaluation.metrics.fusion import fused_surface, triangle_areas
+from activestructure_gym.evaluation.metrics.fusion import FusedSurface, triangle_areas
 from activestructure_gym.geometry import PinholeCamera, fibonacci_directions, look_along
 
 CAMERA = PinholeCamera.from_size(120, 90, 60.0)
+
+
+def draws(depth: np.ndarray, poses: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """What draws these images at these poses, which differ from each other unless their images are equal."""
+    known = {pose.tobytes(): image for pose, image in zip(np.asarray(poses, np.float64), depth)}
+    return lambda wanted: np.stack([known[pose.tobytes()] for pose in wanted])
+
+
+def fused_surface(
+    depth: np.ndarray, camera: PinholeCamera, poses: np.ndarray, *, voxel: float, truncation: float
+) -> np.ndarray:  # [T, 3, 3]
+    """All triangles at once."""
+    surface = FusedSurface(lambda wanted: depth, camera, poses, voxel=voxel, truncation=truncation)
+    return np.concatenate([np.zeros((0, 3, 3), np.float32), *surface.pieces()])
 
 
 def sphere_depth(pose: np.ndarray, radius: float = 1.0) -> np.ndarray:
@@ -88,15 +104,52 @@ def test_blocks_that_are_skipped_or_seen_through_at_once_change_nothing(around, 
     depth[3, 20:40, 50:80] = 0.0
     depth *= rng.uniform(0.99, 1.01, depth.shape).astype(np.float32)
     quick = fused_surface(depth, CAMERA, around[:8], voxel=0.05, truncation=0.1)
-    found = fusion._range_of_tiles(depth)
+    found = fusion.range_of_tiles(depth)
     assert found.shape == (8, 12, 15, 2)
     assert found[2, 3, 4].tolist() == [depth[2, 24:32, 32:40].min(), depth[2, 24:32, 32:40].max()]
     assert found[3, 3, 7, 0] == 0.0
 
     def nothing_known(depth: np.ndarray) -> np.ndarray:
-        tiles = np.zeros_like(found)
+        tiles = np.zeros((len(depth), *found.shape[1:]), np.float32)
         tiles[..., 1] = np.inf
         return tiles
 
-    monkeypatch.setattr(fusion, "_range_of_tiles", nothing_known)
+    monkeypatch.setattr(fusion, "range_of_tiles", nothing_known)
     np.testing.assert_array_equal(fused_surface(depth, CAMERA, around[:8], voxel=0.05, truncation=0.1), quick)
+
+
+def noisy_room(around: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Images of a sphere in a room of which no two images agree, one of them with a hole."""
+    depth = np.stack([sphere_depth(pose) for pose in around])
+    depth[depth == 0] = 6.0
+    depth[3, 20:40, 50:80] = 0.0
+    return (depth * rng.uniform(0.99, 1.01, depth.shape)).astype(np.float32)
+
+
+def test_parts_give_the_triangles_of_the_whole(around, rng, monkeypatch):
+    """Equal bytes in equal order: no crack, no triangle twice, wherever one part ends and the next begins."""
+    depth = noisy_room(around, rng)
+    whole = fused_surface(depth, CAMERA, around, voxel=0.05, truncation=0.15)
+    for part, images, kept in ((50, 64, 1 << 28), (333, 5, 0), (1000, 7, 0)):
+        monkeypatch.setattr(fusion, "_PART", part)
+        monkeypatch.setattr(fusion, "_IMAGES", images)
+        monkeypatch.setattr(fusion, "_KEPT_IMAGES", kept)
+        monkeypatch.setattr(fusion, "_KEPT_TRIANGLES", kept)
+        surface = FusedSurface(draws(depth, around), CAMERA, around, voxel=0.05, truncation=0.15)
+        assert surface.blocks > 3 * part
+        for _ in range(2):  # the second time from what was kept, or made anew
+            assert np.concatenate(list(surface.pieces())).tobytes() == whole.tobytes()
+
+
+def test_images_that_look_at_places_far_apart_need_no_box_around_both():
+    depth = np.full((2, 90, 120), 2.0, np.float32)
+    poses = np.stack([look_along(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])) for x in (0.0, 10_000.0)])
+    both = fused_surface(depth, CAMERA, poses, voxel=0.05, truncation=0.1)
+    one = fused_surface(depth[:1], CAMERA, poses[:1], voxel=0.05, truncation=0.1)
+    assert len(both) == pytest.approx(2 * len(one), rel=0.05)
+
+
+def test_more_blocks_than_can_be_held_are_refused(monkeypatch):
+    monkeypatch.setattr(fusion, "MOST_BLOCKS", 20)
+    with pytest.raises(InputError, match="more than 20 blocks of 8 x 8 x 8 voxels of 0.05 m"):
+        fused_surface(np.full((1, 90, 120), 2.0, np.float32), CAMERA, np.eye(4)[None], voxel=0.05, truncation=0.1)

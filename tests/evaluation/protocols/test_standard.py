@@ -1,4 +1,5 @@
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from activestructure_gym.evaluation.protocols import CameraPath, StandardProtoco
 from activestructure_gym.evaluation.protocols.held_out_views import HeldOutViews
 from activestructure_gym.evaluation.protocols.standard import StandardProtocol3
 from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.mapping import GaussianMap
+from activestructure_gym.scenes import load_scene
 
 PROTOCOL = StandardProtocol(views=2, view_width=32, view_height=18)
 LATER = ("sight_margin_m", "tsdf_samples_per_m2")  # constants that version 2 had not
@@ -167,11 +170,37 @@ def test_no_part_of_a_large_surface_lies_far_from_its_samples_by_chance():
     surface = SurfaceSamples(truth, np.tile([0.0, 0.0, 1.0], (len(truth), 1)), side * side)
     ratios = []
     for protocol in (StandardProtocol(surface_samples=2000), StandardProtocol3(surface_samples=2000)):
-        points = protocol.on_surface(floor)
-        assert (points[:, 2] == 0).all() and np.array_equal(points, protocol.on_surface(floor))
+        points = np.concatenate(list(protocol.on_surface(lambda: [floor]).pieces()))
+        again = np.concatenate(list(protocol.on_surface(lambda: [floor[:1], floor[1:]]).pieces()))
+        assert (points[:, 2] == 0).all() and np.array_equal(points, again)
         ratios.append((completion_distances(surface, points) < protocol.threshold_m).mean())
     assert ratios[0] == 1.0 and ratios[1] == pytest.approx(1 - np.exp(-2000 / side**2 * np.pi * 0.05**2), abs=0.02)
-    assert len(StandardProtocol().on_surface(floor)) == 200_000  # enough for 9 m^2
+    assert StandardProtocol().on_surface(lambda: [floor]).count == 200_000  # enough for 9 m^2
+
+
+def test_a_surface_that_cannot_be_fused_is_none_with_a_reason_and_all_else_is_measured(wall, monkeypatch):
+    monkeypatch.setattr("activestructure_gym.evaluation.metrics.fusion.MOST_BLOCKS", 10)
+    solid = GaussianMap()
+    solid.append(gaussians(wall.surface.points, opacity=0.95))
+    path = CameraPath(wall.views.camera, np.eye(4), np.eye(4)[None])
+    scores = PROTOCOL.evaluate(solid, wall, path)
+    assert scores["tsdf_completion_ratio"] is None and scores["tsdf_area_m2"] is None
+    assert scores["notes"]["tsdf"] == "the surface needs more than 10 blocks of 8 x 8 x 8 voxels of 0.02 m"
+    assert scores["completion_ratio"] == 100.0
+    point = PROTOCOL.checkpoint(solid, wall, path, views=1, samples=1000, surface=True)
+    assert "tsdf_completion_ratio" not in point and point["completion_ratio"] == 100.0
+
+
+def test_a_surface_of_too_many_blocks_is_refused_before_the_first_frame(monkeypatch):
+    monkeypatch.setattr("activestructure_gym.evaluation.metrics.fusion.MOST_BLOCKS", 1000)
+    known = ground_truth_of(load_scene("box"))
+    few = StandardProtocol(views=1, view_width=32, view_height=18, surface_samples=2000)
+    with pytest.raises(InputError, match=r"m2 of surface in scene 'box-0' need about [0-9,]+ blocks") as refusal:
+        few.truth(known)
+    least = float(re.search(r"a tsdf_voxel_m of at least ([0-9.]+)", str(refusal.value))[1])
+    assert 0.02 < least < 1.0
+    dataclasses.replace(few, tsdf_voxel_m=least, tsdf_truncation_m=max(least, 0.06)).truth(known)
+    dataclasses.replace(few, points_source="means").truth(known)
 
 
 def test_version_3_draws_depth_at_the_centres(wall):

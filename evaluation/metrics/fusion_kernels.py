@@ -1,0 +1,314 @@
+"""The loops behind `fusion`: truncated signed distances on blocks of 8 x 8 x 8 voxels, and marching tetrahedra."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from activestructure_gym.compiling import kernel
+
+SIDE = 8  # voxels of a block
+
+
+@kernel
+def areas_of(triangles: np.ndarray, areas: np.ndarray) -> None:
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
+        bx, by, bz = b[0] - ax, b[1] - ay, b[2] - az
+        cx, cy, cz = c[0] - ax, c[1] - ay, c[2] - az
+        x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        areas[t] = 0.5 * np.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def span(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, truncation: float, bounds: np.ndarray) -> None:
+    """Grow ``bounds`` [K, 2, 3] of each image to hold everything within the truncation of a point that it sees."""
+    fx, fy, cx, cy = intrinsics
+    for image in range(len(depth)):
+        for v in range(depth.shape[1]):
+            for u in range(depth.shape[2]):
+                z = depth[image, v, u]
+                if not z > 0.0:
+                    continue
+                x, y = (u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z
+                reach = truncation * np.sqrt(x * x + y * y + z * z) / z
+                for axis in range(3):
+                    pose = poses[image, axis]
+                    place = pose[0] * x + pose[1] * y + pose[2] * z + pose[3]
+                    bounds[image, 0, axis] = min(bounds[image, 0, axis], place - reach)
+                    bounds[image, 1, axis] = max(bounds[image, 1, axis], place + reach)
+
+
+@kernel
+def mark(
+    depth: np.ndarray,
+    intrinsics: np.ndarray,
+    poses: np.ndarray,
+    truncation: float,
+    first: np.ndarray,
+    block: float,
+    marked: np.ndarray,
+) -> None:
+    """Mark the blocks that the truncation band around each seen point runs through."""
+    fx, fy, cx, cy = intrinsics
+    where = np.empty(3, np.int64)
+    steps = int(np.ceil(4.0 * truncation / block))  # at most half a block apart on the axis
+    for image in range(len(depth)):
+        for v in range(depth.shape[1]):
+            for u in range(depth.shape[2]):
+                middle = depth[image, v, u]
+                if not middle > 0.0:
+                    continue
+                for step in range(steps + 1):
+                    z = middle + truncation * (2.0 * step / steps - 1.0)
+                    x, y = (u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z
+                    pose = poses[image]
+                    for axis in range(3):
+                        place = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z + pose[axis, 3]
+                        where[axis] = int(np.floor(place / block)) - first[axis]
+                    marked[where[0], where[1], where[2]] = True
+
+
+class Blocks(NamedTuple):
+    """Some blocks of voxels and what is known in them."""
+
+    places: np.ndarray  # [B, 3]
+    distance: np.ndarray  # [B, 8, 8, 8] mean of the distances seen, metres, cut at +truncation
+    weight: np.ndarray  # [B, 8, 8, 8] how many
+
+
+_TILE = 8  # pixels
+
+
+@kernel
+def range_of_tiles(depth: np.ndarray) -> np.ndarray:  # [K, H / 8, W / 8, 2] metres
+    """Least and largest depth in every tile of every image; (0, 0) where some pixel has none and nothing is deeper."""
+    images, height, width = depth.shape
+    tiles = np.empty((images, (height + _TILE - 1) // _TILE, (width + _TILE - 1) // _TILE, 2), np.float32)
+    tiles[..., 0], tiles[..., 1] = np.inf, 0.0
+    for image in range(images):
+        for v in range(height):
+            for u in range(width):
+                here = depth[image, v, u]
+                here = here if here > 0.0 else np.float32(0.0)
+                tile = tiles[image, v // _TILE, u // _TILE]
+                tile[0], tile[1] = min(tile[0], here), max(tile[1], here)
+    return tiles
+
+
+@kernel
+def integrate(
+    depth: np.ndarray,  # [K, H, W]
+    tiles: np.ndarray,  # [K, H / 8, W / 8, 2] least and largest depth
+    intrinsics: np.ndarray,
+    camera_from_world: np.ndarray,  # [K, 3, 4]
+    origin: np.ndarray,  # [3] lower corner of block (0, 0, 0)
+    voxel: float,
+    truncation: float,
+    own: Blocks,  # changed
+) -> None:
+    blocks, distance, weight = own
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape[1], depth.shape[2]
+    block = 8 * voxel
+    radius = 0.5 * np.sqrt(3.0) * block
+    # How far beyond the image's edge a sphere of that radius still touches the frustum, per metre of radius.
+    slack_x = np.sqrt(1.0 + (max(cx, width - cx) / fx) ** 2)
+    slack_y = np.sqrt(1.0 + (max(cy, height - cy) / fy) ** 2)
+    away, across, down = np.empty(8), np.empty(8), np.empty(8)
+    for b in range(len(blocks)):
+        corner_x = origin[0] + blocks[b, 0] * block
+        corner_y = origin[1] + blocks[b, 1] * block
+        corner_z = origin[2] + blocks[b, 2] * block
+        for image in range(len(depth)):
+            pose = camera_from_world[image]
+            mx, my, mz = corner_x + 0.5 * block, corner_y + 0.5 * block, corner_z + 0.5 * block
+            z = pose[2, 0] * mx + pose[2, 1] * my + pose[2, 2] * mz + pose[2, 3]
+            if z < -radius:
+                continue
+            x = pose[0, 0] * mx + pose[0, 1] * my + pose[0, 2] * mz + pose[0, 3]
+            y = pose[1, 0] * mx + pose[1, 1] * my + pose[1, 2] * mz + pose[1, 3]
+            if x < -cx / fx * z - radius * slack_x or x > (width - cx) / fx * z + radius * slack_x:
+                continue
+            if y < -cy / fy * z - radius * slack_y or y > (height - cy) / fy * z + radius * slack_y:
+                continue
+            if z > 2.0 * radius:  # else it may reach around the camera
+                reach = radius / (z - radius)
+                spread_x, spread_y = reach * (fx + abs(x) / z * fx), reach * (fy + abs(y) / z * fy)
+                low_u, high_u = fx * x / z + cx - spread_x, fx * x / z + cx + spread_x
+                low_v, high_v = fy * y / z + cy - spread_y, fy * y / z + cy + spread_y
+                least, most = np.float32(np.inf), np.float32(0.0)
+                for row in range(max(0, int(low_v) // _TILE), min(height - 1, int(high_v)) // _TILE + 1):
+                    for column in range(max(0, int(low_u) // _TILE), min(width - 1, int(high_u)) // _TILE + 1):
+                        least = min(least, tiles[image, row, column, 0])
+                        most = max(most, tiles[image, row, column, 1])
+                if most - (z - radius) < -truncation:  # all of it behind what is seen
+                    continue
+                inside = low_u >= 0.0 and low_v >= 0.0 and high_u < width and high_v < height
+                if inside and least - (z + radius) >= truncation:  # all of it in free space
+                    _add_free_space(distance[b], weight[b], truncation)
+                    continue
+            for i in range(8):
+                for j in range(8):
+                    px, py = corner_x + (i + 0.5) * voxel, corner_y + (j + 0.5) * voxel
+                    x = pose[0, 0] * px + pose[0, 1] * py
+                    y = pose[1, 0] * px + pose[1, 1] * py
+                    z = pose[2, 0] * px + pose[2, 1] * py
+                    for k in range(8):  # a loop of its own: on several voxels at once
+                        pz = corner_z + (k + 0.5) * voxel
+                        away[k] = z + pose[2, 2] * pz + pose[2, 3]
+                        across[k] = fx * (x + pose[0, 2] * pz + pose[0, 3]) / away[k] + cx
+                        down[k] = fy * (y + pose[1, 2] * pz + pose[1, 3]) / away[k] + cy
+                    _add_row(away, across, down, depth[image], truncation, distance[b, i, j], weight[b, i, j])
+
+
+@kernel
+def _add_row(
+    away: np.ndarray,  # [8] metres, along the optical axis
+    across: np.ndarray,  # [8] pixels
+    down: np.ndarray,  # [8] pixels
+    depth: np.ndarray,  # [H, W]
+    truncation: float,
+    distance: np.ndarray,  # [8] changed
+    weight: np.ndarray,  # [8] changed
+) -> None:
+    """What an image says of a row of voxels that lie there in it."""
+    height, width = depth.shape
+    for k in range(8):
+        z, u, v = away[k], across[k], down[k]
+        if not (z >= 0.05 and 0.0 <= u < width and 0.0 <= v < height):
+            continue
+        seen = depth[int(v), int(u)]
+        ahead = seen - z
+        if not seen > 0.0 or ahead < -truncation:
+            continue
+        count = weight[k]
+        distance[k] = (distance[k] * count + min(ahead, truncation)) / (count + 1.0)
+        weight[k] = count + 1.0
+
+
+@kernel
+def _add_free_space(distance: np.ndarray, weight: np.ndarray, truncation: float) -> None:
+    """One more image that sees through every voxel of a block."""
+    for i in range(8):
+        for j in range(8):
+            for k in range(8):
+                count = weight[i, j, k]
+                distance[i, j, k] = (distance[i, j, k] * count + truncation) / (count + 1.0)
+                weight[i, j, k] = count + 1.0
+
+
+# The six tetrahedra around the diagonal from corner 0 to corner 7 of a cell; corner n lies at the bits (x, y, z) of n.
+# Every cell is cut alike, so neighbours agree on the diagonals of their common faces and the surface has no cracks.
+_TETRAHEDRA = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
+)
+
+
+@kernel
+def triangles(
+    distance: np.ndarray,  # [L, 8, 8, 8]
+    weight: np.ndarray,  # [L, 8, 8, 8]
+    neighbours: np.ndarray,  # [B, 8] row of a block and of those after it, bits (x, y, z) of the column; -1 = none
+    blocks: np.ndarray,  # [B, 3] whose cells are looked at
+    origin: np.ndarray,
+    voxel: float,
+    corners: np.ndarray,  # [T, 3, 3] out, filled as far as it reaches
+) -> int:
+    """Marching tetrahedra over the cells between voxel centres; returns how many triangles there are."""
+    value, place = np.empty(8), np.empty((8, 3))
+    crossing = np.empty((4, 3))
+    near, unseen = np.empty((9, 9, 9), np.float32), np.empty((9, 9, 9), np.bool_)
+    count = 0
+    for b in range(len(blocks)):
+        if not _with_neighbours(distance, weight, neighbours[b], near, unseen):
+            continue
+        for cell in range(512):
+            i, j, k = cell >> 6, (cell >> 3) & 7, cell & 7
+            inside = 0
+            known = True
+            for corner in range(8):
+                gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
+                if unseen[gi, gj, gk]:
+                    known = False
+                    break
+                value[corner] = near[gi, gj, gk]
+                inside += value[corner] < 0.0
+            if not known or inside == 0 or inside == 8:
+                continue
+            for corner in range(8):
+                gi, gj, gk = i + (corner & 1), j + ((corner >> 1) & 1), k + ((corner >> 2) & 1)
+                place[corner, 0] = origin[0] + (blocks[b, 0] * 8 + gi + 0.5) * voxel
+                place[corner, 1] = origin[1] + (blocks[b, 1] * 8 + gj + 0.5) * voxel
+                place[corner, 2] = origin[2] + (blocks[b, 2] * 8 + gk + 0.5) * voxel
+            for tetrahedron in _TETRAHEDRA:
+                found = 0
+                behind = 0
+                for a in range(4):
+                    behind += value[tetrahedron[a]] < 0.0
+                if behind == 0 or behind == 4:
+                    continue
+                # Cut edges in an order that goes round: from each corner of the smaller side to the others.
+                if behind == 2:
+                    low, other_low, high, other_high = -1, -1, -1, -1
+                    for a in range(4):
+                        corner = tetrahedron[a]
+                        if value[corner] < 0.0:
+                            low, other_low = (corner, -1) if low < 0 else (low, corner)
+                        else:
+                            high, other_high = (corner, -1) if high < 0 else (high, corner)
+                    _cut(value, place, low, high, crossing[0])
+                    _cut(value, place, low, other_high, crossing[1])
+                    _cut(value, place, other_low, other_high, crossing[2])
+                    _cut(value, place, other_low, high, crossing[3])
+                    found = 4
+                else:
+                    lonely = behind == 1
+                    tip = 0
+                    for a in range(4):
+                        if (value[tetrahedron[a]] < 0.0) == lonely:
+                            tip = tetrahedron[a]
+                    for a in range(4):
+                        if tetrahedron[a] != tip:
+                            _cut(value, place, tip, tetrahedron[a], crossing[found])
+                            found += 1
+                for third in range(2, found):
+                    if count < len(corners):
+                        for axis in range(3):
+                            corners[count, 0, axis] = crossing[0, axis]
+                            corners[count, 1, axis] = crossing[third - 1, axis]
+                            corners[count, 2, axis] = crossing[third, axis]
+                    count += 1
+    return count
+
+
+@kernel
+def _with_neighbours(
+    distance: np.ndarray,
+    weight: np.ndarray,
+    rows: np.ndarray,  # [8]
+    near: np.ndarray,  # [9, 9, 9] out
+    unseen: np.ndarray,  # [9, 9, 9] out
+) -> bool:
+    """A block and the next voxels of its neighbours; returns whether a surface may run through them."""
+    before, behind = False, False
+    for gi in range(9):
+        for gj in range(9):
+            for gk in range(9):
+                slot = rows[((gi >> 3) << 2) + ((gj >> 3) << 1) + (gk >> 3)]
+                lost = slot < 0 or weight[slot, gi & 7, gj & 7, gk & 7] == 0.0
+                unseen[gi, gj, gk] = lost
+                if not lost:
+                    here = distance[slot, gi & 7, gj & 7, gk & 7]
+                    near[gi, gj, gk] = here
+                    before, behind = before or here >= 0.0, behind or here < 0.0
+    return before and behind
+
+
+@kernel
+def _cut(value: np.ndarray, place: np.ndarray, a: int, b: int, out: np.ndarray) -> None:
+    share = value[a] / (value[a] - value[b])
+    for axis in range(3):
+        out[axis] = place[a, axis] + share * (place[b, axis] - place[a, axis])

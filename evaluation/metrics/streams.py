@@ -1,0 +1,75 @@
+"""Numbers that come in pieces: put into batches, and added up to the last bit as numpy adds up an array."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Iterator
+
+import numpy as np
+
+_LEAF = 1 << 16  # numbers that are added up by numpy itself
+
+
+def batched(pieces: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
+    """Return the rows of all pieces in arrays of ``size`` rows, the last one with what is left, if anything is."""
+    waiting, rows = list[np.ndarray](), 0
+    for piece in pieces:
+        for start in range(0, len(piece), size):
+            part = piece[start : start + size]
+            while rows + len(part) >= size:
+                waiting.append(part[: size - rows])
+                yield np.concatenate(waiting)
+                part, waiting, rows = part[size - rows :], [], 0
+            waiting.append(part)
+            rows += len(part)
+    if rows:
+        yield np.concatenate(waiting)
+
+
+class StreamedSum:
+    """The sum of ``count`` numbers that are given in pieces, equal to `np.sum` of all of them to the last bit.
+
+    numpy halves a long array, adds up both halves, and adds the two sums; so the numbers that are held are those of one
+    short stretch.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._adding = _added(count)
+        self._value: float | None = None
+        self._waiting, self._rows = list[np.ndarray](), 0
+        self._wanted = 0
+        self._go_on(None)
+        self.add(np.zeros(0))  # all of none
+
+    def add(self, numbers: np.ndarray) -> None:
+        """Add the next numbers [n] float64."""
+        while self._value is None and self._rows + len(numbers) >= self._wanted:
+            taken = self._wanted - self._rows
+            stretch = np.concatenate([*self._waiting, numbers[:taken]])
+            numbers, self._waiting, self._rows = numbers[taken:], [], 0
+            self._go_on(stretch)
+        if len(numbers):
+            self._waiting.append(np.array(numbers))
+            self._rows += len(numbers)
+
+    @property
+    def value(self) -> float:
+        """The sum; raises ValueError unless exactly as many numbers came as were announced."""
+        if self._value is None or self._rows:
+            raise ValueError("a streamed sum was given more or fewer numbers than were announced")
+        return self._value
+
+    def _go_on(self, stretch: np.ndarray | None) -> None:
+        try:
+            self._wanted = next(self._adding) if stretch is None else self._adding.send(stretch)
+        except StopIteration as end:
+            self._value = end.value
+
+
+def _added(count: int) -> Generator[int, np.ndarray, float]:
+    """Ask for stretches by their lengths; return the sum of all."""
+    if count <= _LEAF:
+        return float((yield count).sum())
+    half = count // 2
+    half -= half % 8
+    first = yield from _added(half)
+    return first + (yield from _added(count - half))

@@ -187,7 +187,7 @@ def test_a_surface_that_cannot_be_fused_is_none_with_a_reason_and_all_else_is_me
     assert scores["tsdf_completion_ratio"] is None and scores["tsdf_area_m2"] is None
     assert scores["notes"]["tsdf"] == "the surface needs more than 10 blocks of 8 x 8 x 8 voxels of 0.02 m"
     assert scores["completion_ratio"] == 100.0
-    point = PROTOCOL.checkpoint(solid, wall, path, views=1, samples=1000, surface=True)
+    point = PROTOCOL.checkpoint(solid, wall, path, images=False, samples=1000, surface=True)
     assert "tsdf_completion_ratio" not in point and point["completion_ratio"] == 100.0
 
 

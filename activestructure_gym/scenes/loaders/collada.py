@@ -9,13 +9,16 @@ declared unit and up axis. Specification: [collada].
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from activestructure_gym.scenes.loaders.budget import LimitError
+from activestructure_gym.scenes.loaders.collada_controllers import Controlled, controlled
 from activestructure_gym.scenes.loaders.collada_nodes import node_matrix
 from activestructure_gym.scenes.loaders.collada_numbers import attribute, fixed, floats, integers
 from activestructure_gym.scenes.loaders.collada_textures import (
@@ -113,6 +116,39 @@ class _Document:
             for geometry in self.root.iterfind("library_geometries/geometry"):
                 yield from self._geometry(geometry, np.eye(4), {})
             return
+        for node, world_from_node in self._placed_nodes(scene):
+            for instance in node:
+                shape = None
+                if instance.tag in ("instance_geometry", "instance_controller"):
+                    shape = controlled(instance.get("url"), self.target)
+                if shape is None:
+                    continue
+                pose = partial(self._posed, scene, shape, instance) if shape.controls else None
+                yield from self._geometry(shape.geometry, world_from_node, self._once(_bindings, instance), pose)
+
+    def _posed(
+        self, scene: Element, shape: Controlled, instance: Element, positions: np.ndarray, world_from_node: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Positions in the pose of their controllers, and the transform that is left to do."""
+        self.textures.budget.take("numbers in arrays", 40 * len(positions))
+        try:
+            worlds = self._once(self._worlds, scene) if shape.skin is not None else {}
+            moved = shape.positions(positions[:, :3], self.target, worlds, instance)
+        except LimitError:
+            raise
+        except UnreadableMesh as error:
+            self.textures.notes.append(f"a skin or morph is shown without its pose: {error}")
+            return positions, world_from_node
+        return moved, np.eye(4) if shape.skin is not None else world_from_node
+
+    def _worlds(self, scene: Element) -> dict[Element, np.ndarray]:
+        """The world matrix of every node, for joints; of a node that is placed often the first one."""
+        worlds: dict[Element, np.ndarray] = {}
+        for node, world_from_node in self._placed_nodes(scene):
+            worlds.setdefault(node, world_from_node)
+        return worlds
+
+    def _placed_nodes(self, scene: Element) -> Iterator[tuple[Element, np.ndarray]]:
         stack = [(node, np.eye(4), 0) for node in reversed(scene.findall("node"))]
         while stack:
             node, world_from_parent, depth = stack.pop()
@@ -120,30 +156,24 @@ class _Document:
                 raise UnreadableMesh("its nodes form a loop")
             self.textures.budget.take("nodes", 1 + len(node))
             world_from_node = world_from_parent @ self._once(node_matrix, node)
-            for instance in node:
-                if instance.tag in ("instance_geometry", "instance_controller"):
-                    shape = self._instanced(instance)
-                    if shape is not None:
-                        yield from self._geometry(shape, world_from_node, self._once(_bindings, instance))
+            yield node, world_from_node
             placed_elsewhere = (self.target(element.get("url")) for element in node.findall("instance_node"))
             children = [*(child for child in placed_elsewhere if child is not None), *node.findall("node")]
             self.textures.budget.take("nodes", len(children))
             stack.extend((child, world_from_node, depth + 1) for child in reversed(children))
 
-    def _instanced(self, instance: Element) -> Element | None:
-        target = self.target(instance.get("url"))
-        if target is not None and target.tag == "controller":  # a skin without its pose is the bare geometry
-            skin = target.find("skin")
-            target = self.target(skin.get("source")) if skin is not None else None
-        return target
-
     def _geometry(
-        self, geometry: Element, world_from_node: np.ndarray, bindings: dict[str, _Binding]
+        self,
+        geometry: Element,
+        world_from_node: np.ndarray,
+        bindings: dict[str, _Binding],
+        pose: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
     ) -> Iterator[MeshPart]:
         mesh = geometry.find("mesh")
         if mesh is None:  # splines and convex hulls
             return
         self.textures.budget.take("nodes", len(mesh))
+        posed: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for primitives in mesh:
             if primitives.tag not in _POLYGONS:
                 continue
@@ -154,6 +184,12 @@ class _Document:
                 continue
             self.textures.budget.take("triangles", len(triangles))
             self.textures.budget.take("vertices", len(corners))
+            vertex, world = inputs["VERTEX"], world_from_node
+            if pose is not None:
+                if id(vertex.values) not in posed:  # primitives share their positions
+                    posed[id(vertex.values)] = pose(vertex.values, world)
+                values, world = posed[id(vertex.values)]
+                vertex = replace(vertex, values=values)
             symbol = primitives.get("material", "")
             bound = bindings.get(symbol, _Binding(symbol))
             color, texture, lies = self._once(self._material, bound.material)
@@ -168,7 +204,7 @@ class _Document:
             if painted:
                 color = color * inputs["COLOR"].of(corners, 3)
             yield MeshPart(
-                vertices=placed(inputs["VERTEX"].of(corners, 3), world_from_node),
+                vertices=placed(vertex.of(corners, 3), world),
                 faces=triangles,
                 colors=color,
                 uv=uv,

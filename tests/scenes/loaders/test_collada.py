@@ -246,6 +246,72 @@ def test_skews_and_lookats_place_a_node(document, transform, expected):
         np.testing.assert_allclose(square(document, {outer: "", inner: transform})[0].vertices, expected, atol=1e-12)
 
 
+# The square's left edge (corners 0 and 3) hangs on one joint, its right edge on two joints in equal parts.
+SKIN = """<library_controllers><controller id="skin"><skin source="#square">
+  <bind_shape_matrix>10 0 0 0 0 10 0 0 0 0 10 0 0 0 0 1</bind_shape_matrix>
+  <source id="names"><Name_array id="names-array" count="2">first second</Name_array></source>
+  <source id="binds"><float_array id="binds-array" count="32">
+    .1 0 0 0 0 .1 0 0 0 0 .1 0 0 0 0 1 .1 0 0 0 0 .1 0 0 0 0 .1 0 0 0 0 1</float_array></source>
+  <source id="weights"><float_array id="weights-array" count="2">1 .5</float_array></source>
+  <joints><input semantic="JOINT" source="#names"/><input semantic="INV_BIND_MATRIX" source="#binds"/></joints>
+  <vertex_weights count="4"><input semantic="JOINT" source="#names" offset="0"/>
+    <input semantic="WEIGHT" source="#weights" offset="1"/>
+    <vcount>1 2 2 1</vcount><v>0 0 0 1 1 1 0 1 1 1 0 0</v></vertex_weights>
+</skin></controller></library_controllers><library_visual_scenes>"""
+JOINTS = """<node id="bones" name="root"><translate>0 0 5</translate><node id="a" sid="first"/>
+  <node id="b" sid="second"><translate>4 0 0</translate></node></node></visual_scene>"""
+INSTANCE = {
+    '<instance_geometry url="#square">': '<instance_controller url="#skin"><skeleton>#bones</skeleton>',
+    "</instance_geometry>": "</instance_controller>",
+}
+
+
+def test_a_skin_stands_where_its_joints_are(document):
+    changes = {"<library_visual_scenes>": SKIN, "</visual_scene>": JOINTS, **INSTANCE}
+    part, _ = square(document, changes)
+    # By hand: the node's move, turn and scale do not count; the right edge moves by half of 4.
+    np.testing.assert_allclose(part.vertices, [[0, 0, 5], [3, 0, 5], [3, 1, 5], [0, 1, 5]], atol=1e-12)
+    by_id = SKIN.replace("first second", "a b").replace("Name_array", "IDREF_array")
+    part_by_id, _ = square(document, {**changes, "<library_visual_scenes>": by_id})
+    np.testing.assert_array_equal(part_by_id.vertices, part.vertices)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("first second", "first third", "the joint 'third' of a skin is no node"),
+        ("<vcount>1 2 2 1", "<vcount>1 2 2", "weights for 3 of 4 vertices"),
+        ("1 0 1 1 1 0 0</v>", "1 0 1 1 1 7 0</v>", "joints or weights that do not exist"),
+        (".1 0 0 0 0 .1 0 0 0 0 .1 0 0 0 0 1 .1", ".1", "2 joints and 16 numbers"),
+        ('<joints><input semantic="JOINT" source="#names"/>', "<joints>", "no <input> for JOINT"),
+    ],
+)
+def test_a_damaged_skin_is_said_in_words(document, before, after, said):
+    assert before in SKIN
+    damaged = SKIN.replace(before, after)
+    part, textures = square(document, {"<library_visual_scenes>": damaged, "</visual_scene>": JOINTS, **INSTANCE})
+    assert len(textures.notes) == 1 and textures.notes[0].startswith("a skin or morph is shown without its pose: ")
+    assert said in textures.notes[0]
+    np.testing.assert_allclose(part.vertices[0], [10, 0, 0], atol=1e-12)  # where its node stands
+
+
+@pytest.mark.parametrize(("method", "height"), [("", 1.5), (' method="RELATIVE"', 1.5)])
+def test_morph_targets_move_the_vertices(document, method, height):
+    up = "0 0 3 1 0 3 1 1 3 0 1 3" if not method else "0 0 3 0 0 3 0 0 3 0 0 3"
+    morph = f"""<geometry id="up"><mesh><source id="up-places"><float_array id="ups" count="12">{up}</float_array>
+      <technique_common><accessor source="#ups" count="4" stride="3"/></technique_common></source>
+      <vertices id="up-corners"><input semantic="POSITION" source="#up-places"/></vertices></mesh></geometry>
+    </library_geometries><library_controllers><controller id="skin"><morph source="#square"{method}>
+      <source id="t"><IDREF_array id="ts" count="1">up</IDREF_array></source>
+      <source id="w"><float_array id="ws" count="1">.5</float_array></source>
+      <targets><input semantic="MORPH_TARGET" source="#t"/><input semantic="MORPH_WEIGHT" source="#w"/></targets>
+    </morph></controller></library_controllers>"""
+    outer, inner = "<translate>10 0 0</translate><rotate>0 0 1 90</rotate>", "<scale>2 2 2</scale>"
+    part, _ = square(document, {"</library_geometries>": morph, outer: "", inner: "", **INSTANCE})
+    expected = [[0, 0, height], [1, 0, height], [1, 1, height], [0, 1, height]]
+    np.testing.assert_allclose(part.vertices, expected, atol=1e-12)
+
+
 def test_instances_from_the_node_library_and_missing_textures(document):
     (document.parent.parent / "maps" / "wood.png").unlink()
     node = DOCUMENT[DOCUMENT.index('<node id="outer">') : DOCUMENT.index("</visual_scene>")]

@@ -21,7 +21,7 @@ TOP = (PACKAGE, "envs", "policies", "evaluation")
 # From the ground up: a room may import those before it. Rooms of one line do not know each other.
 ORDER: tuple[tuple[str, ...], ...] = (
     ("errors", "cores", "files", "_version"),
-    ("registry", "specs", "ranges", "npz", "ply_header", "streams"),
+    ("registry", "specs", "ranges", "npz", "owners", "ply_header", "streams"),
     ("compiling",),
     ("geometry",),
     ("scenes",),

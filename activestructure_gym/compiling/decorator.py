@@ -10,7 +10,7 @@ from typing import Any
 from numba import njit
 from numba.core.compiler_lock import global_compiler_lock
 
-from activestructure_gym.compiling.files import KernelFiles, warn_of_no_cache
+from activestructure_gym.compiling.files import KernelFiles, OthersFolder, warn_of_no_cache
 from activestructure_gym.compiling.locks import LOCKS
 from activestructure_gym.compiling.progress import PROGRESS
 
@@ -26,6 +26,8 @@ def kernel(function: Callable[..., Any]) -> Any:
         return dispatcher
     try:
         dispatcher._cache = KernelFiles(dispatcher.py_func)  # as numba's own ``enable_caching`` does with its cache
+    except OthersFolder as error:
+        warn_of_no_cache(str(error))
     except RuntimeError:  # numba found no place that can be written
         warn_of_no_cache("no directory for them can be written")
     name = name_of(dispatcher)

@@ -2,7 +2,8 @@
 
 A file is read as a whole before any of it is used. If it was made from other sources, for another processor or by other
 versions, or if a single bit of it is not what was written, it counts as not being there, and the kernel is compiled and
-the file written anew. (numba's own cache has no checksums: damaged machine code would be run.)
+the file written anew. (numba's own cache has no checksums: damaged machine code would be run.) So does a file that
+another user can have written (`activestructure_gym.owners`): loading it runs what is in it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numba.core.serialize import dumps
 
 from activestructure_gym.compiling.stamps import identity_of, stamp_of
 from activestructure_gym.files import replaced
+from activestructure_gym.owners import folder_of_others, guard, open_own
 
 SUFFIX = ".kernel"
 _HEAD = b"activestructure_gym kernel 1\n"
@@ -30,6 +32,10 @@ _STAMP = 32  # bytes; so many has the checksum, too
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
 
 not_kept: list[str] = []  # why the kernels of this process are not kept, where they are not
+
+
+class OthersFolder(RuntimeError):
+    """Kernels would be kept in a folder that other users can write."""
 
 
 class KernelFiles:
@@ -42,6 +48,12 @@ class KernelFiles:
         self._function = function
         self._form = CompileResultCacheImpl(function)  # how numba names, writes and reads a compiled function
         self._enabled = True
+        self._source = function.__code__.co_filename
+        place = Path(self.cache_path)
+        if place.name != "__pycache__":  # numba has made it, and for everybody where the umask says so
+            guard(place)
+        if others := folder_of_others(_folders(place), self._source):
+            raise OthersFolder(f"other users can write into the folder '{others}'")
 
     @property
     def cache_path(self) -> str:
@@ -55,7 +67,7 @@ class KernelFiles:
         stamp = self._stamp(sig)
         if stamp is None:
             return None
-        content = read(self._path(sig, target_context.codegen()), stamp)
+        content = read(self._path(sig, target_context.codegen()), stamp, self._source)
         if content is None:
             return None
         try:
@@ -97,15 +109,16 @@ class KernelFiles:
             file.unlink(missing_ok=True)
 
 
-def read(path: Path, stamp: bytes) -> bytes | None:
-    """The content of a file with this stamp; None if the file is missing, damaged, or has another stamp."""
-    head, content = _split(path)
+def read(path: Path, stamp: bytes, source: str = __file__) -> bytes | None:
+    """The content of a file with this stamp; None if it is missing, damaged, or not guarded like ``source``."""
+    head, content = _split(path, source)
     return content if head == _head(stamp, content) else None
 
 
 def write(path: Path, stamp: bytes, content: bytes) -> None:
     """Write the file whole or not at all."""
     with replaced(path) as file:
+        guard(file.fileno())
         file.write(_head(stamp, content) + content)
 
 
@@ -115,9 +128,10 @@ def is_whole(path: Path) -> bool:
     return head == _head(head[len(_HEAD) : len(_HEAD) + _STAMP], content)
 
 
-def _split(path: Path) -> tuple[bytes, bytes]:
+def _split(path: Path, source: str = __file__) -> tuple[bytes, bytes]:
     try:
-        everything = path.read_bytes()
+        with open_own(path, source) as file:
+            everything = file.read()
     except OSError:
         return b"", b""
     end = len(_HEAD) + 2 * _STAMP
@@ -137,6 +151,12 @@ def _fields(kind: Any) -> str:
     return fields + (_fields(inner) if isinstance(inner, (tuple, numba.types.Type)) and inner is not kind else "")
 
 
+def _folders(place: Path) -> list[Path]:
+    """The folder of a kernel's files and those above it up to ``NUMBA_CACHE_DIR``, where that is set."""
+    above, root = [place, *place.parents], Path(numba.config.CACHE_DIR or place)
+    return above[: above.index(root) + 1] if root in above else [place]
+
+
 def cache_place() -> Path | None:
     """The directory of this room's kernels, where numba puts it; None where they cannot be kept."""
 
@@ -153,7 +173,7 @@ def warn_of_no_cache(reason: str) -> None:
     if not not_kept and multiprocessing.parent_process() is None:
         warnings.warn(
             f"compiled kernels cannot be kept ({reason}), so every process compiles them again; "
-            "set the environment variable NUMBA_CACHE_DIR to a directory that can be written",
+            "set the environment variable NUMBA_CACHE_DIR to a directory that you alone can write",
             stacklevel=4,
         )
     not_kept.append(reason)

@@ -21,6 +21,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.files import UNFINISHED, replaced
 from activestructure_gym.npz import read_npy
+from activestructure_gym.owners import guard, open_own
 
 try:
     import fcntl
@@ -90,8 +91,8 @@ def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dic
 
     Kept uncompressed: unpacking the true views of a scene takes longer than measuring a map against some of them.
     Two processes may compute the same key at once; each writes a file of its own and moves it into place, so a
-    reader sees nothing or everything. A file that is not, to the bit, what was written is computed again. Without a
-    writable directory the result is computed every time.
+    reader sees nothing or everything. A file that is not, to the bit, what was written is computed again, and so is one
+    that another user can have written. Without a writable directory the result is computed every time.
     """
     file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
     arrays = _read(file)
@@ -103,7 +104,7 @@ def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dic
 
 def _read(file: Path) -> dict[str, np.ndarray] | None:
     try:
-        with open(file, "rb") as stream, zipfile.ZipFile(stream) as archive:
+        with open_own(file) as stream, zipfile.ZipFile(stream) as archive:
             if fcntl is not None:
                 fcntl.flock(stream, fcntl.LOCK_SH)  # see `clear_cache`
             packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist())
@@ -163,6 +164,7 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with replaced(file) as stream:
+            guard(stream.fileno())
             np.savez(stream, **arrays)  # type: ignore[arg-type]
     except OSError:  # read-only or full disk: the cache is a convenience
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 
 import pytest
@@ -129,3 +130,53 @@ def test_recompiling_forgets_what_was_kept(kept):
         assert list(kept.rglob("*.kernel"))
         tripled._cache.flush()
     assert not list(kept.rglob("*.kernel"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no numbers of users here")
+def test_a_kernel_that_another_user_can_have_written_is_not_run(package, run, tmp_path):
+    code = """
+    import os, pickle, sys
+    from pathlib import Path
+    from activestructure_gym.compiling import files
+    from tests.compiling.test_files import use
+
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (sys.argv[2],)
+
+    kept, trapped = Path(sys.argv[1]), Path(sys.argv[2])
+    os.umask(0)
+    kept.mkdir()
+    kept.chmod(0o1777)
+    use()
+    (file,) = kept.rglob("*.kernel")
+    assert file.stat().st_mode & 0o777 == 0o644
+    stamp = file.read_bytes()[len(files._HEAD) :][: files._STAMP]
+
+    def refused():
+        files.write(file, stamp, pickle.dumps(Trap()))
+        yield
+        assert use() == (1.5, 1) and not trapped.exists()
+
+    for _ in refused():
+        file.chmod(0o666)
+    for _ in refused():
+        file.rename(kept / "elsewhere")
+        file.symlink_to(kept / "elsewhere")
+    if os.geteuid() == 0:
+        for _ in refused():
+            os.chown(file, 65534, 65534)
+    assert use() == (1.5, 0) and not files.not_kept  # the new one is kept, and used
+
+    for _ in refused():
+        kept.chmod(0o777)
+    assert use() == (1.5, 1) and files.cache_place() is None
+    assert files.not_kept[-1] == f"other users can write into the folder '{kept}'"
+    kept.chmod(0o755)
+    files.write(file, stamp, pickle.dumps(Trap()))
+    use()
+    assert trapped.exists()  # it is a trap
+    """
+    _, err = run(package, code, str(tmp_path / "cache"), str(tmp_path / "run"), cache=tmp_path / "cache")
+    assert err.count("can have been written by another user: it is not used") == 1
+    assert err.count("UserWarning") == 1 and "NUMBA_CACHE_DIR to a directory that you alone can write" in err

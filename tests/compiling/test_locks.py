@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import signal
+import sys
 
 import pytest
 
@@ -76,8 +77,15 @@ def test_nobody_waits_for_a_stopped_process_for_ever(package, start, run, tmp_pa
     code = """
         import numpy, tiny
         from activestructure_gym.compiling import locks, progress
-        locks._PATIENCE = 0.2
+        locks._PATIENCE, locks._SILENCE = 0.4, 0.1
         print(tiny.total(numpy.ones(3)))
     """
-    assert run(package, code, cache=tmp_path / "cache")[0] == "6.0"
+    holder.send_signal(signal.SIGSTOP)
+    out, err = run(package, code, cache=tmp_path / "cache")
+    holder.send_signal(signal.SIGCONT)
     holder.communicate("end\n")
+    assert out == "6.0"
+    said = "waiting up to 0 s for another process, which loads or compiles tiny.total"
+    if sys.platform == "linux":
+        said = said.replace("another process", f"process {holder.pid}, which is stopped")
+    assert err.count(said) == 1

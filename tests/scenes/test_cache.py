@@ -44,6 +44,21 @@ def test_computed_once_and_equal_ever_after(directory):
     assert compute.calls == 2
 
 
+@pytest.mark.skipif(os.name != "posix", reason="no numbers of users here")
+@pytest.mark.filterwarnings("ignore:.*can have been written by another user")
+def test_what_another_user_can_have_written_is_computed_again(directory):
+    compute = Counted()
+    cached_arrays("key", compute)
+    (file,) = directory.iterdir()
+    file.chmod(0o666)
+    cached_arrays("key", compute)
+    assert compute.calls == 2 and file.stat().st_mode & 0o022 == 0
+    file.rename(directory / "elsewhere")
+    file.symlink_to(directory / "elsewhere")
+    cached_arrays("key", compute)
+    assert compute.calls == 3 and not file.is_symlink()
+
+
 def test_compressed_files_of_older_versions_are_read_and_replaced(directory):
     compute = Counted()
     cached_arrays("key", compute)

@@ -73,9 +73,10 @@ def _page(name: str, told: dict, sections: dict[str, str]) -> str:
     where = sections.get(name) or sections.get(name.removesuffix("_cov"))
     if where:
         parts.append(f"Formula, and what differs from the original: [planners.md](../../guide/planners.md#{where}).\n")
+    base, words = ("random", "chance") if name == "hole_area" else ("hole_area", "the area of holes")
     parts.append(
         f"```{{eval-rst}}\n.. autoclass:: {kind.__module__}.{kind.__name__}\n   :no-index:\n   :show-inheritance:\n"
-        f"```\n\n```bash\nasg compare --policies {name},hole_area    # against the area of holes\n"
+        f"```\n\n```bash\nasg compare --policies {name},{base}    # against {words}\n"
         f"asg watch --policy {name}\n```\n"
     )
     if kind.required_gains:

@@ -49,7 +49,8 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg COMMAND --help    the options of a command
   asg --version
 
-Begin with `asg compare`: two planners in a furnished room, in less than a minute, with nothing to download."""
+Begin with `asg compare`: random against activestructure in a furnished room, in about a
+minute, with nothing to download."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.console import Console
 
 from activestructure_gym.errors import InputError, counted, listed
+from activestructure_gym.evaluation.cli.closing import print_end
 from activestructure_gym.evaluation.cli.fields import (
     Changes,
     Count,
@@ -36,19 +37,19 @@ from activestructure_gym.evaluation.cli.options import (
     use_lpips_weights,
     use_trust,
 )
-from activestructure_gym.evaluation.cli.output import make_console, print_whole, working
+from activestructure_gym.evaluation.cli.output import make_console, working
 from activestructure_gym.policies.schedule import NATIVE_PRESET, Terms
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
-    from activestructure_gym.evaluation.running.comparison import Comparison, Result
+    from activestructure_gym.evaluation.running.comparison import Comparison
 
 
 @dataclass(frozen=True)
 class Compare:
     """Run policies on scenes under one budget; ends with a table, curves and pictures.
 
-    Without any option: `random` against `pixel_only` in a furnished room, in less than a minute.
+    Without any option: `random` against `activestructure` in a furnished room, in about a minute.
     """
 
     # What is compared has None, or nothing, where it was not typed: the usual value is put in by `comparison_of`, and
@@ -56,7 +57,7 @@ class Compare:
 
     scenes: Annotated[tuple[str, ...], option("SCENE [SCENE ...]", "(default: room)")] = ()
     """What to explore, separated by commas or spaces: names (see `asg scenes`), files, folders."""
-    policies: Annotated[Words, option("NAME [NAME ...]", "(default: random pixel_only)")] = None
+    policies: Annotated[Words, option("NAME [NAME ...]", "(default: random activestructure)")] = None
     (
         "Who explores: names (see `asg policies`), package.module:Class, `ladder` (the paper's ablation, A to E), or "
         '`all`. Options stand behind a question mark: "active_gs?travel=shared" is a planner with everybody\'s travel '
@@ -127,14 +128,16 @@ class Compare:
     """Also write a page to watch of every run, replay.html beside it; takes as long again as the runs explored."""
     baseline: Text = None
     """The policy the report measures the others against; see `asg report --help`."""
+    wide: Switch = False
+    """Print all columns of the result scene by scene, whatever the width of the terminal."""
 
     def run(self) -> int:
         """Check, run, report. 0 if every run finished, 1 if some failed, 130 if stopped."""
         return compare_with(self)
 
 
-# What runs without any option: chosen to end within a minute on two cores from a cold start.
-DEMO = Compare(scenes=("room",), preset="default", frames=200, views=16, samples=50_000)
+# What differs without any option: measured on less, to end in about a minute on two cores.
+DEMO = Compare(scenes=("room",), views=16, samples=50_000)
 
 
 # What names cells of the grid. Where none of it is typed, those of the record are gone on with, and no others.
@@ -191,7 +194,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
         with hold(directory, shared=shard is not None) as held:
             given: dict[str, Any] = {
                 "engine": options.engine, "limits": limits, "command": _command_line(), "held": held,
-                "tell": lambda text: console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True),
+                "tell": lambda text: console.print(f"[yellow]{escape(text)}[/]"),
             }  # fmt: skip
             with LiveProgress(console) as live:
                 if shard is None:
@@ -207,7 +210,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
 
                 add_replays(console, result.runs)
             baseline = None if options.baseline is None else policy_label(options.baseline)
-            return _report(console, result, directory, seconds, baseline)
+            return print_end(console, result, directory, seconds, baseline, wide=options.wide)
     except (KeyboardInterrupt, OSError) as error:  # an OSError, of a full disk, is said by who called
         if (directory / COMPARISON).is_file():
             trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
@@ -272,13 +275,9 @@ def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
 
 def _with_demo_defaults(options: Compare) -> Compare:
     """The options as given, and the demo's where none is."""
-    told = "frame_budget" in parse_overrides(options.set)
-    short = options.preset is None and options.terms != "native"  # native terms have a preset of their own
     return dataclasses.replace(
         options,
         scenes=DEMO.scenes,
-        preset=DEMO.preset if short else options.preset,
-        frames=DEMO.frames if options.frames is None and short and not told else options.frames,
         views=DEMO.views if options.views is None else options.views,
         samples=DEMO.samples if options.samples is None else options.samples,
     )
@@ -290,7 +289,7 @@ def comparison_of(options: Compare) -> Comparison:
 
     usual = Comparison(
         scenes=("room",),
-        policies=("random", "pixel_only"),
+        policies=("random", "activestructure"),
         preset=NATIVE_PRESET if options.terms == "native" else "default",
     )
     return dataclasses.replace(usual, **_typed_fields(options, usual))
@@ -338,59 +337,24 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
 def _announce(
     console: Console, comparison: Comparison, directory: Path, jobs: int, policies: int, *, demo: bool
 ) -> None:
-    frames = f"{comparison.frame_budget} frames" if comparison.frame_budget else "the preset's frame budget"
+    from activestructure_gym.config import configure
+    from activestructure_gym.evaluation.protocols import StandardProtocol
+
+    frames = comparison.frame_budget or configure(comparison.preset, comparison.overrides).frame_budget
     parts = [
         counted(len(comparison.scenes), "scene"),
         counted(policies, "policy", "policies"),
         counted(len(comparison.seeds), "seed"),
     ]
-    conditions = f"{comparison.terms} terms, preset {comparison.preset}"
-    line = f"[bold]{' x '.join(parts)}[/], {conditions}, {frames} per run, into {escape(str(directory))}"
-    console.print(line if jobs > 1 else f"[bold]one run[/], {conditions}, into {escape(str(directory))}")
+    conditions = f"{comparison.terms} terms, preset {comparison.preset}, {frames} frames"
+    what = f"[bold]{' x '.join(parts)}[/], {conditions} per run" if jobs > 1 else f"[bold]one run[/], {conditions}"
+    console.print(f"{what}, into {escape(str(directory))}")
     if demo:
-        protocol = comparison.protocol
+        protocol, usual = comparison.protocol, StandardProtocol()
         console.print(
-            f"[dim]This is the demo, measured by {protocol.views} views and {protocol.surface_samples:,} samples; with "
-            "--scenes everything has its usual value, and `asg compare --help` shows what there is.",
-            soft_wrap=True,
+            f"[dim]The demo is measured on {protocol.views} views and {protocol.surface_samples:,} points; with "
+            f"--scenes a comparison is measured on {usual.views} and {usual.surface_samples:,} (asg compare --help)."
         )
-
-
-def _report(console: Console, result: Result, directory: Path, seconds: float, baseline: str | None) -> int:
-    from activestructure_gym.evaluation.archive.comparison import read_record
-    from activestructure_gym.evaluation.report.method_text import trajectories_text
-    from activestructure_gym.evaluation.report.planning_table import rich_planning_table
-    from activestructure_gym.evaluation.report.results import Results
-    from activestructure_gym.evaluation.report.summary import write_report
-    from activestructure_gym.evaluation.report.tables import rich_table, table_rows
-
-    if result.skipped:
-        console.print(f"{counted(result.skipped, 'run')} finished before and kept")
-    if result.missing:
-        console.print(
-            f"[yellow]{counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
-        )
-    if result.runs:
-        with console.status("drawing"):
-            files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
-        console.print()
-        print_whole(console, rich_table(table_rows(result.runs), title=_title(result)))
-        if (planning := rich_planning_table(Results(result.runs, []))) is not None:
-            print_whole(console, planning)
-        for told in trajectories_text(Results(result.runs, [])):
-            console.print(escape(told.replace("`", "")), soft_wrap=True)
-        page, summary = escape(str(files[-1])), files[-2]
-        console.print(f"\n{counted(len(result.runs), 'run')}, {seconds:.0f} s. Open [bold]{page}[/] in a browser,")
-        console.print(f"or read {summary.name}; beside them tables/ for papers, results.csv and the pictures.")
-    if result.failed:
-        what = counted(len(result.failed), "run")
-        complain(f"{what} failed; what was said is in {directory / 'logs'}")
-    return 1 if result.failed else 0
-
-
-def _title(result: Result) -> str:
-    seeds = len({run.job.seed for run in result.runs})
-    return f"mean ± standard deviation over {seeds} seeds" if seeds > 1 else "one seed"
 
 
 def _command_line(arguments: Sequence[str] | None = None) -> str:

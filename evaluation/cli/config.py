@@ -19,8 +19,7 @@ from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.cli.fields import Changes, Switch, option
 from activestructure_gym.evaluation.cli.listing import print_json, print_listed
 from activestructure_gym.evaluation.cli.options import parse_overrides, split_list
-from activestructure_gym.evaluation.cli.output import list_table
-from activestructure_gym.streams import escape, say
+from activestructure_gym.streams import say
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,8 @@ class Config:
     """The preset, default if not given, and the fields or groups of fields to print, as sensor or mapper.window."""
     set: Changes = ()
     """Changes of it, as compare and train take them; what they change is said at the end."""
+    wide: Switch = False
+    """Print all columns, whatever the width of the terminal."""
     json: Switch = False
     """For programs; `gym.make(..., config=...)` takes it."""
 
@@ -52,22 +53,26 @@ class Config:
             if not _is_of(field, chosen):
                 within = [name for name in after if name.startswith(field.partition(".")[0] + ".")]
                 raise unknown_name("field or group of fields", field, within or groups)
-        table = list_table(f"Preset {preset_name}", "field", "value", "default", "meaning")
+        rows = []
         for name, value in after.items():
             if fields and not any(name == field or name.startswith(f"{field}.") for field in fields):
                 continue
-            style = "bold" if name not in before or value != before[name] else None
             default = "" if name not in defaults or value == defaults[name] else _shown(defaults[name])
-            table.add_row(*map(escape, (name, _shown(value), default, texts[name])), style=style)
-        print_listed(
-            table,
-            "Where nothing stands under default, the value is it. Changes: --set FIELD=VALUE\n"
-            "Rows (B20, C15): docs/notebook/groundwork.md; measured: docs/notebook/map.md",
-        )
+            rows.append([name, _shown(value), *([default] if self.wide else []), texts[name]])
+        heads = ["field", "value", *(["default"] if self.wide else []), "meaning"]
+        print_listed(f"Preset {preset_name}", heads, rows, _HINTS[self.wide], wide=self.wide, most=_MOST)
         changes = [name for name, value in after.items() if name in before and value != before[name]]
         for name in changes:
             say(f"--set {name}: {_shown(before[name])} -> {_shown(after[name])}")
         return 0
+
+
+_MOST = (36, 10)  # columns of a field and of its value; longer ones take room from the meaning
+_HINTS = {
+    False: "Whole texts, and what the preset changes: --wide. Change a field: --set FIELD=VALUE.",
+    True: "Where nothing is under default, the value is the default. Change a field: --set FIELD=VALUE.\n"
+    "Rows (B20, C15): docs/notebook/groundwork.md; measured: docs/notebook/map.md",
+}
 
 
 def _is_of(word: str, config: Any) -> bool:

@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Annotated
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.cli.fields import option
+from activestructure_gym.evaluation.cli.fields import Switch, option
+from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape
+
+_LONGEST = 20  # characters of a version; a checksum has 64
 
 
 @dataclass(frozen=True)
@@ -20,20 +23,27 @@ class Doctor:
 
     dataset: Annotated[tuple[str, ...], option("replica|matterport3d PATH", "")] = ()
     """Say instead which scenes of a dataset that papers report on lie in a folder, and what is missing or damaged."""
+    json: Switch = False
+    """Print JSON, with checksums in full."""
 
     def run(self) -> int:
         """Print what works, and return 0 if the main job can run; of a dataset, 0 if every scene is usable. Else 1."""
         if self.dataset:
             return _print_dataset(*self.dataset)
-        return _print_machine()
+        return _print_machine(json=self.json)
 
 
-def _print_machine() -> int:
+def _print_machine(*, json: bool) -> int:
     """Print every backend with its state, versions and hardware; 0 if the main job can run, else 1."""
     from activestructure_gym.evaluation.machine import hardware as machine
 
     console = make_console()
     hardware = machine.hardware()
+    if json:
+        needed, rows = _states()
+        states = [{"part": part, "backend": backend, "state": state} for part, backend, state in rows]
+        print_json({"hardware": hardware, "states": states, "versions": machine.versions()})
+        return 1 if _broken(needed, rows) else 0
     console.print(f"{hardware['system']}, {hardware['processor']}, {hardware['cores']} cores, {_memory(hardware)}")
     with console.status("trying every backend"):
         needed, rows = _states()
@@ -44,15 +54,20 @@ def _print_machine() -> int:
     print_whole(console, table)
     versions = plain_table("Versions", "package", "version")
     for package, version in machine.versions().items():
-        versions.add_row(package, version if version != "missing" else "[red]missing[/]")
+        short = version if len(version) <= _LONGEST else f"{version[:12]}…"
+        versions.add_row(package, escape(short) if version != "missing" else "[red]missing[/]")
     print_whole(console, versions)
-    broken = [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
-    if broken:
+    if broken := _broken(needed, rows):
         console.print(f"[red]✗[/] `asg compare` cannot run: {', '.join(broken)} does not work")
         return 1
     console.print("[green]✓[/] `asg compare` can run")
     console.print("Help: asg COMMAND --help; of the package: python -m pydoc activestructure_gym")
     return 0
+
+
+def _broken(needed: set[str], rows: list[tuple[str, str, str]]) -> list[str]:
+    """The backends that the main job needs and that do not work."""
+    return [f"{part} {backend}" for part, backend, state in rows if backend in needed and state[:5] != "works"]
 
 
 def _print_dataset(*asked: str) -> int:

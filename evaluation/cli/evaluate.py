@@ -87,7 +87,7 @@ class Evaluate:
         if added:
             console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
         for reason in lost:
-            console.print(f"[red]✗[/] not kept: {escape(reason)}", soft_wrap=True)
+            console.print(f"[red]✗[/] not kept: {escape(reason)}")
         if different:
             console.print(f"[red]✗[/] {different} of {compared} differ from what the run stored")
             return 1
@@ -154,7 +154,7 @@ def _open(names: tuple[str, ...]) -> list[Run]:
 
 def _print_reasons(console: Console, reasons: dict[str, str]) -> None:
     for name, reason in reasons.items():
-        console.print(f"[dim]{escape(f'{name}: n/a, {reason}')}", soft_wrap=True)
+        console.print(f"[dim]{escape(f'{name}: n/a, {reason}')}")
 
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[list[str], dict[str, Any]]]) -> Table:

@@ -10,11 +10,10 @@ from typing import Annotated, Any
 import tyro
 
 from activestructure_gym.evaluation.cli.fields import Switch, option
-from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed
+from activestructure_gym.evaluation.cli.listing import first_line, print_json, print_listed, print_text
 from activestructure_gym.evaluation.cli.options import split_list
-from activestructure_gym.evaluation.cli.output import list_table
+from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.policies import gains_asked
-from activestructure_gym.streams import escape, say
 
 
 @dataclass(frozen=True)
@@ -24,6 +23,8 @@ class Features:
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
     """Some of them, each with its whole description and who asks for it."""
+    wide: Switch = False
+    """Print all columns, whatever the width of the terminal."""
     json: Switch = False
     """For programs."""
 
@@ -36,19 +37,22 @@ class Features:
         if self.json:
             return print_json([_facts(name) for name in names or FEATURES])
         if names:
-            say("\n\n".join(map(_described, names)))
+            print_text(make_console(), "\n\n".join(map(_described, names)))
             return 0
-        features = {name: FEATURES.get(name) for name in FEATURES}
-        table = list_table("Features of a candidate view", "name", "columns", "unit", "what it is")
-        for name, feature in features.items():
-            words = (name, columns_in_words(feature), units_in_words(feature), first_line(feature))
-            table.add_row(*map(escape, words))
-        print_listed(
-            table,
-            "One of them: asg features NAME. A policy names those it needs; --gains of asg train and gains=... of an "
-            "env take any.",
-        )
+        rows = []
+        for name in FEATURES:
+            feature = FEATURES.get(name)
+            more = [columns_in_words(feature), units_in_words(feature)] if self.wide else []
+            rows.append([name, *more, first_line(feature)])
+        heads = ["name", "columns", "unit", "what it is"] if self.wide else ["name", "what it is"]
+        print_listed("Features of a candidate view", heads, rows, _HINT, wide=self.wide)
         return 0
+
+
+_HINT = (
+    "One with its columns and units: asg features NAME. A policy names those it needs; --gains of asg train and "
+    "gains=... of an env take any."
+)
 
 
 def _facts(name: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from activestructure_gym.errors import InputError, counted, listed
+from activestructure_gym.evaluation.cli.closing import print_page
 from activestructure_gym.evaluation.cli.fields import PathName, Runs
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.streams import escape
@@ -45,6 +46,7 @@ class Leaderboard:
         with writing(out), replaced(out) as file:
             file.write(leaderboard_page(runs, lambda run: known(run.directory), refused).encode())
         for reason in refused.values():
-            console.print(f"[red]✗[/] left out: {escape(reason)}", soft_wrap=True)
-        console.print(f"Open [bold]{escape(str(out))}[/] in a browser: {counted(len(runs), 'run')}")
+            console.print(f"[red]✗[/] left out: {escape(reason)}")
+        console.print(counted(len(runs), "run"))
+        print_page(console, out)
         return 1 if refused else 0

@@ -5,13 +5,15 @@ from __future__ import annotations
 import inspect
 import json
 import sys
+from collections.abc import Sequence
 from typing import Any
 
-from rich.table import Table
+from rich.console import Console
 
 from activestructure_gym.errors import printable
-from activestructure_gym.evaluation.cli.output import make_console
-from activestructure_gym.streams import fitting, say
+from activestructure_gym.evaluation.cli.output import make_console, print_lines, width_of
+from activestructure_gym.evaluation.machine.terminal import aligned, paragraphs
+from activestructure_gym.streams import escape, fitting, say
 
 
 def first_line(thing: Any) -> str:
@@ -19,11 +21,35 @@ def first_line(thing: Any) -> str:
     return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
-def print_listed(table: Table, hint: str) -> None:
-    """Print a `list_table`, within the width of a terminal, and below it a hint."""
+def print_listed(
+    title: str,
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    hint: str,
+    *,
+    wide: bool,
+    most: Sequence[int] = (),
+) -> None:
+    """Print one line per row, its last entry shortened to the width of a terminal, and below them a hint.
+
+    With ``wide`` and in a log nothing is shortened. ``most``: see `aligned`.
+    """
     console = make_console()
-    console.print(table)
-    console.print(hint)
+    console.print(title, style="bold", markup=False)
+    entries = [[console.render_str(escape(entry)).plain for entry in row] for row in [heads, *rows]]
+    ellipsis = "..." if console.options.ascii_only else "…"
+    print_lines(console, aligned(entries, None if wide else width_of(console), most, ellipsis))
+    console.print()
+    console.print(hint, markup=False)
+
+
+def print_text(console: Console, text: str) -> None:
+    """Print a docstring: as it is in a log, its paragraphs as wide as a terminal else."""
+    if width_of(console) is None:
+        print_lines(console, text.splitlines())
+        return
+    for paragraph in paragraphs(text):
+        console.print(paragraph, markup=False)
 
 
 def print_json(content: Any) -> int:

@@ -9,16 +9,16 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from activestructure_gym.errors import printable
+from activestructure_gym.evaluation.cli.fitting import table_lines
 from activestructure_gym.streams import Stream, escape, fitting, raw
 
-_WIDEST = 400  # columns
+_WIDEST = 10_000  # columns
 _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
 
@@ -72,26 +72,30 @@ def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
         yield say
 
 
-def print_whole(console: Console, table: Table) -> None:
-    """Print the table in its full width, whatever the terminal's, so that no number is cut."""
-    needed = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
-    if needed > console.width:
-        # rich never exceeds a console's width, so the table gets a console of its own.
-        console = _console(console.file, needed)
-    console.print(table, crop=False)
+def width_of(console: Console) -> int | None:
+    """Return the columns of a terminal, or None for a log, which has no width."""
+    return None if console.width >= _WIDEST else console.width
 
 
-def list_table(title: str, *columns: str) -> Table:
-    """A table of words: but for the first column they are folded where a terminal is narrower."""
-    table = plain_table(title)
-    for place, column in enumerate(columns):
-        table.add_column(column, no_wrap=not place, overflow="fold")
-    return table
+def print_whole(console: Console, table: Table, *, wide: bool = False) -> None:
+    """Print the table in as many parts as the terminal's width takes, so that no number is cut; ``wide`` in one."""
+    if table.title:
+        console.print(str(table.title), style="bold")
+    rule = "-" if console.options.ascii_only else "─"
+    for line in table_lines(table, None if wide else width_of(console), rule=rule, shown=console.render_str):
+        console.print(line, soft_wrap=True)
+    console.print()
+
+
+def print_lines(console: Console, lines: Iterable[str]) -> None:
+    """Print lines as they are, whatever their width."""
+    for line in lines:
+        console.print(Text(line), soft_wrap=True)
 
 
 def plain_table(title: str, *columns: str) -> Table:
-    """A table without a frame, with these columns."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    """Return an empty table with these columns."""
+    table = Table(title=title)
     for column in columns:
-        table.add_column(column, no_wrap=True)
+        table.add_column(column)
     return table

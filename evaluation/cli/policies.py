@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
 
 from activestructure_gym.evaluation.cli.fields import Switch, option
-from activestructure_gym.evaluation.cli.listing import print_json, print_listed
+from activestructure_gym.evaluation.cli.listing import print_json, print_listed, print_text
 from activestructure_gym.evaluation.cli.options import split_list
-from activestructure_gym.evaluation.cli.output import list_table, make_console, plain_table, print_whole
+from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape, say
+
+_QUALIFIED = re.compile(r"^(by a digest of|by the text of|inspired by) ")
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,8 @@ class Policies:
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional, option("[NAME ...]", "")] = ()
     """Some of them, each with its options and its description."""
+    wide: Switch = False
+    """Print all columns, whatever the width of the terminal."""
     json: Switch = False
     """For programs."""
 
@@ -33,11 +38,10 @@ class Policies:
             rows = [_policy_facts(name) for name in POLICIES]
             if self.json:
                 return print_json(rows)
-            table = list_table("Policies", "name", "decides by", "source", "features it needs")
-            for row in rows:
-                gains = ", ".join(row["gains"])
-                table.add_row(*map(escape, (row["name"], row["decides_by"], row["source"], gains)))
-            print_listed(table, "One of them with its options: asg policies NAME; your own: asg policies MODULE:CLASS")
+            heads = ["name", "source", "decides by"]
+            if self.wide:
+                heads.insert(2, "features it needs")
+            print_listed("Policies", heads, [_entries(row, wide=self.wide) for row in rows], _HINT, wide=self.wide)
             return 0
         found = [_policy_facts(canonical_policy(name) if "?" in name else name) for name in names]
         if self.json:
@@ -49,13 +53,24 @@ class Policies:
         return 0
 
 
+_HINT = "One with its options: asg policies NAME; your own: asg policies MODULE:CLASS."
+
+
+def _entries(facts: dict[str, Any], *, wide: bool) -> list[str]:
+    """A policy's line of the list: name, source, and what it decides by; the source is its first part if not wide."""
+    if wide:
+        return [facts["name"], facts["source"], ", ".join(facts["gains"]), facts["decides_by"]]
+    source = _QUALIFIED.sub("after ", facts["source"]).partition(",")[0]
+    return [facts["name"], source, facts["decides_by"]]
+
+
 def _describe(facts: dict[str, Any]) -> None:
     """Print one policy with its options."""
     console = make_console()
     console.print(f"[bold]{escape(facts['name'])}[/]  {escape(facts['source'])}")
-    console.print("\n".join(map(escape, facts["about"].splitlines())), soft_wrap=True)
-    console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}", soft_wrap=True)
-    console.print(escape(f"On native terms it brings {facts['native']}."), soft_wrap=True)
+    print_text(console, facts["about"])
+    console.print(f"\nFeatures it needs: {escape(', '.join(facts['gains']) or 'none')}")
+    console.print(escape(f"On native terms it brings {facts['native']}."))
     if not facts["options"]:
         console.print("It takes no options.")
         return

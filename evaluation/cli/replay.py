@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.cli.closing import print_page
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.cli.output import make_console
@@ -73,7 +74,7 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
             try:
                 write_page(console, page, [run], trusted=True)
             except InputError as error:  # of one run, as of a mapper without Gaussians: the others have theirs
-                console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]", soft_wrap=True)
+                console.print(f"[yellow]no replay of {escape(run.job.title)}: {escape(str(error))}[/]")
 
 
 def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
@@ -91,9 +92,8 @@ def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: boo
     with writing(out):
         size = write_replay(recordings, out)
     seconds = time.monotonic() - began
-    console.print(
-        f"Open [bold]{escape(str(out))}[/] in a browser: {size / 1e6:.1f} MB, {seconds:.0f} s", soft_wrap=True
-    )
+    console.print(f"{size / 1e6:.1f} MB, {seconds:.0f} s")
+    print_page(console, out)
 
 
 def _video(console: Console, directory: Path, out: Path) -> int:
@@ -107,9 +107,7 @@ def _video(console: Console, directory: Path, out: Path) -> int:
     with _progress(console, run) as tell, writing(out):
         length = write_video(run, out, tell)
     size, seconds = out.stat().st_size / 1e6, time.monotonic() - began
-    console.print(
-        f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s", soft_wrap=True
-    )
+    console.print(f"[bold]{escape(str(out))}[/]: {length:.0f} s, {size:.1f} MB, made in {seconds:.0f} s")
     return 0
 
 

@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from activestructure_gym.errors import InputError, counted
+from activestructure_gym.evaluation.cli.closing import print_page
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, Text, option
 from activestructure_gym.evaluation.cli.output import make_console, print_whole
 from activestructure_gym.streams import escape
@@ -32,6 +33,9 @@ class Report:
     paper_tables: Switch = False
     """Also Tables 1 and 2 of the paper: its published values with these runs beside them, printed and in the report."""
 
+    wide: Switch = False
+    """Print all columns scene by scene, whatever the width of the terminal."""
+
     def run(self) -> int:
         """Write the report, print the overview; 0 if every run asked for is in it, 1 if some are missing."""
         from activestructure_gym.evaluation.archive.store import COMPARISON
@@ -44,23 +48,27 @@ class Report:
         if out.exists() and not out.is_dir():
             raise InputError(f"the output '{out}' is a file; give a directory")
 
+        from activestructure_gym.evaluation.cli.result_table import print_result
         from activestructure_gym.evaluation.report.results import gather
         from activestructure_gym.evaluation.report.summary import write_results
-        from activestructure_gym.evaluation.report.tables import in_terminal, rich_table, table_rows
+        from activestructure_gym.evaluation.report.tables import in_terminal
 
         console = make_console()
         results = gather(directories, self.baseline)
         with console.status("drawing"):
             files = write_results(out, results, published=self.paper_tables)
-        print_whole(console, rich_table(table_rows(results.runs), title=counted(len(results.runs), "run")))
+        console.print(counted(len(results.runs), "run"))
+        left_out = print_result(console, results.runs, wide=self.wide)
         if self.paper_tables:
             from activestructure_gym.evaluation.report.published import published_tables
 
             for table in published_tables(results)[::2]:  # averages; by scene they stand in the report
-                print_whole(console, in_terminal(table))
+                print_whole(console, in_terminal(table), wide=self.wide)
                 console.print(f"{escape(table.caption)}.\n")
         for name, why in results.missing.items():
             console.print(f"[red]✗[/] missing: {escape(name)}  [red]{escape(why)}[/]")
-        page = escape(str(files[-1]))
-        console.print(f"\nOpen [bold]{page}[/] in a browser; tables for papers are beside it, in tables/")
+        if left_out:
+            console.print("All columns, scene by scene: --wide, and results.csv next to the page.")
+        console.print("Tables for papers are in tables/ next to the page.")
+        print_page(console, files[-1])
         return 1 if results.missing else 0

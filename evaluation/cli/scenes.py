@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.table import Table
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
@@ -58,7 +57,7 @@ class Scenes:
             notes = [text for name, text in facts["lines"] if name == "note"]
             print_json({**dict(facts["lines"]), "note": notes})
         else:
-            table = Table.grid(padding=(0, 2))
+            table = plain_table("", "", "")
             for name, text in facts["lines"]:
                 table.add_row(f"[bold]{name}[/]", escape(text))
             print_whole(console, table)
@@ -72,7 +71,7 @@ class Scenes:
                 with writing(self.picture), replaced(self.picture) as file:
                     picture.save(file, "PNG")
             if not self.json:
-                console.print(f"picture: {escape(self.picture)}", soft_wrap=True)
+                console.print(f"picture: {escape(self.picture)}")
         return 0
 
 

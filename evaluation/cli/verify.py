@@ -52,7 +52,7 @@ class Verify:
         runs, refused = each_run([Path(name) for name in self.runs])
         failed, unplayed, open_ = len(refused), 0, 0
         for reason in refused.values():
-            console.print(f"[red]✗[/] damaged: {escape(reason)}", soft_wrap=True)
+            console.print(f"[red]✗[/] damaged: {escape(reason)}")
         columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
         for run in runs:
             with Bar(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
@@ -69,13 +69,13 @@ class Verify:
             if found is None:
                 unplayed += 1
                 said = escape(f"{run.job.title}: cannot be played here: {said}")
-                console.print(f"[red]✗[/] {said}", soft_wrap=True)
+                console.print(f"[red]✗[/] {said}")
                 continue
             failed += found.verdict in REFUTED
             open_ += found.verdict == "not comparable here"
             mark = _MARKS.get(found.verdict, "[red]✗[/]")
             said = f"{mark} {escape(run.job.title)}: {found.verdict}"
-            console.print("; ".join((said, *map(escape, found.why))), soft_wrap=True)
+            console.print("; ".join((said, *map(escape, found.why))))
             try:
                 keep(run.directory, found)
             except InputError as error:

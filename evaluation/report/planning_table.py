@@ -49,18 +49,22 @@ def planning_table(results: Results) -> Table | None:
 def rich_planning_table(results: Results) -> RichTable | None:
     """The same in short for a terminal: a row per policy, the best of the planners bold and green.
 
-    A number of frames is a mean of runs that all reached the level; else there is a dash and how many did.
+    A number of frames is the mean over the runs. Where some did not reach the level, the budget counts for those,
+    after a ``>`` and with how many did. A level that no run reached has no column.
     """
     from activestructure_gym.streams import escape
 
-    shown = {*_telling(results), "observed_area"}
-    columns = measured([column for column in PROGRESS if column.key in shown], results.runs)
+    reached = [key for key in _telling(results) if not all(exceeded(run, key) for run in results.runs)]
+    columns = measured([column for column in PROGRESS if column.key in (*reached, "observed_area")], results.runs)
     if not columns:
         return None
-    table = empty_rich_table("how soon the surface was observed")
-    table.add_column("policy", no_wrap=True)
+    title = "how soon the surface was observed"
+    if not reached and (missing := unreached(results.runs)):
+        title += f"; {missing[:1].lower()}{missing[1:]}"
+    table = empty_rich_table(title)
+    table.add_column("policy")
     for column in columns:
-        table.add_column(column.title, justify="right", no_wrap=True)
+        table.add_column(column.title, justify="right")
     by_column = [
         ranked([_short_cell(results, policy, column) for policy in results.policies], column, results.planners)
         for column in columns
@@ -80,13 +84,14 @@ def _telling(results: Results) -> list[str]:
 
 def _short_cell(results: Results, policy: str, column: Column) -> Cell:
     missed = [exceeded(run, column.key) for run in results.of(policy)]
-    if any(missed):
-        return Cell(f"{MISSING} ({len(missed) - sum(missed)} of {len(missed)} runs)")
+    if missed and all(missed):
+        return Cell("not reached")
     strata = results.strata(policy, column.key)
     if strata is None:
         return Cell(MISSING)
     value = estimate(strata).value
-    return Cell(f"{value:.{column.digits}f}", value)
+    text = f"{value:.{column.digits}f}"
+    return Cell(f"> {text} ({len(missed) - sum(missed)} of {len(missed)} runs)" if any(missed) else text, value)
 
 
 def _cell(results: Results, policy: str, column: Column) -> Cell:

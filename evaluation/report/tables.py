@@ -75,18 +75,9 @@ def table_rows(runs: Sequence[Run]) -> list[Row]:
 
 def empty_rich_table(title: str) -> RichTable:
     """A table for a terminal, without columns."""
-    from rich import box
     from rich.table import Table as RichTable
 
-    return RichTable(
-        title=title,
-        title_justify="left",
-        title_style="italic dim",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        collapse_padding=True,
-    )
+    return RichTable(title=title)
 
 
 def styled(text: str, best: bool) -> str:
@@ -95,15 +86,14 @@ def styled(text: str, best: bool) -> str:
 
 
 def rich_table(rows: Sequence[Row], *, title: str) -> RichTable:
-    """The table for a terminal; the best numbers are bold and green."""
+    """Return the table with every column, scene by scene; the best numbers are bold and green."""
     from activestructure_gym.streams import escape
 
     table = empty_rich_table(title)
-    # A wrapped or shortened number cannot be read: no column gives way.
-    table.add_column("scene", no_wrap=True)
-    table.add_column("policy", no_wrap=True)
+    table.add_column("scene")
+    table.add_column("policy")
     for column in COLUMNS:
-        table.add_column(column.title.replace(" (", "\n("), justify="right", no_wrap=True)
+        table.add_column(column.title, justify="right")
     for index, row in enumerate(rows):
         new_scene = index == 0 or rows[index - 1].scene != row.scene
         ends_block = index + 1 == len(rows) or rows[index + 1].scene != row.scene
@@ -118,7 +108,7 @@ def in_terminal(table: Table) -> RichTable:
 
     shown = empty_rich_table(table.title)
     for heading in table.headings:
-        shown.add_column(escape(heading.text), justify="right" if heading.numeric else "left", no_wrap=True)
+        shown.add_column(escape(heading.text), justify="right" if heading.numeric else "left")
     for index, row in enumerate(table.rows):
         cells = [styled(escape(table.shown(index, k)), cell.rank == 1) for k, cell in enumerate(row)]
         shown.add_row(*cells, end_section=index + 1 in table.blocks)

@@ -32,7 +32,7 @@ def rows_table(rows: Sequence[Mapping[str, Any]], *, title: str) -> Table:
     table = plain_table(title)
     for name in names:
         numeric = all(isinstance(row.get(name), int | float | type(None)) for row in rows)
-        table.add_column(name.replace("_", " "), justify="right" if numeric else "left", no_wrap=True)
+        table.add_column(name.replace("_", " "), justify="right" if numeric else "left")
     for row in rows:
         table.add_row(*(escape(_text(row.get(name))) for name in names))
     return table

@@ -8,5 +8,5 @@ from activestructure_gym.compiling.progress import Log
 @pytest.fixture(autouse=True)
 def no_lines_about_compiling(monkeypatch):
     """The lines of other tests' compiling come seconds later, from a thread."""
-    monkeypatch.setattr(Log, "hear", lambda self, compiled, seconds: None)
+    monkeypatch.setattr(Log, "hear", lambda self, *told: None)
     monkeypatch.setattr(Log, "conclude", lambda self: None)

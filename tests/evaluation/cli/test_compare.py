@@ -51,16 +51,18 @@ def asked(monkeypatch, tmp_path):
 def test_without_options_it_is_the_demo(asked, capsys):
     assert main(["compare"]) == 0
     wanted, (_, directory, options) = asked
-    assert (wanted.scenes, wanted.policies, wanted.seeds) == (("room",), ("random", "pixel_only"), (0,))
-    assert (wanted.preset, wanted.frame_budget, wanted.protocol.views) == ("default", 200, 16)
+    assert (wanted.scenes, wanted.policies, wanted.seeds) == (("room",), ("random", "activestructure"), (0,))
+    assert (wanted.preset, wanted.frame_budget) == ("default", None)  # the preset's 300
+    assert (wanted.protocol.views, wanted.protocol.surface_samples) == (16, 50_000)
     assert directory.parts[0] == "runs" and options["engine"] == "local"
-    assert "demo" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "one run, shared terms, preset default, 300 frames, into runs" in said
+    assert "The demo is measured on 16 views and 50,000 points" in said and "on 64 and 200,000" in said
 
 
 def test_the_demo_can_be_changed_in_part():
     changed = module._with_demo_defaults(Compare(policies=("random",), frames=20))
     assert (changed.scenes, changed.frames, changed.policies) == (("room",), 20, ("random",))
-    # Another preset has a budget of its own.
     assert module._with_demo_defaults(Compare(preset="fast")).frames is None
     assert module._with_demo_defaults(Compare(set=("frame_budget=30",))).frames is None
     native = module.comparison_of(module._with_demo_defaults(Compare(policies=("random",), terms="native")))
@@ -244,7 +246,8 @@ def test_what_is_added_is_under_the_conditions_of_the_record(asked, tmp_path, wo
 
 
 def test_what_is_compared_has_a_default_that_nobody_can_type():
-    manner = {"out", "resume", "engine", "workers", "shard", "timeout", "retries", "replay", "baseline", "trust_code"}
+    manner = {"out", "resume", "engine", "workers", "shard", "timeout", "retries", "replay", "baseline"}
+    manner |= {"trust_code", "wide"}
     defaults = {name: value for name, value in vars(Compare()).items() if name not in manner}
     assert {name for name, value in defaults.items() if value not in (None, ())} == set()
     assert not module._typed(Compare(), *defaults)
@@ -254,11 +257,11 @@ def test_what_is_compared_has_a_default_that_nobody_can_type():
 
 def test_what_was_not_typed_is_as_usual_and_help_says_so(asked, capsys):
     usual = module.comparison_of(Compare())
-    assert (usual.scenes, usual.policies, usual.seeds) == (("room",), ("random", "pixel_only"), (0,))
-    assert usual == Comparison(["room"], ["random", "pixel_only"])
+    assert (usual.scenes, usual.policies, usual.seeds) == (("room",), ("random", "activestructure"), (0,))
+    assert usual == Comparison(["room"], ["random", "activestructure"])
     assert main(["compare", "--help"]) == 0
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    for default in ("random pixel_only", "0", "shared", "standard", "free_space", "room", "64"):
+    for default in ("random activestructure", "0", "shared", "standard", "free_space", "room", "64"):
         assert f"(default: {default})" in shown
     assert "--terms {shared,native}" in shown and "--view-source {free_space,recorded}" in shown
 
@@ -362,7 +365,7 @@ def test_replays_are_made_where_they_are_asked_for_and_missing(asked, monkeypatc
     (runs[1].directory / "replay.html").write_text("made before")
     monkeypatch.setattr(comparison, "run_comparison", lambda *given, **options: Result(runs, [], 0))
     before = []
-    monkeypatch.setattr(module, "_report", lambda *given: before.append(len(made)) or 0)
+    monkeypatch.setattr(module, "print_end", lambda *given, **options: before.append(len(made)) or 0)
     assert main(["compare", "--replay"]) == 0
     assert before == [1]  # the report links to them
     assert made == [(runs[2].directory / "replay.html", [runs[2]])]

@@ -47,7 +47,7 @@ def test_a_run_names_its_scene_seed_and_configuration(tmp_path: Path) -> None:
 
 def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.savez(tmp_path / "poses.npz", world_from_camera=np.eye(4)[None])
-    assert main(["score"]) == 2 and "needs --trajectory" in capsys.readouterr().err
+    assert main(["score"]) == 2 and "with --trajectory" in capsys.readouterr().err
     assert main(["score", "--trajectory", str(tmp_path / "poses.npz")]) == 2
     assert "give --scene" in capsys.readouterr().err
     with pytest.raises(InputError, match="unknown convention of axes"):

@@ -31,7 +31,7 @@ def test_it_prints_a_link_plays_and_leaves(capsys: pytest.CaptureFixture[str]) -
         (["--policy", "nobody"], "unknown policy 'nobody'"),
         (["--address", "here"], "nothing can be served at"),
         (["--scene", "nowhere"], "nowhere"),
-        (["--scene", ","], "asg watch needs a scene to explore, got ','"),
+        (["--scene", ","], "--scene names a scene to explore, got ','"),
     ):
         assert main([*command, *wrong]) == 2
         assert message in capsys.readouterr().err

@@ -3,6 +3,7 @@ import io
 import pytest
 from rich.console import Console
 
+from activestructure_gym.evaluation.cli.output import print_whole
 from activestructure_gym.evaluation.report.columns import PROGRESS, value_of
 from activestructure_gym.evaluation.report.formats import documents
 from activestructure_gym.evaluation.report.planning_table import planning_table, rich_planning_table
@@ -55,16 +56,26 @@ def test_a_row_of_a_pair_that_never_reached_a_level_is_left_out(make_run):
 
 def printed(results):
     out = io.StringIO()
-    Console(file=out, width=120).print(rich_planning_table(results))
+    print_whole(Console(file=out, width=120), rich_planning_table(results))
     return out.getvalue()
 
 
-def test_a_terminal_has_means_of_runs_that_all_reached_it_and_else_a_dash_and_how_many_did(results):
+def test_a_terminal_has_the_number_that_there_is_and_how_many_runs_reached_it(results):
     lines = [line for line in printed(results).splitlines() if line.strip()]
-    headings, a, b = lines[1], lines[-2], lines[-1]
-    assert headings.split()[0] == "policy" and "85 %" in headings and "95 %" not in headings
+    headings, a, b = " ".join(lines[1:3]), lines[-2], lines[-1]
+    assert "policy" in headings and "85 %" in headings and "95 %" not in headings
     assert a.split() == ["a", "50", "65", "66.0"]
-    assert b.split() == ["b", "50", *"– (1 of 2 runs)".split(), "60.0"]
+    assert b.split() == ["b", "50", *"> 90 (1 of 2 runs)".split(), "60.0"]
+
+
+def test_a_terminal_has_no_column_for_what_no_run_reached(make_run):
+    none = {f"frames_to_{level}": None for level in (80, 85, 90, 95)}
+    runs = [make_run(policy=name, **none, observed_area=50.0) for name in "ab"]
+    said = printed(Results(runs, []))
+    assert "no run reached 80 %" in said and "frames to" not in said and "50.0" in said
+    runs[0].metrics["metrics"]["frames_to_80"] = 40.0
+    said = printed(Results(runs, []))
+    assert "not reached" in said and "40" in said and "85 %" not in said
 
 
 def test_where_half_of_the_runs_reach_no_level_a_terminal_shows_the_lowest(make_run):

@@ -1,0 +1,106 @@
+"""The last lines of a command: the result, where the page is, and which commands show more."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.cells import cell_len
+from rich.console import Console
+from rich.text import Text
+
+from activestructure_gym.errors import counted
+from activestructure_gym.evaluation.cli.output import print_whole, width_of
+from activestructure_gym.streams import complain, escape
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.archive.store import Run
+    from activestructure_gym.evaluation.running.comparison import Result
+
+_INDENT = "  "
+
+
+def print_end(
+    console: Console, result: Result, directory: Path, seconds: float, baseline: str | None, *, wide: bool
+) -> int:
+    """Write the report of a comparison, and print its result and what to run next; 0, or 1 if some runs failed."""
+    from activestructure_gym.evaluation.archive.comparison import read_record
+    from activestructure_gym.evaluation.cli.result_table import print_result
+    from activestructure_gym.evaluation.report.method_text import trajectories_text
+    from activestructure_gym.evaluation.report.planning_table import rich_planning_table
+    from activestructure_gym.evaluation.report.results import Results
+    from activestructure_gym.evaluation.report.summary import write_report
+
+    if result.skipped:
+        console.print(f"{counted(result.skipped, 'run')} finished before and kept")
+    if result.missing:
+        console.print(
+            f"[yellow]{counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
+        )
+    if result.runs:
+        with console.status("drawing"):
+            files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
+        console.print()
+        left_out = print_result(console, result.runs, wide=wide)
+        if (planning := rich_planning_table(Results(result.runs, []))) is not None:
+            print_whole(console, planning, wide=wide)
+        for told in trajectories_text(Results(result.runs, [])):
+            console.print(escape(told.replace("`", "")))
+        console.print(
+            f"{counted(len(result.runs), 'run')}, {seconds:.0f} s. Next to the page: {escape(files[-2].name)}, tables/ "
+            "for papers, results.csv and the pictures."
+        )
+        print_page(console, files[-1])
+        wider = [["asg", "report", str(directory), "--wide"]] if left_out else []
+        print_next(console, [*next_commands(result.runs), *wider])
+    if result.failed:
+        what = counted(len(result.failed), "run")
+        complain(f"{what} failed; what was said is in {directory / 'logs'}")
+    return 1 if result.failed else 0
+
+
+def print_page(console: Console, page: Path) -> None:
+    """Print the address of a page; its path, as a link, where the address is wider than the terminal."""
+    address, width = page.absolute().as_uri(), width_of(console)
+    head = "Open in a browser: "
+    if width is None or cell_len(head + address) <= width:
+        console.print(Text(head).append(address, "bold"), soft_wrap=True)
+        return
+    console.print(head.rstrip(), style=None)
+    path = address if cell_len(address) <= width - len(_INDENT) else str(page)
+    console.print(Text(_INDENT).append(path, f"bold link {address}"), soft_wrap=True)
+
+
+def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
+    """Print commands to run next, each as it can be copied into a shell."""
+    console.print("Next:")
+    for words in commands:
+        for line in command_lines(words, width_of(console)):
+            console.print(Text(_INDENT + line), soft_wrap=True)
+
+
+def command_lines(words: Sequence[str], width: int | None) -> list[str]:
+    """Return a command for a shell; where it is wider than a terminal it goes on behind backslashes."""
+    quoted = [shlex.quote(word) for word in words]
+    lines, room = [quoted[0]], None if width is None else width - len(_INDENT) - len(" \\")
+    for word in quoted[1:]:
+        if room is None or cell_len(f"{lines[-1]} {word}") <= room:
+            lines[-1] += f" {word}"
+        else:
+            lines[-1] += " \\"
+            lines.append(_INDENT + word)
+    return lines
+
+
+def next_commands(runs: Sequence[Run]) -> list[list[str]]:
+    """Return the commands that show two of the runs, of two policies in one scene, and that let the user plan."""
+    first = runs[0]
+    others = [run for run in runs if (run.scene, run.job.seed) == (first.scene, first.job.seed)]
+    pair = [first, *(run for run in others if run.policy != first.policy)][:2]
+    scene = [] if first.job.scene == "room" else ["--scene", first.job.scene]
+    return [
+        ["asg", "replay", *(str(run.directory) for run in pair)],
+        ["asg", "watch", *scene, "--policy", "you"],
+    ]

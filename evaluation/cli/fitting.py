@@ -1,0 +1,143 @@
+"""Draw tables that fit the width of a terminal, in as many parts as that takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from rich.cells import cell_len
+from rich.table import Table
+from rich.text import Text
+
+from activestructure_gym.evaluation.machine.terminal import GAP, breaks, longest_piece
+
+_LEAST = 8  # columns of the narrowest column whose words are folded
+_PIECE = 24  # columns; longer names are folded wherever they must be
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column's heading and cells, and how wide it has to be."""
+
+    head: Text
+    cells: list[Text]
+    numeric: bool
+
+    @property
+    def natural(self) -> int:
+        """The columns that it takes unfolded; the heading of a number stands over its unit."""
+        head = _first_lines(self.head.plain) if self.numeric else [self.head.plain]
+        return max(map(cell_len, [*head, *(cell.plain for cell in self.cells)]), default=0)
+
+    @property
+    def least(self) -> int:
+        """The columns that it takes folded; numbers are not."""
+        words = [self.head.plain] if self.numeric else [self.head.plain, *(cell.plain for cell in self.cells)]
+        least = min(max(map(longest_piece, words), default=0), _PIECE)
+        return max([least, *(cell_len(cell.plain) for cell in self.cells)]) if self.numeric else least
+
+
+def table_lines(
+    table: Table, width: int | None, *, rule: str = "─", shown: Callable[[str], Text] = Text.from_markup
+) -> Iterator[Text]:
+    """Yield the lines of a table, none wider than ``width`` where there is one; ``shown`` reads a cell's markup.
+
+    Words are folded; columns that have no room go into further parts, which the leading columns of words begin.
+    """
+    columns = _columns(table, shown)
+    if not columns:
+        return
+    ends = [row.end_section for row in table.rows]
+    styles = [row.style or "" for row in table.rows]
+    for number, part in enumerate(_parts(columns, width)):
+        chosen = [(columns[k], size) for k, size in part.items()]
+        if number:
+            yield Text()
+        if any(column.head.plain for column, _ in chosen):
+            heads = [[Text(line, "bold") for line in _head_lines(column, size)] for column, size in chosen]
+            yield from _drawn(heads, chosen, bottom=True)
+            yield Text(rule * (sum(part.values()) + GAP * (len(part) - 1)), "dim")
+        for row, (ends_section, style) in enumerate(zip(ends, styles)):
+            for line in _drawn([_folded(column.cells[row], size) for column, size in chosen], chosen):
+                line.style = style
+                yield line
+            if ends_section and row + 1 < len(ends):
+                yield Text()
+
+
+def fits(table: Table, width: int) -> bool:
+    """Whether a table is no wider than ``width`` with nothing folded."""
+    columns = _columns(table)
+    return sum(column.natural for column in columns) + GAP * (len(columns) - 1) <= width
+
+
+def _columns(table: Table, shown: Callable[[str], Text] = Text.from_markup) -> list[_Column]:
+    return [
+        _Column(shown(str(column.header)), [shown(str(cell)) for cell in column.cells], column.justify == "right")
+        for column in table.columns
+    ]
+
+
+def _parts(columns: Sequence[_Column], width: int | None) -> list[dict[int, int]]:
+    """The columns of every part with their widths, by their places."""
+    natural, least = [column.natural for column in columns], [column.least for column in columns]
+    if width is None or sum(natural) + GAP * (len(columns) - 1) <= width:
+        return [dict(enumerate(natural))]
+    words = next((k for k, column in enumerate(columns) if column.numeric), len(columns))
+    keys = range(max(1, words) if words < len(columns) else 1)
+    room = max(_LEAST, width // 2 // len(keys) - GAP)
+    start = {k: min(least[k], room) for k in keys}
+    parts, part = [], dict(start)
+    for k in range(len(keys), len(columns)):
+        needed = sum(part.values()) + GAP * len(part)
+        if needed + least[k] > width and len(part) > len(start):
+            parts.append(part)
+            part = dict(start)
+            needed = sum(part.values()) + GAP * len(part)
+        part[k] = min(least[k], max(width - needed, 1))
+    return [_widened(part, natural, width) for part in [*parts, part]]
+
+
+def _widened(part: dict[int, int], natural: Sequence[int], width: int) -> dict[int, int]:
+    """The part with what is left of the width given to its columns: all numbers first, then words from the left."""
+    part = dict(part)
+    left = width - sum(part.values()) - GAP * (len(part) - 1)
+    for k in part:
+        more = max(0, min(natural[k] - part[k], left))
+        part[k] += more
+        left -= more
+    return part
+
+
+def _drawn(cells: list[list[Text]], chosen: list[tuple[_Column, int]], *, bottom: bool = False) -> Iterator[Text]:
+    """Lines of a row from the lines of its cells; headings stand at the bottom."""
+    height = max(map(len, cells))
+    for k in range(height):
+        line = Text()
+        for lines, (column, size) in zip(cells, chosen):
+            at = k - (height - len(lines)) if bottom else k
+            cell = lines[at] if 0 <= at < len(lines) else Text()
+            blank = " " * (size - cell_len(cell.plain))
+            line.append_text(Text(blank) + cell if column.numeric else cell + Text(blank))
+            line.append(" " * GAP)
+        line.rstrip()
+        yield line
+
+
+def _head_lines(column: _Column, size: int) -> list[str]:
+    lines = _first_lines(column.head.plain) if column.numeric else [column.head.plain]
+    return [part.plain for line in lines for part in _folded(Text(line), size)]
+
+
+def _first_lines(head: str) -> list[str]:
+    """The heading of numbers with its unit in a line of its own."""
+    return head.replace(" (", "\n(").split("\n")
+
+
+def _folded(cell: Text, size: int) -> list[Text]:
+    lines = []
+    for paragraph in cell.split("\n", allow_blank=True):
+        for line in paragraph.divide(breaks(paragraph.plain, max(size, 1))[1:]):
+            line.rstrip()
+            lines.append(line)
+    return lines

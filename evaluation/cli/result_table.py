@@ -1,0 +1,101 @@
+"""The result of a comparison in a terminal: the columns that fit, a line per policy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from activestructure_gym.errors import counted
+from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.cli.fitting import fits
+from activestructure_gym.evaluation.cli.output import plain_table, print_whole, width_of
+from activestructure_gym.evaluation.report.columns import COLUMNS, Column, measured, value_of
+from activestructure_gym.evaluation.report.tables import AVERAGE, Cell, Row, rich_table, styled, table_rows
+from activestructure_gym.streams import escape
+
+_LOG = 80  # columns of a table in a log, which has no width
+_BY_KEY = {column.key: column for column in COLUMNS}
+# The columns that every terminal shows, then those that it shows where they fit.
+_MAIN = ("observed", "completion_ratio", "psnr", "metres", "seconds")
+_MORE = ("tsdf_completion_ratio", "ssim", "completion_cm", "accuracy_cm", "precision", "frames")
+
+
+def print_result(console: Console, runs: Sequence[Run], *, wide: bool) -> bool:
+    """Print a line per policy; with ``wide`` every column, scene by scene. Returns whether something was left out."""
+    if wide:
+        print_whole(console, rich_table(table_rows(runs), title=_title(runs)), wide=True)
+        return False
+    tables = result_tables(runs, width_of(console) or _LOG)
+    for table in tables:
+        print_whole(console, table)
+    shown = len(tables[0].columns) - 1
+    return shown < len(COLUMNS) or len({run.scene for run in runs}) > len(tables)
+
+
+def result_tables(runs: Sequence[Run], width: int) -> list[Table]:
+    """The mean over the scenes; a table for each scene where some policy has no run on another."""
+    rows = table_rows(runs)
+    scenes = list(dict.fromkeys(run.scene for run in runs))
+    averages = [_with_deviation(row, runs) for row in rows if row.scene == AVERAGE]
+    keys = [column.key for column in measured(COLUMNS, runs)]
+    if len(averages) == len({run.policy for run in runs}):
+        return [_fitting(averages, _title(runs), keys, width)]
+    blocks = {scene: [row for row in rows if row.scene == scene] for scene in scenes}
+    return [
+        _fitting(block, f"{scene}: {_title([run for run in runs if run.scene == scene])}", keys, width)
+        for scene, block in blocks.items()
+    ]
+
+
+def _with_deviation(row: Row, runs: Sequence[Run]) -> Row:
+    """The average row with the deviation over the seeds of the mean over the scenes, where every seed has all."""
+    cells = dict(row.cells)
+    for key, cell in cells.items():
+        by_seed: dict[int, list[float | None]] = {}
+        for run in runs:
+            if run.policy == row.policy:
+                by_seed.setdefault(run.job.seed, []).append(value_of(run, key))
+        means = [np.mean([value for value in values if value is not None]) for values in by_seed.values() if values]
+        whole = len({len(values) for values in by_seed.values()}) == 1
+        whole = whole and not any(value is None for values in by_seed.values() for value in values)
+        if whole and len(means) > 1 and cell.mean is not None:
+            cells[key] = replace(cell, deviation=float(np.std(means, ddof=1)))
+    return replace(row, cells=cells)
+
+
+def _fitting(rows: Sequence[Row], title: str, keys: Sequence[str], width: int) -> Table:
+    """The table of the main columns among ``keys``, with as many further ones as fit the width."""
+    more = [key for key in _MORE if key in keys]
+    for count in range(len(more), -1, -1):
+        shown = [*(key for key in _MAIN if key in keys), *more[:count]]
+        table = _table(rows, title, [_BY_KEY[key] for key in shown])
+        if fits(table, width):
+            break
+    return table
+
+
+def _table(rows: Sequence[Row], title: str, columns: Sequence[Column]) -> Table:
+    table = plain_table(escape(title), "policy")
+    for column in columns:
+        table.add_column(column.title, justify="right")
+    for row in rows:
+        table.add_row(escape(row.policy), *(_shown(row.cells[column.key], column) for column in columns))
+    return table
+
+
+def _shown(cell: Cell, column: Column) -> str:
+    digits = 0 if column.key == "seconds" else column.digits
+    return styled(cell.text(digits), cell.best)
+
+
+def _title(runs: Sequence[Run]) -> str:
+    """What the numbers are, in words."""
+    scenes, seeds = len({run.scene for run in runs}), len({run.job.seed for run in runs})
+    mean = f"mean of {counted(scenes, 'scene')}" if scenes > 1 else "mean"
+    if seeds > 1:
+        return f"{mean} ± standard deviation over {counted(seeds, 'seed')}"
+    return f"{mean}, one seed" if scenes > 1 else "one seed"

@@ -1,0 +1,109 @@
+"""Text that fits a terminal: broken between words and parts of names, and never inside a number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from rich.cells import cell_len, set_cell_size
+
+GAP = 2  # columns between two entries of a line
+_BREAKS, _WITHIN = " /?&;:,", "_-"  # a line may end behind one of these; behind the latter where it must
+_LEAST = 8  # columns; a text that has fewer is left out
+
+
+def breaks(text: str, width: int) -> list[int]:
+    """Return where lines of at most ``width`` columns begin, the first at 0; no number is broken that fits a line."""
+    starts, start = [0], 0
+    while cell_len(text[start:].rstrip()) > width:
+        end = start + 1
+        while end < len(text) and cell_len(text[start : end + 1].rstrip()) <= width:
+            end += 1
+        places = range(end, start, -1)
+        start = (
+            next((at for at in places if _may_break(text, at)), 0)
+            or next((at for at in places if _may_break(text, at, _WITHIN)), 0)
+            or next((at for at in places if not _in_number(text, at)), end)
+        )
+        starts.append(start)
+    return starts
+
+
+def folded(text: str, width: int) -> list[str]:
+    """Return ``text`` as lines of at most ``width`` columns."""
+    starts = breaks(text, width)
+    return [text[start:end].strip() for start, end in zip(starts, [*starts[1:], len(text)])]
+
+
+def shortened(text: str, width: int, ellipsis: str = "…") -> str:
+    """Return ``text``, or its beginning and an ellipsis where it is wider than ``width`` columns."""
+    if cell_len(text) <= width:
+        return text
+    if width < len(ellipsis):
+        return ""
+    end = len(set_cell_size(text, width - len(ellipsis)).rstrip())
+    while end and _in_number(text, end):
+        end -= 1
+    return text[:end].rstrip(" ,;:.&?=") + ellipsis
+
+
+def longest_piece(text: str) -> int:
+    """Return the columns of the longest part of ``text`` that no line has to break."""
+    ends = [at for at in range(1, len(text)) if _may_break(text, at, _BREAKS + _WITHIN)]
+    return max((cell_len(text[a:b].strip()) for a, b in zip([0, *ends], [*ends, len(text)])), default=0)
+
+
+def aligned(
+    rows: Sequence[Sequence[str]], width: int | None, most: Sequence[int] = (), ellipsis: str = "…"
+) -> Iterator[str]:
+    """Yield a line per row, its entries below each other; the last is shortened to the width, if there is one.
+
+    An entry wider than its column's ``most`` moves those behind it. A row whose other entries are wider than a line
+    takes several.
+    """
+    wide = [max(map(cell_len, column)) for column in list(zip(*rows))[:-1]]
+    wide = [min(size, *most[k : k + 1]) if k < len(most) else size for k, size in enumerate(wide)]
+    for row in rows:
+        head = "".join(set_cell_size(entry, max(size, cell_len(entry))) + " " * GAP for entry, size in zip(row, wide))
+        line = (head + row[-1]).rstrip()
+        if width is None or cell_len(line) <= width:
+            yield line
+        elif width - cell_len(head) >= _LEAST:
+            yield head + shortened(row[-1], width - cell_len(head), ellipsis)
+        else:
+            yield from _with_indent(head.rstrip(), width)
+
+
+def paragraphs(text: str) -> Iterator[str]:
+    """Yield the paragraphs and list items of a docstring, each as one line."""
+    lines: list[str] = []
+    for line in [*text.splitlines(), ""]:
+        if lines and (not line.strip() or line.lstrip().startswith("- ") or line.startswith("    ")):
+            yield " ".join([lines[0].rstrip(), *(more.strip() for more in lines[1:])])
+            lines = []
+        if line.strip():
+            lines.append(line)
+        else:
+            yield ""
+
+
+def _with_indent(line: str, width: int) -> Iterator[str]:
+    first, *rest = folded(line, width)
+    yield first
+    for more in folded(" ".join(rest), width - GAP) if rest else ():
+        yield " " * GAP + more
+
+
+def _may_break(text: str, at: int, behind: str = _BREAKS) -> bool:
+    """Whether a line may end before this character: behind a separator that is no part of a number."""
+    if not 0 < at < len(text) or text[at - 1] not in behind or text[at] in behind:
+        return False
+    digits = text[at - 2 : at - 1].isdigit() and at > 1, text[at].isdigit()
+    return not (digits[1] and text[at - 1] == "-") and not (all(digits) and text[at - 1] in ",:/")
+
+
+def _in_number(text: str, at: int) -> bool:
+    """Whether the characters before and at this place belong to one number."""
+    around = text[max(at - 2, 0) : at + 2]
+    before, after = text[at - 1 : at], text[at : at + 1]
+    digits = before.isdigit(), after.isdigit()
+    return all(digits) or (any(digits) and (before in ".," or after in ".,") and sum(map(str.isdigit, around)) > 1)

@@ -85,6 +85,12 @@ def test_the_gallery_says_what_a_policy_maximises(site: ModuleType) -> None:
     assert "### `unknown_volume`\n\n" in pages["policies/unknown_volume.md"]  # it asks for a column of that
 
 
+def test_no_page_compares_a_policy_with_itself(site: ModuleType) -> None:
+    for name, text in site.pages().items():
+        for names in re.findall(r"--policies (\S+)", text):
+            assert len(set(names.split(","))) == len(names.split(",")), name
+
+
 @dataclasses.dataclass
 class Kettle:
     """One."""

@@ -72,7 +72,7 @@ def test_a_terminal_has_no_column_for_what_no_run_reached(make_run):
     none = {f"frames_to_{level}": None for level in (80, 85, 90, 95)}
     runs = [make_run(policy=name, **none, observed_area=50.0) for name in "ab"]
     said = printed(Results(runs, []))
-    assert "no run reached 80 %" in said and "frames to" not in said and "50.0" in said
+    assert "no run observed 80 %" in said and "frames to" not in said and "50.0" in said
     runs[0].metrics["metrics"]["frames_to_80"] = 40.0
     said = printed(Results(runs, []))
     assert "not reached" in said and "40" in said and "85 %" not in said

@@ -82,3 +82,23 @@ def test_a_forked_child_casts_after_its_parent_used_two_threads(make_box, rng):
     finally:
         child.kill()
         child.join()
+
+
+@pytest.mark.parametrize("center", [0.0, 1000.0])
+def test_rays_through_vertices_meet_a_closed_mesh(center):
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=3.0)
+    vertices = (sphere.vertices + center).astype(np.float32)
+    caster = RayCaster(vertices, sphere.faces)
+    hits = caster.cast(np.full(3, center), vertices.astype(np.float64) - center)
+    assert (hits.face >= 0).all() and np.isfinite([hits.u, hits.v]).all()
+    np.testing.assert_allclose(hits.distance, 1.0, atol=2e-4 if center else 1e-5)
+
+
+def test_rays_past_the_edge_of_an_open_mesh_stay_misses():
+    floor = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    caster = RayCaster(floor, np.array([[0, 1, 2], [0, 2, 3]]))
+    past = np.array([[1.0 + 5e-7, 0.5, 1.0], [-5e-7, 0.5, 1.0], [0.5, 1.0 + 5e-7, 1.0], [3.0, 3.0, 1.0]])
+    hits = caster.cast(past, np.tile([0.0, 0.0, -1.0], (4, 1)))
+    assert (hits.face == -1).all() and np.isinf(hits.distance).all()

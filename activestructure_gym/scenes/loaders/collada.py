@@ -2,8 +2,8 @@
 
 pycollada, which trimesh needs for it, reads less of what exporters write, and rounds (docs/notebook/groundwork.md).
 
-Only what a still scene needs: triangles and polygons, node transforms, instances, diffuse colours and textures, the
-declared unit and up axis. Specification: [collada].
+Only what a still scene needs: triangles and polygons, node transforms, instances, skins and morphs as they stand,
+diffuse colours and textures, the declared unit and up axis. Specification: [collada].
 """
 
 from __future__ import annotations

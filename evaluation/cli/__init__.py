@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
-from activestructure_gym.errors import InputError, InputWarning, shown
+from activestructure_gym.errors import InputError, InputWarning, one_line, shown
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 from activestructure_gym.streams import FULL, complain, kept_streams, say
 
@@ -163,7 +163,7 @@ def _doubts_as_lines() -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if not issubclass(category, InputWarning):
-            usual(message, category, *place, **more)
+            usual(one_line(str(message)), category, *place, **more)
         elif str(message) not in told:
             told.add(str(message))
             complain(f"note: {message}")

@@ -34,6 +34,7 @@ class Scenes:
     def run(self) -> int:
         """List the registered scenes, or describe one and draw it if asked to."""
         console = make_console()
+        console.quiet = self.json
         if self.spec is None:
             if self.picture is not None:
                 raise InputError("--picture needs a scene: asg scenes SCENE --picture FILE.png")
@@ -70,8 +71,7 @@ class Scenes:
                 picture = scene_picture(facts["truth"])
                 with writing(self.picture), replaced(self.picture) as file:
                     picture.save(file, "PNG")
-            if not self.json:
-                console.print(f"picture: {escape(self.picture)}")
+            console.print(f"picture: {escape(self.picture)}")
         return 0
 
 

@@ -51,6 +51,10 @@ class InputError(ValueError):
         super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
 
 
+class FullDisk(InputError):
+    """A file has no room: a full disk, a quota, a limit on sizes. Nothing of the input is wrong; exit code 1, not 2."""
+
+
 class InputWarning(UserWarning):
     """User input is used although something about it is doubtful, or after a choice was made for it.
 

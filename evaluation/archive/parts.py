@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import FullDisk, InputError
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
+from activestructure_gym.streams import FULL
 
 _LONGEST_REPORT = 86400.0  # seconds after which what another machine was writing counts as left behind
 
@@ -51,11 +52,12 @@ def whole_files(directory: Path) -> Iterator[Path]:
 
 @contextmanager
 def writing(place: str | os.PathLike[str]) -> Iterator[None]:
-    """Make a failure to write to ``place`` an `InputError`."""
+    """Make a failure to write to ``place`` an `InputError`; where there is no room, a `FullDisk`."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"'{place}' cannot be written: {error.strerror or error}") from error
+        kind = FullDisk if error.errno in FULL else InputError
+        raise kind(f"'{place}' cannot be written: {error.strerror or error}") from error
 
 
 def remove_parts(directory: Path, name: str = "*", *, others_after: float = 0.0) -> None:

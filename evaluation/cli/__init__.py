@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
-from activestructure_gym.errors import InputError, InputWarning, one_line, shown
+from activestructure_gym.errors import FullDisk, InputError, InputWarning, one_line, shown
 from activestructure_gym.evaluation.machine.threads import set_passive_waiting
 from activestructure_gym.streams import FULL, complain, kept_streams, say
 
@@ -97,7 +97,7 @@ def _exit_code(arguments: Sequence[str]) -> int:
             return _run(arguments)
     except InputError as error:
         complain(str(error))
-        return 2
+        return 1 if isinstance(error, FullDisk) else 2
     except KeyboardInterrupt:
         complain("stopped")
         return _STOPPED

@@ -11,7 +11,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from activestructure_gym.errors import counted
+from activestructure_gym.errors import FullDisk, counted
 from activestructure_gym.evaluation.cli.output import print_whole, width_of
 from activestructure_gym.streams import complain, escape
 
@@ -40,8 +40,12 @@ def print_end(
             f"[yellow]{counted(result.missing, 'run')}[/] of this comparison not finished, and not asked for this time"
         )
     if result.runs:
-        with console.status("drawing"):
-            files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
+        try:
+            with console.status("drawing"):
+                files = write_report(directory, result.runs, read_record(directory) or {}, baseline)
+        except FullDisk as error:
+            again = f"asg report {shlex.quote(str(directory))}"
+            raise FullDisk(f"{error}. The runs are whole: free some room, then `{again}` writes the report") from error
         console.print()
         left_out = print_result(console, result.runs, wide=wide)
         if (planning := rich_planning_table(Results(result.runs, []))) is not None:

@@ -34,6 +34,7 @@ class Export:
 
     def run(self) -> int:
         """Write the file and say what is in it."""
+        from activestructure_gym.evaluation.archive.parts import writing
         from activestructure_gym.evaluation.archive.store import read_run
         from activestructure_gym.evaluation.protocols import CameraPath
         from activestructure_gym.mapping.ply import write_ply
@@ -50,7 +51,7 @@ class Export:
         gaussians = run.gaussians
         if self.up != "z":
             gaussians = turned_map(gaussians, FILE_FROM_WORLD[self.up])
-        try:
+        with writing(out):
             if out.is_dir():
                 raise InputError(f"'{out}' is a folder; give the name of the file to write")
             if not out.parent.is_dir():
@@ -63,8 +64,6 @@ class Export:
                 path = run.trajectory
                 camera = CameraPath.from_arrays(path).camera
                 write_splatam(gaussians, out, path["world_from_camera"], camera, path["keyframes"])
-        except OSError as error:
-            raise InputError(f"'{out}' cannot be written: {error.strerror}") from error
         frame = "in its first camera's frame" if form == "splatam" else f"{self.up} up"
         say(one_line(f"{out}: {gaussians.count} Gaussians of {run.job.title}, {frame}"))
         return 0

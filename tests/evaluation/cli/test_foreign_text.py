@@ -20,7 +20,7 @@ from activestructure_gym.policies import Random
 from tests.evaluation.written_runs import write_comparison
 
 BAD = "\x1b]0;T\x07\x1b[8m\x1b[2J\x9b5m\r\x00\x7f\u202ecba\u2066\u200f\n✓ forged"
-OWN = re.compile(r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[2K|\x1b\[\d?A|\r(?=\x1b\[2K|\x1b\[1A|\n|$)")  # of rich itself
+OWN = re.compile(r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[2K|\x1b\[\d?A|\x1b\]8;[!-~]*\x1b\\\\|\r(?=\x1b\[2K|\x1b\[1A|\n|$)")  # of rich itself
 
 
 def harmless(said: str) -> bool:
@@ -84,7 +84,8 @@ def accepted(directory: Path) -> bool:
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished comparison in which every text that may be anything is hostile."""
-    directory = write_comparison(tmp_path_factory.mktemp("foreign") / "runs", [Job("box", "random", 0, scene_hash="ab" * 32)])
+    job = Job("box", "random", 0, scene_hash="ab" * 32)
+    directory = write_comparison(tmp_path_factory.mktemp("foreign") / "runs", [job])
     run = next((directory / store.JOBS).iterdir())
     changed = 0
     for name in ("config.json", "metrics.json", "timing.json"):

@@ -216,8 +216,13 @@ def write_line(stream: Any, text: str) -> None:
     stream.flush()
 
 
+def flat(text: str) -> str:
+    """Return foreign text as one printable line, however long."""
+    return printable(text).replace("\n", " ")
+
+
 def escape(text: str) -> str:
     """Return foreign text as one printable line in which rich finds no markup."""
     from rich.markup import escape as without_markup
 
-    return without_markup(printable(text).replace("\n", " "))
+    return without_markup(flat(text))

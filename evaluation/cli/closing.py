@@ -13,7 +13,7 @@ from rich.text import Text
 
 from activestructure_gym.errors import FullDisk, counted
 from activestructure_gym.evaluation.cli.output import print_whole, width_of
-from activestructure_gym.streams import complain, escape
+from activestructure_gym.streams import complain, escape, flat
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.archive.store import Run
@@ -74,7 +74,7 @@ def print_page(console: Console, page: Path) -> None:
         return
     console.print(head.rstrip(), style=None)
     path = address if cell_len(address) <= width - len(_INDENT) else str(page)
-    console.print(Text(_INDENT).append(path, f"bold link {address}"), soft_wrap=True)
+    console.print(Text(_INDENT).append(flat(path), f"bold link {address}"), soft_wrap=True)
 
 
 def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
@@ -82,7 +82,7 @@ def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
     console.print("Next:")
     for words in commands:
         for line in command_lines(words, width_of(console)):
-            console.print(Text(_INDENT + line), soft_wrap=True)
+            console.print(Text(_INDENT + flat(line)), soft_wrap=True)
 
 
 def command_lines(words: Sequence[str], width: int | None) -> list[str]:

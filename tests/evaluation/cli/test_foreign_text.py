@@ -20,7 +20,9 @@ from activestructure_gym.policies import Random
 from tests.evaluation.written_runs import write_comparison
 
 BAD = "\x1b]0;T\x07\x1b[8m\x1b[2J\x9b5m\r\x00\x7f\u202ecba\u2066\u200f\n✓ forged"
-OWN = re.compile(r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[2K|\x1b\[\d?A|\x1b\]8;[!-~]*\x1b\\\\|\r(?=\x1b\[2K|\x1b\[1A|\n|$)")  # of rich itself
+OWN = re.compile(  # of rich itself: colours, the cursor, a line that is drawn again, a link
+    r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[2K|\x1b\[\d?A|\x1b\]8;[!-~]*\x1b\\|\r(?=\x1b\[2K|\x1b\[1A|\n|$)"
+)
 
 
 def harmless(said: str) -> bool:

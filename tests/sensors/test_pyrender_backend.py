@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.geometry import PinholeCamera
+from activestructure_gym.geometry import PinholeCamera, look_along
+from activestructure_gym.scenes.loaders.cut_out import cut_out
+from activestructure_gym.scenes.loaders.mesh_parts import MeshPart, assemble
+from activestructure_gym.scenes.loaders.opacity import Opacity
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene
 from activestructure_gym.sensors import make_renderer
 from activestructure_gym.sensors.pyrender_backend import PyrenderRenderer
@@ -47,6 +50,23 @@ def test_linear_colours_and_wrapped_textures_agree_with_ray_casting(needs_gl, cl
     for pose in room_poses[:3]:
         seen = [make_renderer(name, scene).render(CAMERA, pose)[0].astype(int) for name in ("raycast", "pyrender")]
         assert np.abs(seen[0] - seen[1]).mean() < 0.5
+
+
+def test_both_renderers_see_through_what_is_transparent(needs_gl, box_room):
+    """A wall across the room with a round opening in its picture, which is cut out when the scene is loaded."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 64), np.linspace(-1, 1, 64))
+    picture = np.where(np.hypot(x, y) < 0.6, 0, 255).astype(np.uint8)
+    corners = np.array([[2, 0, 0], [2, 3, 0], [2, 3, 2.5], [2, 0, 2.5]], dtype=np.float64)
+    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], dtype=np.float64)
+    wall = MeshPart(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.ones(3), opacity=Opacity(picture=picture, uv=uv))
+    mesh = box_room.mesh
+    room = MeshPart(mesh.vertices, mesh.faces, mesh.colors)
+    scene = Scene("opening", assemble(cut_out([room, wall])[0], ()), "tests")
+    pose = look_along((0.5, 1.5, 1.25), (1.0, 0.0, 0.0))
+    rays, gl = (make_renderer(name, scene).render(CAMERA, pose)[1] for name in ("raycast", "pyrender"))
+    assert rays[CAMERA.height // 2, CAMERA.width // 2] == pytest.approx(3.5, abs=1e-3)  # through the opening
+    assert rays[CAMERA.height // 2, 0] == pytest.approx(1.5, abs=1e-3)  # the wall beside it
+    assert (np.abs(rays - gl) > 0.01).mean() < 2e-3
 
 
 def test_nothing_ahead_is_black_with_depth_0(needs_gl, box_room):

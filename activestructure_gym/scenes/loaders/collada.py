@@ -21,6 +21,7 @@ from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.collada_controllers import Controlled, controlled
 from activestructure_gym.scenes.loaders.collada_nodes import node_matrix
 from activestructure_gym.scenes.loaders.collada_numbers import attribute, fixed, floats, integers
+from activestructure_gym.scenes.loaders.collada_opacity import ColladaOpacity, opacity_of
 from activestructure_gym.scenes.loaders.collada_textures import (
     ColladaTexture,
     chosen_set,
@@ -29,6 +30,7 @@ from activestructure_gym.scenes.loaders.collada_textures import (
 )
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
+from activestructure_gym.scenes.loaders.opacity import Opacity
 from activestructure_gym.scenes.loaders.polygons import ear_clipped, triangulated
 
 Element = ElementTree.Element
@@ -210,7 +212,34 @@ class _Document:
                 uv=uv,
                 texture=texture,
                 wrap=lies.wrap,
+                opacity=self._opacity(bound, sets, corners),
             )
+
+    def _opacity(self, bound: _Binding, sets: dict[int, _Input], corners: np.ndarray) -> Opacity | None:
+        """Opacity of the corners; None where the material says nothing of it."""
+        said, picture = self._once(self._transparency, bound.material)
+        if said is None:
+            return None
+        if picture is None:
+            return Opacity(said.plain)
+        if not sets:  # the picture has no place here
+            return None
+        uv = self._coordinates(sets, corners, said.lies, bound.sets)
+        return Opacity(picture=picture, uv=uv, wrap=said.lies.wrap)
+
+    def _transparency(self, name: str) -> tuple[ColladaOpacity | None, np.ndarray | None]:
+        """What a material says of its opacity, and the picture of it."""
+        shader, parameters = self._shader(name)
+        said = opacity_of(shader, parameters) if shader is not None else None
+        if said is None or said.lies is None:
+            return said, None
+        reference = self._reference(said.lies.image)
+        picture = None
+        if reference is not None:
+            picture = self.textures.opacity_of_file(self.path.parent, reference, said.channel)
+        if picture is None and (said.channel, said.start) != ("alpha", 0.0):  # not readable, which is noted
+            return None, None
+        return said, said.of(picture) if picture is not None else None
 
     def _coordinates(
         self, sets: dict[int, _Input], corners: np.ndarray, lies: ColladaTexture, bound: dict[str, int]
@@ -260,22 +289,13 @@ class _Document:
     def _material(self, name: str) -> tuple[np.ndarray | None, int, ColladaTexture]:
         """Diffuse colour [3], None where it has none, and texture of a material; the colours are display-referred."""
         nothing = ColladaTexture("")
-        material = self.target(name)
-        instance = material.find("instance_effect") if material is not None else None
-        effect = self.target(instance.get("url")) if instance is not None else None
-        profile = effect.find("profile_COMMON") if effect is not None else None
-        if instance is None or effect is None or profile is None:
-            return None, -1, nothing
-        shader = next((s for s in profile.iterfind("technique/*") if s.tag in _SHADERS), None)
+        shader, parameters = self._shader(name)
         # <constant> has no diffuse; its emission is all one sees.
         channel = shader.find("emission" if shader.tag == "constant" else "diffuse") if shader is not None else None
         if channel is None:
             return None, -1, nothing
         reference = channel.find("texture")
         if reference is not None:
-            new = (*effect.findall("newparam"), *profile.iter("newparam"))
-            parameters = {element.get("sid", ""): element for element in new}
-            parameters |= {element.get("ref", ""): element for element in instance.findall("setparam")}
             lies = texture_of(reference, parameters)
             for setting in lies.ignored:
                 self._ignore(setting, lies)
@@ -284,13 +304,30 @@ class _Document:
         color = floats(channel.findtext("color"))
         return (np.clip(color[:3], 0.0, 1.0) if len(color) >= 3 else None), -1, nothing
 
+    def _shader(self, name: str) -> tuple[Element | None, dict[str, Element]]:
+        """The shader of a material, and the parameters that it may refer to by name."""
+        material = self.target(name)
+        instance = material.find("instance_effect") if material is not None else None
+        effect = self.target(instance.get("url")) if instance is not None else None
+        profile = effect.find("profile_COMMON") if effect is not None else None
+        if instance is None or effect is None or profile is None:
+            return None, {}
+        new = (*effect.findall("newparam"), *profile.iter("newparam"))
+        parameters = {element.get("sid", ""): element for element in new}
+        parameters |= {element.get("ref", ""): element for element in instance.findall("setparam")}
+        return next((s for s in profile.iterfind("technique/*") if s.tag in _SHADERS), None), parameters
+
     def _image(self, name: str) -> int:
+        reference = self._reference(name)
+        return self.textures.add_file(self.path.parent, reference) if reference is not None else -1
+
+    def _reference(self, name: str) -> str | None:
+        """The file of an image."""
         image = self.by_id.get(name)
         if image is None:
             self.textures.note_unreadable(name)
-            return -1
-        reference = image.findtext("init_from/ref") or image.findtext("init_from") or ""
-        return self.textures.add_file(self.path.parent, reference)
+            return None
+        return image.findtext("init_from/ref") or image.findtext("init_from") or ""
 
 
 def _array(source: Element) -> np.ndarray:  # [count, stride]

@@ -18,9 +18,10 @@ import numpy as np
 
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.gltf_data import GltfData, data_uri
-from activestructure_gym.scenes.loaders.gltf_extensions import REFUSED, check_extensions, refuse
+from activestructure_gym.scenes.loaders.gltf_extensions import REFUSED, TRANSMITTING, check_extensions, refuse
 from activestructure_gym.scenes.loaders.gltf_placing import Placement, Rows, morphed, placed_positions, placements
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore
+from activestructure_gym.scenes.loaders.opacity import SOLID_FROM, Opacity
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 _TYPES = {"POSITION": ("VEC3",)}
@@ -47,7 +48,12 @@ def read_gltf(path: Path, textures: TextureStore) -> GltfFile:
             f"the file uses glTF extensions that are not read ({', '.join(unread)[:200]}): what they place, hide or "
             "paint is missing or wrong"
         )
-    return GltfFile(list(_Document(data, textures).parts()), _declared_up(data.header))
+    document = _Document(data, textures)
+    parts = list(document.parts())
+    if document.transmitting:
+        names = " or ".join(TRANSMITTING)
+        textures.notes.append(f"{document.transmitting} faces let light through ({names}) and are solid here")
+    return GltfFile(parts, _declared_up(data.header))
 
 
 def _declared_up(header: dict[str, Any]) -> str | None:
@@ -67,6 +73,7 @@ class _Document:
         self.data = data
         self.textures = textures
         self._images: dict[int, int] = {}
+        self.transmitting = 0  # faces of glass
 
     def parts(self) -> Iterator[MeshPart]:
         for placement in placements(self.data):
@@ -99,15 +106,42 @@ class _Document:
             linear = colors[:, :3] * np.asarray(material.get("factor", [1.0] * 4)[:3])
         else:
             linear = np.asarray(material.get("factor", _PLAIN)[:3], dtype=np.float64)
-        texture, uv, wrap = self._texture(material.get("texture"), primitive, placement, used)
+        source, uv, wrap = self._texture(material.get("texture"), primitive, placement, used)
+        texture = self._image(source) if source is not None else -1
+        faces = _triangles(indices.astype(np.int64), mode)
+        self.transmitting += len(faces) * bool(material.get("transmits"))
         return MeshPart(
             vertices=placed_positions(self.data, primitive, placement, used),
-            faces=_triangles(indices.astype(np.int64), mode),
+            faces=faces,
             colors=np.clip(linear, 0.0, 1.0),
             uv=uv,
             texture=texture,
             wrap=wrap,
             linear=True,
+            opacity=self._opacity(material, primitive, placement, used),
+        )
+
+    def _opacity(
+        self, material: dict[str, Any], primitive: dict[str, Any], placement: Placement, used: Rows
+    ) -> Opacity | None:
+        """Opacity of the surface; None where the material is opaque, whatever its alpha is (glTF 2.0, 3.9.4)."""
+        mode = material.get("mode")
+        if mode not in ("MASK", "BLEND"):
+            return None
+        base = [float(value) for value in material["base"]]
+        vertices = None
+        if "COLOR_0" in primitive["attributes"]:
+            colors = morphed(self.data, primitive, "COLOR_0", placement.weights, used)
+            vertices = colors[:, 3] if colors.shape[1] == 4 else None
+        source, uv, wrap = self._texture(material["base_texture"], primitive, placement, used)
+        return Opacity(
+            factor=base[3] if len(base) > 3 else 1.0,
+            cutoff=float(material["cutoff"]) if mode == "MASK" else SOLID_FROM,
+            vertices=vertices,
+            picture=self._picture(source) if source is not None else None,
+            uv=uv,
+            wrap=wrap,
+            blended=mode == "BLEND",
         )
 
     def _check_attributes(self, primitive: dict[str, Any], attributes: dict[str, int]) -> None:
@@ -127,7 +161,10 @@ class _Document:
                 raise UnreadableMesh(f"its {name} is {str(accessor['type'])[:20]} instead of {' or '.join(wanted)}")
 
     def _material(self, index: int | None) -> dict[str, Any]:
-        """Base colour factor (linear) and texture reference of a material; empty where there is no material."""
+        """What a material says of its surface; empty where there is no material.
+
+        "factor" (linear) and "texture" are what is seen, "base" and "base_texture" the base colour, whose alpha counts.
+        """
         if index is None:
             return {}
         material = self.data.entry("materials", index)
@@ -137,16 +174,26 @@ class _Document:
         else:
             metallic = material.get("pbrMetallicRoughness", {})
             factor, texture = metallic.get("baseColorFactor", [1.0] * 4), metallic.get("baseColorTexture")
+        base, base_texture = factor, texture
         # Baked scenes are often exported as a black surface that shines with its texture.
         if material.get("emissiveTexture") and max(factor[:3]) < 1e-3:
             factor, texture = material.get("emissiveFactor", [1.0] * 3), material["emissiveTexture"]
-        return {"factor": factor, "texture": texture}
+        given = material.get("extensions", {})
+        return {
+            "factor": factor,
+            "texture": texture,
+            "base": base,
+            "base_texture": base_texture,
+            "mode": material.get("alphaMode"),
+            "cutoff": material.get("alphaCutoff", SOLID_FROM),
+            "transmits": any(_transmission(given.get(name)) > 0 for name in TRANSMITTING),
+        }
 
     def _texture(
         self, info: dict[str, Any] | None, primitive: dict[str, Any], placement: Placement, used: Rows
-    ) -> tuple[int, np.ndarray | None, tuple[int, int]]:
-        """Index of the image, its coordinates [V, 2] and how it goes on across and down."""
-        nothing = -1, None, (REPEAT, REPEAT)
+    ) -> tuple[int | None, np.ndarray | None, tuple[int, int]]:
+        """Number of the image in the file, its coordinates [V, 2] and how it goes on across and down."""
+        nothing = None, None, (REPEAT, REPEAT)
         if info is None:
             return nothing
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
@@ -167,21 +214,38 @@ class _Document:
             return nothing
         sampler = self.data.entry("samplers", texture["sampler"]) if "sampler" in texture else {}
         across, down = (_WRAPS.get(sampler.get(key, 0), REPEAT) for key in ("wrapS", "wrapT"))
-        return self._image(source), uv, (across, down)
+        return source, uv, (across, down)
 
     def _image(self, index: int) -> int:
         if index not in self._images:
-            self._images[index] = self._new_image(index)
+            name, data, file = self._encoded(index)
+            folder, textures = self.data.path.parent, self.textures
+            self._images[index] = textures.add_file(folder, file) if data is None else textures.add_bytes(data, name)
         return self._images[index]
 
-    def _new_image(self, index: int) -> int:
+    def _picture(self, index: int) -> np.ndarray | None:
+        if self._image(index) < 0:  # not readable, which is noted
+            return None
+        name, data, file = self._encoded(index)
+        if data is None:
+            return self.textures.opacity_of_file(self.data.path.parent, file, "alpha")
+        return self.textures.opacity_of(data, name, "alpha")
+
+    def _encoded(self, index: int) -> tuple[str, bytes | None, str]:
+        """Name of an image, its bytes if they are in the glTF file, and else the file that it refers to."""
         image = self.data.entry("images", index)
         name = image.get("name") or image.get("uri", "")[:60] or f"image {index}"
         if "bufferView" in image:
-            return self.textures.add_bytes(self.data.view_bytes(image["bufferView"]), name)
+            return name, self.data.view_bytes(image["bufferView"]), ""
         if image["uri"].startswith("data:"):
-            return self.textures.add_bytes(data_uri(image["uri"]), name)
-        return self.textures.add_file(self.data.path.parent, image["uri"])
+            return name, data_uri(image["uri"]), ""
+        return name, None, image["uri"]
+
+
+def _transmission(extension: Any) -> float:
+    """The share of light that a surface lets through; 0 without an extension that says so."""
+    given: dict[str, Any] = extension if isinstance(extension, dict) else {}
+    return float(given.get("transmissionFactor", given.get("diffuseTransmissionFactor", 0.0)))
 
 
 def _triangles(indices: np.ndarray, mode: int) -> np.ndarray:  # [F, 3]; winding does not matter here

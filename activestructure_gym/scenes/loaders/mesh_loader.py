@@ -80,7 +80,7 @@ def load_mesh_scene(
     parts, declared_scale, declared_up = _read(path, textures)
     scale = declared_scale if units is None else _metres_per_unit(units)
     _check_parts(path, parts)
-    mesh = assemble(parts, textures.images)
+    mesh = assemble(_solid(path, parts, textures, scale), textures.images)
     mesh, unpainted = painted(mesh)
     vertices = mesh.vertices.astype(np.float64) * scale
     try:
@@ -97,7 +97,22 @@ def read_parts(path: Path, textures: TextureStore) -> list[MeshPart]:
     """The parts of a mesh file in its own axes, in metres; raises `InputError` where it cannot be read."""
     parts, scale, _ = _read(check_mesh_file(path), textures)
     _check_parts(path, parts)
-    return [replace(part, vertices=np.asarray(part.vertices, dtype=np.float64) * scale) for part in parts]
+    solid = _solid(path, parts, textures, scale)
+    return [replace(part, vertices=np.asarray(part.vertices, dtype=np.float64) * scale) for part in solid]
+
+
+def _solid(path: Path, parts: Sequence[MeshPart], textures: TextureStore, scale: float) -> list[MeshPart]:
+    """The parts without what is transparent; raises `InputError` if nothing is left."""
+    from activestructure_gym.scenes.loaders.cut_out import cut_out
+
+    solid, found = cut_out(parts, scale)
+    if not solid:
+        raise InputError(
+            f"'{path}' is transparent everywhere: each of its {found.gone} triangles has an opacity below 0.5 (or the "
+            "cutoff of its material), so nothing of it can be seen; export it with opaque materials"
+        )
+    textures.notes += found.notes()
+    return solid
 
 
 def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]

@@ -17,6 +17,7 @@ import numpy as np
 
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
 from activestructure_gym.scenes.loaders.images import opened_image
+from activestructure_gym.scenes.loaders.opacity import Opacity, opacity_picture
 from activestructure_gym.scenes.loaders.references import PICTURE_FOLDERS, find_reference
 from activestructure_gym.scenes.scene import REPEAT, SceneMesh
 
@@ -38,6 +39,7 @@ class MeshPart:
     texture: int = -1  # index in the `TextureStore`, -1 = none
     wrap: tuple[int, int] = (REPEAT, REPEAT)  # of the texture, across and down
     linear: bool = False  # colours are linear light; else display-referred
+    opacity: Opacity | None = None  # None = solid everywhere; `cut_out` takes the rest out of the mesh
 
 
 @dataclass
@@ -53,6 +55,7 @@ class TextureStore:
     ignored: list[str] = field(default_factory=list)  # what files say about the place of an image and is not read
     notes: list[str] = field(default_factory=list)  # sentences of the readers on what is not as the file has it
     _by_key: dict[Hashable, int] = field(default_factory=dict)
+    _opacities: dict[Hashable, np.ndarray | None] = field(default_factory=dict)
 
     def add_bytes(self, data: bytes, name: str) -> int:
         """Index of an encoded image (PNG, JPEG, WebP, ...), -1 where it cannot be decoded."""
@@ -100,6 +103,34 @@ class TextureStore:
         self._by_key[key] = self._by_key[content]
         return self._by_key[key]
 
+    def opacity_of(self, data: bytes, name: str, channel: str) -> np.ndarray | None:  # [h, w] uint8
+        """Return the opacity in an encoded image (see `opacity_picture`), None where it has none or is unreadable."""
+        key = (hashlib.sha256(data).digest(), channel)
+        if key not in self._opacities:
+            self._opacities[key] = None
+            try:
+                image = opened_image(data)
+                self.budget.take("pixels", image.width * image.height)
+                self._opacities[key] = opacity_picture(image, channel)
+            except Exception as error:  # Pillow raises whatever the codec raises
+                self.note_unreadable(f"{name}: {error}" if isinstance(error, LimitError) else name)
+        return self._opacities[key]
+
+    def opacity_of_file(self, base: Path, reference: str, channel: str) -> np.ndarray | None:  # [h, w] uint8
+        """Return the opacity in the image that a file in ``base`` refers to, None where there is none."""
+        key = ("file", base, reference, channel)
+        if key not in self._opacities:
+            self._opacities[key] = None
+            try:
+                data = self.budget.read(find_reference(base, reference, folders=PICTURE_FOLDERS))
+                self._opacities[key] = self.opacity_of(data, reference, channel)
+            except LimitError as error:
+                self.note_unreadable(f"{reference}: {error}")
+            except OSError:
+                self.searched = base
+                self.note_unreadable(reference)
+        return self._opacities[key]
+
     def _missing(self, key: Hashable, name: str) -> int:
         if key not in self._by_key:
             self._by_key[key] = -1
@@ -114,7 +145,7 @@ class TextureStore:
 def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint8
     from PIL import Image as images
 
-    image = _eight_bits(image)
+    image = eight_bits(image)
     if max(image.size) > max_size:
         scale = max_size / max(image.size)
         size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
@@ -122,7 +153,7 @@ def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint
     return np.ascontiguousarray(image.convert("RGB"), dtype=np.uint8)
 
 
-def _eight_bits(image: Image) -> Image:
+def eight_bits(image: Image) -> Image:
     """The picture, with numbers of more bits brought to 8 (Pillow cuts them off); `LimitError` if no scale fits."""
     from PIL import Image as images
 

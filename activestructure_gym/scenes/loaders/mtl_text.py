@@ -7,6 +7,7 @@ statements").
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,24 @@ def texture_map(statement: str) -> TextureMap:
         channel=str(values.get("-imfchan", "")),
         ignored=tuple(ignored),
     )
+
+
+# What -imfchan names, as channels of `opacity_picture`.
+OPACITY_CHANNELS = {"m": "alpha", "l": "luminance", "r": "r", "g": "g", "b": "b"}
+
+
+def dissolve(d: Sequence[str] | None, tr: Sequence[str] | None) -> float:
+    """Return the opacity that the words behind `d` (1 = solid) and `Tr` (0 = solid) give; `d` overrides `Tr`."""
+    solid, transparent = (_last_number(words) for words in (d, tr))
+    if solid is None:
+        solid = 1.0 if transparent is None else 1.0 - transparent
+    return min(max(solid, 0.0), 1.0)
+
+
+def _last_number(words: Sequence[str] | None) -> float | None:
+    """The number behind an option such as -halo; None if there is none."""
+    numbers = [float(word) for word in words or () if _NUMBER.fullmatch(word)]
+    return numbers[-1] if numbers else None
 
 
 def _numbers(statement: str, place: int, most: int) -> tuple[tuple[float, ...], int]:

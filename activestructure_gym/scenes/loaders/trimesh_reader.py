@@ -24,8 +24,9 @@ from activestructure_gym.scenes.loaders.mesh_parts import (
     TextureStore,
     full_scale,
 )
-from activestructure_gym.scenes.loaders.mtl_text import texture_map
+from activestructure_gym.scenes.loaders.mtl_text import OPACITY_CHANNELS, dissolve, texture_map
 from activestructure_gym.scenes.loaders.obj_text import plain_obj
+from activestructure_gym.scenes.loaders.opacity import Opacity
 from activestructure_gym.scenes.loaders.plain_ply import plain_ply
 from activestructure_gym.scenes.loaders.polygons import concave_corners, triangulated
 from activestructure_gym.scenes.loaders.references import find_reference
@@ -63,13 +64,25 @@ def read_with_trimesh(path: Path, textures: TextureStore) -> list[MeshPart]:
                 ) from error
         # Points and lines come without faces.
         meshes = [given for given in loaded.get("geometry", {"": loaded}).values() if given.get("faces") is not None]
+        alphas = [_alpha(given) if path.suffix.lower() == ".ply" else None for given in meshes]
         unpainted = _in_range(meshes)
         geometries = [trimesh.Trimesh(**given, process=False) for given in meshes]
     return [
-        _part(path, geometry, textures, broken)
-        for geometry, broken in zip(geometries, unpainted)
+        _part(path, geometry, textures, broken, alpha)
+        for geometry, broken, alpha in zip(geometries, unpainted, alphas)
         if len(geometry.faces)
     ]
+
+
+def _alpha(mesh: dict[str, Any]) -> np.ndarray | None:  # [N] in 0..1
+    """The alpha of the colours of a PLY file's vertices or faces, before trimesh changes them; None without one."""
+    colors = next((np.asarray(mesh[kind]) for kind in _COLORS if kind in mesh and np.ndim(mesh[kind]) == 2), None)
+    if colors is None or colors.shape[1] < 4:
+        return None
+    alpha = colors[:, 3]
+    # Floats of colour and alpha may be of different kinds; of whole numbers one scale is that of all.
+    alpha = alpha / full_scale([alpha] if alpha.dtype.kind == "f" else [colors])
+    return alpha if (alpha < 1.0).any() else None
 
 
 def _in_range(meshes: list[dict[str, Any]]) -> list[np.ndarray]:  # of each [N] bool
@@ -150,8 +163,8 @@ def _check_ply(data: bytes, textures: TextureStore) -> None:
 
 
 # trimesh would decode an image for every material that names it: it gets the statement as a word that it only keeps.
-_MAP = re.compile(r"^[ \t]*map_kd[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
-_TEXTURE = "texture_reference"
+_MAP = re.compile(r"^[ \t]*map_(kd|d)[ \t]+(.*?)[ \t]*$", re.MULTILINE | re.IGNORECASE)
+_TEXTURE, _OPACITY = "statement_of_kd", "statement_of_d"
 _MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+(.*)", re.MULTILINE | re.IGNORECASE)
 
 
@@ -177,7 +190,7 @@ def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ())
                 if name.lower().endswith(".mtl"):
                     text = _decoded(data).replace("\r\n", "\n").replace("\r", "\n")
                     self.materials = self.materials | {" ".join(name.split()) for name in _MATERIAL.findall(text)}
-                    return _MAP.sub(lambda found: f"{_TEXTURE} {quote(found[1])}", text).encode()
+                    return _MAP.sub(lambda found: f"statement_of_{found[1].lower()} {quote(found[2])}", text).encode()
                 opened_image(data)  # trimesh would open any kind of picture
                 return data
             except LimitError as error:
@@ -190,19 +203,21 @@ def _resolver(path: Path, textures: TextureStore, libraries: Sequence[str] = ())
     return NearbyResolver(str(path))
 
 
-def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray) -> MeshPart:
-    """The geometry; ``broken`` [N] tells the vertices or faces whose colour is not finite."""
+def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray, alpha: np.ndarray | None) -> MeshPart:
+    """The geometry, whose vertices or faces [N] may have colours that are not finite, and an alpha."""
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     faces, polygon = _triangles(geometry)
     visual = geometry.visual
     colors: np.ndarray = np.full(3, PLAIN_GREY)
     uv, texture, wrap = None, -1, (REPEAT, REPEAT)
+    opacity = None
     if visual.kind == "vertex":
         colors = _srgb(visual.vertex_colors, broken)
     elif visual.kind == "face":
         # A vertex can carry only one colour, so every face gets its own three.
         colors = np.repeat(_srgb(visual.face_colors, broken)[polygon], 3, axis=0)
         vertices, faces = vertices[faces.reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
+        alpha = None if alpha is None else np.repeat(alpha[polygon], 3)
     elif visual.kind == "texture":
         material = visual.material
         name = str(getattr(material, "name", "texture"))
@@ -218,11 +233,14 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray)
         elif image is not None:
             texture = textures.add(id(image), lambda: image, name)
         if texture >= 0:
-            uv = lies.placed(np.asarray(visual.uv, dtype=np.float64)) * [1.0, -1.0] + [0.0, 1.0]
+            uv = _downward(lies.placed(np.asarray(visual.uv, dtype=np.float64)))
             # Exporters leave Kd at 0, 0.8 or 1 beside a map; what the author saw is the map.
             colors = np.ones(3)
         elif getattr(material, "diffuse", None) is not None and getattr(material, "name", None) is not None:
             colors = _srgb(np.asarray(material.diffuse))
+        opacity = _opacity_of_material(path, material, textures, visual.uv if fits else None)
+    if alpha is not None and len(alpha) == len(vertices):
+        opacity = Opacity(vertices=alpha)
     return MeshPart(
         vertices=vertices,
         faces=faces,
@@ -230,7 +248,28 @@ def _part(path: Path, geometry: Any, textures: TextureStore, broken: np.ndarray)
         uv=uv,
         texture=texture,
         wrap=wrap,
+        opacity=opacity,
     )
+
+
+def _opacity_of_material(path: Path, material: Any, textures: TextureStore, uv: np.ndarray | None) -> Opacity | None:
+    """What an MTL file says: `d` or else 1 - `Tr`, times the picture of `map_d`. The alpha of `map_Kd` is not asked."""
+    given = getattr(material, "kwargs", None) or {}
+    factor = dissolve(given.get("d"), given.get("tr"))
+    lies = texture_map(unquote(given[_OPACITY][0]) if given.get(_OPACITY) else "")
+    picture = None
+    if lies.reference and uv is None:
+        textures.without_uv.append(str(getattr(material, "name", "texture")))
+    elif lies.reference:
+        picture = textures.opacity_of_file(path.parent, lies.reference, OPACITY_CHANNELS.get(lies.channel, "either"))
+        textures.ignored += [f"{option} of {lies.reference}" for option in lies.ignored]
+    if picture is None:
+        return Opacity(factor) if factor < 1.0 else None
+    return Opacity(factor, picture=picture, uv=_downward(lies.placed(np.asarray(uv, np.float64))), wrap=lies.wrap)
+
+
+def _downward(uv: np.ndarray) -> np.ndarray:  # [V, 2]
+    return uv * [1.0, -1.0] + [0.0, 1.0]
 
 
 def _triangles(geometry: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,247 @@
+"""Take out of a mesh what is transparent, so that rays, voxels and samples of its surface agree on what is there.
+
+Faces below the cutoff everywhere are left out. Faces below it in parts are split in halves until a piece is on one
+side of the cutoff, or small; small pieces are cut along the straight line between their corners. So the outline of a
+picture is followed to a quarter of its pixels, but in steps of at least 1 cm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from activestructure_gym.scenes.loaders.mesh_parts import MeshPart
+from activestructure_gym.scenes.loaders.opacity import Opacity, OpacityPicture
+
+FINEST = 0.01  # metres: edges of pieces are not split below this
+_PER_PIXEL = 4.0  # edges are not split below this share of a pixel
+_MOST_PIECES = 300_000  # of a file; where there would be more, FINEST is doubled
+_FEWEST_SQUARE_METRES = 1e-12  # of a piece; smaller ones are dropped
+_FARTHEST = 1e6  # pixels from the corner of the picture that are told apart
+_PICTURES_AT_ONCE = 4  # whose lookups are held: 20 MB each
+_OPAQUE = 0.99  # from here on a point is not called translucent
+
+
+@dataclass(frozen=True)
+class CutOut:
+    """Numbers of faces that are transparent, and how finely those were cut that are so in parts."""
+
+    gone: int = 0
+    cut: int = 0
+    pieces: int = 0
+    translucent: int = 0  # solid here
+    finest: float = FINEST  # metres
+
+    def notes(self) -> list[str]:
+        """Return the sentences on it for the user."""
+        said = []
+        if self.gone:
+            said.append(f"{self.gone} faces are transparent in the file and are left out")
+        if self.cut:
+            said.append(
+                f"{self.cut} faces are transparent in parts and are cut into {self.pieces} solid pieces, with details "
+                f"down to {100 * self.finest:g} cm"
+            )
+        if self.translucent:
+            said.append(f"{self.translucent} faces are translucent in the file (opacity of 0.5 or more) and solid here")
+        return said
+
+
+class _TooMany(Exception):
+    """The pieces would be more than `_MOST_PIECES`."""
+
+
+def cut_out(parts: Sequence[MeshPart], metres_per_unit: float = 1.0) -> tuple[list[MeshPart], CutOut]:
+    """Return the solid parts, and what was found; parts that are solid everywhere come back unchanged."""
+    finest = FINEST
+    while True:
+        try:
+            return _cut_all(parts, metres_per_unit, finest)
+        except _TooMany:
+            finest *= 2.0
+
+
+def _cut_all(parts: Sequence[MeshPart], metres_per_unit: float, finest: float) -> tuple[list[MeshPart], CutOut]:
+    kept: list[MeshPart] = []
+    found = CutOut(finest=finest)
+    pictures: dict[tuple[int, tuple[int, int]], OpacityPicture] = {}  # many parts in a row share one
+    for part in parts:
+        if part.opacity is None:
+            kept.append(part)
+            continue
+        view = _View.of(part, part.opacity, metres_per_unit, pictures)
+        solid, more = _cut(part, part.opacity, view, finest, _MOST_PIECES - found.pieces)
+        kept += [solid] if len(solid.faces) else []
+        found = replace(found, **{name: getattr(found, name) + getattr(more, name) for name in _COUNTED})
+    return kept, found
+
+
+_COUNTED = ("gone", "cut", "pieces", "translucent")
+
+
+def _cut(part: MeshPart, opacity: Opacity, view: _View, finest: float, most: int) -> tuple[MeshPart, CutOut]:
+    whole = np.arange(len(part.faces))
+    corners = np.tile(np.eye(3), (len(whole), 1, 1))  # of each piece, as shares of the corners of its face
+    lowest, highest = view.bounds(whole, corners)
+    solid, mixed = lowest >= opacity.threshold, (lowest < opacity.threshold) & (highest >= opacity.threshold)
+    face, corners = view.pieces(whole[mixed], corners[mixed], finest, most)
+    has_piece = np.bincount(face, minlength=len(whole)) > 0
+    translucent = solid & (lowest < _OPAQUE) & opacity.blended
+    found = CutOut(int((~solid & ~has_piece).sum()), int(has_piece.sum()), len(face), int(translucent.sum()))
+    if solid.all():
+        return replace(part, opacity=None), found
+    used, faces = np.unique(part.faces[solid], return_inverse=True)
+    first = len(used) + np.arange(len(face), dtype=np.int64)[:, None] * 3
+
+    def joined(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values[used], view.interpolated(values, face, corners).reshape(-1, values.shape[1])])
+
+    return (
+        replace(
+            part,
+            vertices=joined(np.asarray(part.vertices, dtype=np.float64)),
+            faces=np.concatenate([faces.reshape(-1, 3), first + [0, 1, 2]]),
+            colors=joined(part.colors) if np.ndim(part.colors) == 2 else part.colors,
+            uv=joined(part.uv) if part.uv is not None else None,
+            opacity=None,
+        ),
+        found,
+    )
+
+
+@dataclass(frozen=True)
+class _View:
+    """A part with the lookups of its opacity."""
+
+    faces: np.ndarray  # [F, 3]
+    positions: np.ndarray  # [V, 3] metres
+    values: np.ndarray  # [V] opacity without the picture
+    pixels: np.ndarray  # [V, 2] places in the picture
+    picture: OpacityPicture | None
+    threshold: float
+
+    @classmethod
+    def of(
+        cls,
+        part: MeshPart,
+        opacity: Opacity,
+        metres: float,
+        pictures: dict[tuple[int, tuple[int, int]], OpacityPicture],
+    ) -> _View:
+        count = len(part.vertices)
+        picture, pixels = None, np.zeros((count, 2))
+        if opacity.picture is not None and opacity.uv is not None:
+            key = (id(opacity.picture), opacity.wrap)
+            if key not in pictures:
+                if len(pictures) > _PICTURES_AT_ONCE:
+                    pictures.clear()
+                pictures[key] = OpacityPicture(opacity.picture, opacity.wrap)
+            picture = pictures[key]
+            pixels = np.nan_to_num(np.asarray(opacity.uv, dtype=np.float64) * picture.size, nan=0.0)
+        return cls(
+            faces=np.asarray(part.faces),
+            positions=np.asarray(part.vertices, dtype=np.float64) * metres,
+            values=opacity.at_vertices(count),
+            pixels=np.clip(pixels, -_FARTHEST, _FARTHEST),
+            picture=picture,
+            threshold=opacity.threshold,
+        )
+
+    def interpolated(self, values: np.ndarray, face: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Return values [V, K] or [V] of the vertices at the corners of pieces: [P, 3, K] or [P, 3]."""
+        if values.ndim == 1:
+            return np.einsum("pij,pj->pi", corners, values[self.faces[face]])
+        return np.einsum("pij,pjk->pik", corners, np.asarray(values[self.faces[face]], dtype=np.float64))
+
+    def bounds(self, face: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # [P] each
+        """Return bounds of the opacity over each piece."""
+        values = self.interpolated(self.values, face, corners)
+        lowest, highest = values.min(axis=1), values.max(axis=1)
+        if self.picture is None:
+            return lowest, highest
+        pixels = self.interpolated(self.pixels, face, corners)
+        low, high = self.picture.bounds(pixels.min(axis=1), pixels.max(axis=1))
+        return lowest * low, highest * high
+
+    def pieces(self, face: np.ndarray, corners: np.ndarray, finest: float, most: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the solid pieces of mixed faces: the face of each [P], and its corners [P, 3, 3] as shares."""
+        most += 2 * len(face)  # a cut through every face, at least
+        done: list[tuple[np.ndarray, np.ndarray]] = []
+        total = 0
+        while len(face):
+            edge = self._edges(face, corners, finest)  # [P, 3], above 1 where an edge is to be split
+            small = edge.max(axis=1) <= 1.0
+            done.append(
+                _clipped(face[small], corners[small], self._opacity(face[small], corners[small]), self.threshold)
+            )
+            total += len(done[-1][0])
+            face, corners = _halves(face[~small], corners[~small], edge[~small].argmax(axis=1))
+            lowest, highest = self.bounds(face, corners)
+            solid = lowest >= self.threshold
+            done.append((face[solid], corners[solid]))
+            total += int(solid.sum())
+            mixed = ~solid & (highest >= self.threshold)
+            face, corners = face[mixed], corners[mixed]
+            if total + len(face) > most:
+                raise _TooMany
+        face, corners = (np.concatenate(list(one)) for one in zip((face, corners), *done))
+        sides = self.interpolated(self.positions, face, corners)
+        doubled = np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
+        has_area = doubled > 2.0 * _FEWEST_SQUARE_METRES
+        return face[has_area], corners[has_area]
+
+    def _edges(self, face: np.ndarray, corners: np.ndarray, finest: float) -> np.ndarray:
+        """Return how many times longer than the least each edge is, in metres or pixels, whichever is less: [P, 3].
+
+        Edge k runs from corner k to the next one.
+        """
+        if self.picture is None:  # the opacity is linear: one cut is exact
+            return np.zeros((len(face), 3))
+        metres, pixels = (
+            np.linalg.norm(np.roll(ends, -1, axis=1) - ends, axis=2)
+            for ends in (self.interpolated(values, face, corners) for values in (self.positions, self.pixels))
+        )
+        return np.minimum(metres / finest, _PER_PIXEL * pixels)
+
+    def _opacity(self, face: np.ndarray, corners: np.ndarray) -> np.ndarray:  # [P, 3]
+        values = self.interpolated(self.values, face, corners)
+        if self.picture is None:
+            return values
+        return values * self.picture.at(self.interpolated(self.pixels, face, corners))
+
+
+def _halves(face: np.ndarray, corners: np.ndarray, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split each piece at the middle of one of its edges."""
+    a, b, c = _from(corners, edge)
+    middle = 0.5 * (a + b)
+    halves = [np.stack(half, axis=1) for half in ((a, middle, c), (middle, b, c))]
+    return np.concatenate([face, face]), np.concatenate(halves)
+
+
+def _clipped(
+    face: np.ndarray, corners: np.ndarray, opacity: np.ndarray, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what of each piece is solid, where the opacity is linear between its corners."""
+    solid = opacity >= threshold
+    count = solid.sum(axis=1)
+    found = [(face[count == 3], corners[count == 3])]
+    for number in (1, 2):  # of solid corners
+        some = count == number
+        odd = (solid[some] if number == 1 else ~solid[some]).argmax(axis=1)  # the corner that is alone on its side
+        a, b, c = _from(corners[some], odd)
+        at_a, at_b, at_c = _from(opacity[some][:, :, None], odd)
+        on_ab, on_ac = (a + (threshold - at_a) / (at - at_a) * (end - a) for end, at in ((b, at_b), (c, at_c)))
+        shapes: Iterable[tuple[np.ndarray, ...]] = (
+            [(a, on_ab, on_ac)] if number == 1 else [(on_ab, b, c), (on_ab, c, on_ac)]
+        )
+        found += [(face[some], np.stack(shape, axis=1)) for shape in shapes]
+    return np.concatenate([one for one, _ in found]), np.concatenate([one for _, one in found])
+
+
+def _from(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the three corners [P, K] of each piece in turn, beginning with the one that is named."""
+    row = np.arange(len(corners))
+    one, two, three = (corners[row, (first + k) % 3] for k in range(3))
+    return one, two, three

@@ -20,8 +20,9 @@ import numpy as np
 from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.collada_controllers import Controlled, controlled
 from activestructure_gym.scenes.loaders.collada_nodes import node_matrix
-from activestructure_gym.scenes.loaders.collada_numbers import attribute, fixed, floats, integers
+from activestructure_gym.scenes.loaders.collada_numbers import attribute, fixed, floats
 from activestructure_gym.scenes.loaders.collada_opacity import ColladaOpacity, opacity_of
+from activestructure_gym.scenes.loaders.collada_polygons import Input, corners_and_triangles
 from activestructure_gym.scenes.loaders.collada_textures import (
     ColladaTexture,
     chosen_set,
@@ -31,7 +32,6 @@ from activestructure_gym.scenes.loaders.collada_textures import (
 from activestructure_gym.scenes.loaders.damage import UnreadableMesh
 from activestructure_gym.scenes.loaders.mesh_parts import PLAIN_GREY, MeshPart, TextureStore, placed
 from activestructure_gym.scenes.loaders.opacity import Opacity
-from activestructure_gym.scenes.loaders.polygons import ear_clipped, triangulated
 
 Element = ElementTree.Element
 _POLYGONS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
@@ -68,23 +68,6 @@ def _metres(unit: Element | None) -> float:
     if not (np.isfinite(metres) and metres > 0):
         raise UnreadableMesh(f"it says that its unit has {metres:g} metres")
     return metres
-
-
-@dataclass(frozen=True)
-class _Input:
-    """One property of the corners: where its index stands in a row of <p>, and its values."""
-
-    semantic: str
-    column: int
-    values: np.ndarray  # [N, stride]
-
-    def of(self, corners: np.ndarray, width: int) -> np.ndarray:  # [C, columns of <p>] -> [C, width]
-        index = corners[:, self.column]
-        if len(index) and (index.min() < 0 or index.max() >= len(self.values)):
-            raise UnreadableMesh(f"its corners name {self.semantic} {index.max()} of {len(self.values)}")
-        if self.values.shape[1] < width:
-            raise UnreadableMesh(f"its {self.semantic} values have {self.values.shape[1]} numbers instead of {width}")
-        return self.values[index, :width]
 
 
 @dataclass
@@ -180,7 +163,7 @@ class _Document:
             if primitives.tag not in _POLYGONS:
                 continue
             inputs, sets, width = self._once(self._inputs, primitives)
-            corners, triangles = self._once(_triangulated, primitives, width, inputs["VERTEX"])
+            corners, triangles = self._once(corners_and_triangles, primitives, width, inputs["VERTEX"])
             self.textures.budget.take("meshes and copies of them", 1)
             if not len(triangles):
                 continue
@@ -215,7 +198,7 @@ class _Document:
                 opacity=self._opacity(bound, sets, corners),
             )
 
-    def _opacity(self, bound: _Binding, sets: dict[int, _Input], corners: np.ndarray) -> Opacity | None:
+    def _opacity(self, bound: _Binding, sets: dict[int, Input], corners: np.ndarray) -> Opacity | None:
         """Opacity of the corners; None where the material says nothing of it."""
         said, picture = self._once(self._transparency, bound.material)
         if said is None:
@@ -242,7 +225,7 @@ class _Document:
         return said, said.of(picture) if picture is not None else None
 
     def _coordinates(
-        self, sets: dict[int, _Input], corners: np.ndarray, lies: ColladaTexture, bound: dict[str, int]
+        self, sets: dict[int, Input], corners: np.ndarray, lies: ColladaTexture, bound: dict[str, int]
     ) -> np.ndarray:  # [C, 2], v down
         """Texture coordinates of the corners in the set that the material uses, placed as its texture says."""
         chosen, certain = chosen_set(sets, lies.texcoord, bound)
@@ -256,10 +239,10 @@ class _Document:
     def _ignore(self, setting: str, lies: ColladaTexture) -> None:
         self.textures.ignored.append(f"{setting[:60]} of {lies.image[:60]}")
 
-    def _inputs(self, primitives: Element) -> tuple[dict[str, _Input], dict[int, _Input], int]:
+    def _inputs(self, primitives: Element) -> tuple[dict[str, Input], dict[int, Input], int]:
         """The first set of each semantic, the sets of texture coordinates, and the number of columns in <p>."""
-        inputs: dict[str, _Input] = {}
-        sets: dict[int, _Input] = {}
+        inputs: dict[str, Input] = {}
+        sets: dict[int, Input] = {}
         width = 0
         for element in sorted(primitives.findall("input"), key=lambda element: attribute(element, "set")):
             semantic, offset = element.get("semantic", ""), attribute(element, "offset")
@@ -268,14 +251,14 @@ class _Document:
                 vertices = self.target(element.get("source"))
                 for shared in vertices.findall("input") if vertices is not None else ():
                     shared_semantic = "VERTEX" if shared.get("semantic") == "POSITION" else shared.get("semantic", "")
-                    values = _Input(shared_semantic, offset, self._source(shared))
+                    values = Input(shared_semantic, offset, self._source(shared))
                     inputs.setdefault(shared_semantic, values)
                     if shared_semantic == "TEXCOORD":
                         sets.setdefault(attribute(shared, "set"), values)
             elif semantic == "TEXCOORD":
-                sets.setdefault(attribute(element, "set"), _Input(semantic, offset, self._source(element)))
+                sets.setdefault(attribute(element, "set"), Input(semantic, offset, self._source(element)))
             elif semantic == "COLOR":
-                inputs.setdefault(semantic, _Input(semantic, offset, self._source(element)))
+                inputs.setdefault(semantic, Input(semantic, offset, self._source(element)))
         if "VERTEX" not in inputs:
             raise UnreadableMesh(f"a <{primitives.tag}> has no vertex positions")
         return inputs, sets, width
@@ -364,44 +347,3 @@ def _bindings(instance: Element) -> dict[str, _Binding]:
         )
         for bound in instance.iterfind("bind_material/technique_common/instance_material")
     }
-
-
-def _triangulated(primitives: Element, width: int, positions: _Input) -> tuple[np.ndarray, np.ndarray]:
-    """Corners [C, width] (rows of <p>) and triangles [F, 3] over them; concave polygons and holes stay open."""
-    rows = [_rows(p, width) for p in primitives.findall("p")]
-    corners = np.concatenate(rows) if rows else np.zeros((0, width), np.int64)
-    sizes = np.array([len(row) for row in rows], dtype=np.int64)
-    if primitives.tag == "triangles":
-        return corners, np.arange(len(corners) // 3 * 3).reshape(-1, 3)
-    if primitives.tag in ("tristrips", "trifans"):
-        return corners, _strips(sizes, fans=primitives.tag == "trifans")
-    if primitives.tag == "polylist":
-        sizes = integers(primitives.findtext("vcount"))
-        if (sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners):
-            raise UnreadableMesh(f"a <polylist> counts {sizes.sum()} corners and has {len(corners)}")
-        corners = corners[: sizes.sum()]
-    triangles, _ = triangulated(positions.of(corners, 3), sizes)
-    for holed in primitives.findall("ph"):
-        rings = [_rows(ring, width) for ring in holed if ring.tag in ("p", "h") and ring.text]
-        if not rings:
-            continue
-        outline = np.concatenate(rings)
-        ends = tuple(np.cumsum([len(ring) for ring in rings]).tolist())
-        triangles = np.concatenate([triangles, len(corners) + ear_clipped(positions.of(outline, 3), ends)])
-        corners = np.concatenate([corners, outline])
-    return corners, triangles
-
-
-def _rows(indices: Element, width: int) -> np.ndarray:  # [C, width]
-    flat = integers(indices.text)
-    if len(flat) % width:
-        raise UnreadableMesh(f"a <{indices.tag}> has {len(flat)} indices, which are no rows of {width}")
-    return flat.reshape(-1, width)
-
-
-def _strips(sizes: np.ndarray, *, fans: bool) -> np.ndarray:  # [F, 3]
-    """Triangles of strips one after the other; those of a fan have its first corner in common."""
-    counts = np.maximum(sizes - 2, 0)
-    starts = np.repeat(np.cumsum(sizes) - sizes, counts)
-    k = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.stack([starts if fans else starts + k, starts + k + 1, starts + k + 2], axis=1)

@@ -12,7 +12,8 @@ from activestructure_gym.evaluation.report.layout import Cell, Table
 _RANK_MARKS = {1: "**{}** ¹", 2: "{} ²", 3: "{} ³"}
 # An underscore within a word is no emphasis.
 _MARKDOWN = re.compile(r"[\\`*|<]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
-_FORMULA = re.compile(r"[=@\t\r]|[+-](?![\d.])")
+_SPAN = re.compile(r"((?<!`)`[^`\n<\[]+`(?!`))")  # code, in which nothing could begin if it were none
+_FORMULA = re.compile(r"(^|;)(?=[=@\t\r]|[+-](?![\d.]))")  # a semicolon separates cells in half of the world
 _LATEX_RANKS = {1: r"\textbf{{{}}}", 2: r"\underline{{{}}}", 3: r"\textit{{{}}}"}
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -97,7 +98,7 @@ def _plain(cell: Cell) -> str:
 
 def _titled(table: Table) -> str:
     return "\n".join(
-        part for part in (f"**{escaped(table.title)}.** {escaped(table.caption)}".rstrip(), "", markdown(table))
+        part for part in (f"**{escaped(table.title)}.** {sentence(table.caption)}".rstrip(), "", markdown(table))
     )
 
 
@@ -107,7 +108,16 @@ def _marked(text: str, cell: Cell) -> str:
 
 def escaped(text: str) -> str:
     """``text`` as it is, in one line of Markdown: no cell ends in it, no tag, link or emphasis begins."""
-    return _MARKDOWN.sub(r"\\\g<0>", " ".join(text.split())).replace("](", "]\\(")
+    return _escaped(" ".join(text.split()))
+
+
+def _escaped(text: str) -> str:
+    return _MARKDOWN.sub(r"\\\g<0>", text).replace("](", "]\\(")
+
+
+def sentence(text: str) -> str:
+    """Return one line of Markdown in which code in backticks stays code, and the rest is `escaped`."""
+    return "".join(part if at % 2 else _escaped(part) for at, part in enumerate(_SPAN.split(" ".join(text.split()))))
 
 
 def code(text: str) -> str:
@@ -118,5 +128,5 @@ def code(text: str) -> str:
 
 
 def spreadsheet_text(text: str) -> str:
-    """``text`` that no spreadsheet takes for a formula (OWASP, "CSV Injection"): a quotation mark before those."""
-    return f"'{text}" if _FORMULA.match(text) else text
+    """Return text that no spreadsheet takes for a formula (OWASP, "CSV Injection"): a quotation mark before those."""
+    return _FORMULA.sub(r"\1'", text)

@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
 from activestructure_gym.evaluation.report.curve_section import policy_panels
 from activestructure_gym.evaluation.report.curves import chart_rows
-from activestructure_gym.evaluation.report.formats import code, documents, escaped, markdown
+from activestructure_gym.evaluation.report.formats import code, documents, escaped, markdown, sentence
 from activestructure_gym.evaluation.report.layout import Table
 from activestructure_gym.evaluation.report.method_text import (
     absences,
@@ -163,7 +163,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     missing = [f"- {escaped(without_places(f'{name}: {reason}'))}" for name, reason in results.missing.items()]
     collisions = sum(run.metrics["metrics"]["collisions"] for run in results.runs)
     spread = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One seed"
-    meaning = [f"- {name}: {text}." for name, text in meanings(results).items()]
+    meaning = [f"- {sentence(f'{name}: {text}')}." for name, text in meanings(results).items()]
     compared: list[Table | None] = [ablation_table(results, aspect) for aspect in aspects(results.runs)]
     compared += [verdicts.difference_table(results), planning_table(results), verdicts.area_table(results)]
     compared.append(verdicts.cost_table(results))
@@ -180,13 +180,13 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
         "",
         *meaning,
         "",
-        *(f"{text}\n" for text in absences(results)),
+        *(f"{sentence(text)}\n" for text in absences(results)),
         *([f"Not finished, and not counted ({len(missing)}):", "", *missing, ""] if missing else []),
     ]
     for table in compared:
         if table is not None:
-            parts += [f"## {table.title}", "", markdown(table), f"{table.caption}.", ""]
-    parts += [*sections, "## How it was measured", "", *(f"{text}\n" for text in protocol_texts(results))]
+            parts += [f"## {escaped(table.title)}", "", markdown(table), f"{sentence(table.caption)}.", ""]
+    parts += [*sections, "## How it was measured", "", *(f"{sentence(text)}\n" for text in protocol_texts(results))]
     for text in statistics_text():
         parts += [text, ""]
     workers = {source.workers for source in results.sources if source.workers}
@@ -194,7 +194,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     return "\n".join(
         [
             *parts,
-            machine_text(results) + at_a_time,
+            sentence(machine_text(results)) + at_a_time,
             "",
             "Every run's directory holds its configuration, numbers, decisions, path, Plane Scene Graph and map "
             "(`map.ply` opens in any Gaussian splat viewer), and its own pictures: `views.png`, `plan.png`, "

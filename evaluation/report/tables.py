@@ -150,14 +150,15 @@ def runs_csv(runs: Sequence[Run]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     titles = ["scene", "scene_hash", "policy", "seed", "preset", "protocol", "job"]
-    writer.writerow([*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)])
+    writer.writerow(map(spreadsheet_text, [*titles, *names, "seconds", *(f"seconds_{stage}" for stage in stages)]))
     for run, numbers in zip(runs, scalars):
         job = run.job
-        scene, policy = (spreadsheet_text(name) for name in (run.scene, run.policy))
-        identity = [scene, job.scene_hash[:_HASH_DIGITS], policy, job.seed, job.preset, job.protocol.name, job.hash]
+        identity: list[Any] = [run.scene, job.scene_hash[:_HASH_DIGITS], run.policy, job.seed, job.preset]
+        identity += [job.protocol.name, job.hash]
         values: list[Any] = ["" if numbers.get(name) is None else numbers[name] for name in names]
         seconds = [run.timing.get("seconds", {}).get(stage, "") for stage in stages]
-        writer.writerow([*identity, *values, run.timing["total"], *seconds])
+        row = [*identity, *values, run.timing["total"], *seconds]
+        writer.writerow([spreadsheet_text(value) if isinstance(value, str) else value for value in row])
     return text.getvalue()
 
 

@@ -20,6 +20,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
 from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
+from activestructure_gym.evaluation.report.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
 from activestructure_gym.evaluation.statistics.resampling import REPEATS, interval
 from activestructure_gym.evaluation.training.config import WorldConfig
@@ -165,10 +166,11 @@ def entries(rows: Sequence[Row]) -> list[list[str]]:
 
 def markdown(rows: Sequence[Row], baselines: Sequence[str] = ()) -> str:
     """The table for a page."""
-    head = headings(rows, baselines)
+    head = [escaped(heading) for heading in headings(rows, baselines)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for group, policy, *others in entries(rows):
-        lines.append("| " + " | ".join([group, f"`{policy}`", *others]) + " |")
+        name = code(policy).replace("|", "\\|")
+        lines.append("| " + " | ".join([escaped(group), name, *others]) + " |")
     return "\n".join(lines) + "\n"
 
 

@@ -11,6 +11,7 @@ from activestructure_gym.evaluation.report.formats import (
     latex,
     latex_text,
     markdown,
+    sentence,
     spreadsheet_text,
     to_csv,
 )
@@ -89,3 +90,22 @@ def test_code_holds_backticks():
 def test_no_name_is_a_formula(text, kept):
     assert spreadsheet_text(text) == (text if kept else f"'{text}")
     assert to_csv(Table("t", "T", [Heading("a")], [[Cell(text)]])).splitlines()[1].strip('"') == spreadsheet_text(text)
+
+
+@pytest.mark.parametrize(
+    "text, shown",
+    [
+        ("By `activegamer`; see a_b.", "By `activegamer`; see a_b."),
+        ("left out: <img src=x onerror=y>", "left out: \\<img src=x onerror=y>"),
+        ("a `<b>` c", "a \\`\\<b>\\` c"),  # code of others with a tag in it is none
+        ("``a`<i>` `b`", "\\`\\`a\\`\\<i>` `b\\`"),
+        ("[x](javascript:y) `[x](z)`", "[x]\\(javascript:y) \\`[x]\\(z)\\`"),
+        ("two\nlines # *", "two lines # \\*"),
+    ],
+)
+def test_a_sentence_keeps_code_and_nothing_else(text, shown):
+    assert sentence(text) == shown
+
+
+def test_a_formula_behind_a_semicolon_is_none():
+    assert spreadsheet_text("a;=1+1") == "a;'=1+1" and spreadsheet_text("a;b;-1") == "a;b;-1"

@@ -55,6 +55,13 @@ class FullDisk(InputError):
     """A file has no room: a full disk, a quota, a limit on sizes. Nothing of the input is wrong; exit code 1, not 2."""
 
 
+class UnknownKeyword(InputError, TypeError):
+    """A keyword that a function does not have: a `TypeError` as well, as Python's own, whose words it begins with.
+
+    TorchRL and Gymnasium try keywords on every environment, and take back those that are refused in this way.
+    """
+
+
 class InputWarning(UserWarning):
     """User input is used although something about it is doubtful, or after a choice was made for it.
 
@@ -72,11 +79,21 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg policies` lists the names``. A message holds
     all names where they are few, and at most `MOST_NAMES` of many.
     """
+    command = "asg config" if kind.startswith("field") else _LISTS.get(kind, "")
+    return InputError(f"unknown {kind} {shown(name)}{_nearest(name, known, command)}")
+
+
+def unknown_keyword(function: str, name: str, known: Iterable[str]) -> UnknownKeyword:
+    """Return the error for a keyword that ``function`` does not have, with the nearest one."""
+    return UnknownKeyword(f"{function}() got an unexpected keyword argument '{name}'{_nearest(name, known)}")
+
+
+def _nearest(name: object, known: Iterable[str], command: str = "") -> str:
+    """The end of a message about an unknown name."""
     names = sorted(known)
     word = name if isinstance(name, str) else ""
     close = difflib.get_close_matches(word, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else "."
-    command = "asg config" if kind.startswith("field") else _LISTS.get(kind, "")
     if len(names) <= MOST_NAMES:
         where = f"Known: {', '.join(names) or 'none'}"
     elif command:
@@ -84,7 +101,7 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     else:
         nearest = difflib.get_close_matches(word, names, n=MOST_NAMES, cutoff=0.0)
         where = f"Nearest of {len(names)}: {', '.join(nearest)}"
-    return InputError(f"unknown {kind} {shown(name)}{hint} {where}")
+    return f"{hint} {where}"
 
 
 def listed(names: Iterable[object], most: int = MOST_NAMES) -> str:

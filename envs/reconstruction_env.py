@@ -16,6 +16,7 @@ from activestructure_gym.config import Preset, ReconstructionConfig, configure, 
 from activestructure_gym.envs.observation import encode, observation_space
 from activestructure_gym.envs.panel import draw_panel
 from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, reward_terms
+from activestructure_gym.envs.turn import Turn
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of
@@ -171,11 +172,16 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         self._frame: Frame | None = None
         self._view: LiveView | None = None
         self._ended = True
+        self._turn = Turn()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode. ``options`` may hold ``scene`` and ``start_pose`` for this episode only."""
+        with self._turn.taken("reset"):
+            return self._begun(seed, options)
+
+    def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         super().reset(seed=seed)
         self._ended = True  # where something is refused below, the episode before it must not go on in silence
         options = dict(_fields("options", options))
@@ -192,7 +198,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
                 f"no view is on offer at the start: of what '{sources}' proposed none can be reached through space "
                 "that is known to be free, so the episode ends with its first step",
                 InputWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
         self._coverage = SurfaceCoverage(truth.observable_surface.points, self.reward_config)
         self._count(self._frame, self.reconstruction.pose)
@@ -214,14 +220,19 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Walk to row ``action`` of the candidate table."""
-        if self._ended:
-            raise gym.error.ResetNeeded("this episode has ended (or never began): call reset() before step()")
-        if not self.action_space.contains(action):
-            raise gym.error.InvalidAction(f"expected an integer in [0, {self.action_space.n}), got {action!r}")
-        invalid = not int(action) < len(self.reconstruction.candidates)
-        if self._view is not None:
-            self._view.chosen(int(action))
-        return self._outcome(self.reconstruction.visit(int(action)), invalid=invalid)
+        with self._turn.taken("step"):
+            if self._ended:
+                raise gym.error.ResetNeeded("this episode has ended (or never began): call reset() before step()")
+            if not self.is_row(action):
+                raise gym.error.InvalidAction(f"expected an integer in [0, {self.action_space.n}), got {action!r}")
+            invalid = not int(action) < len(self.reconstruction.candidates)
+            if self._view is not None:
+                self._view.chosen(int(action))
+            return self._outcome(self.reconstruction.visit(int(action)), invalid=invalid)
+
+    def is_row(self, action: Any) -> bool:
+        """Whether this is a row of the candidate table; Gymnasium's own space takes ``True`` for 1."""
+        return not isinstance(action, bool) and bool(self.action_space.contains(action))
 
     def _outcome(
         self, visit: Visit, *, invalid: bool
@@ -266,6 +277,7 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
         None with ``"human"``: every step is shown as it is made.
         """
+        self._turn.check_open("render")
         if self.render_mode is None:
             gym.logger.warn('render() shows nothing without a render mode: make the env with render_mode="rgb_array"')
             return None
@@ -276,7 +288,11 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
         return draw_panel(self.reconstruction, self._frame)
 
     def close(self) -> None:
-        """Let go of the sensor and of the page; calling it twice does no harm."""
+        """Let go of the sensor and of the page; calling it twice does no harm.
+
+        A closed environment refuses `reset`, `step` and `render`; what it has reconstructed can still be read.
+        """
+        self._turn.closed = True
         if self._view is not None:
             self._view.close()
             self._view = None

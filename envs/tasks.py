@@ -9,7 +9,7 @@ from typing import Any, TypeVar, Unpack
 import numpy as np
 
 from activestructure_gym.envs.reconstruction_env import EnvOptions, ReconstructionEnv, Scenes
-from activestructure_gym.errors import InputError, shown, unknown_name
+from activestructure_gym.errors import InputError, shown, unknown_keyword
 from activestructure_gym.scenes.library import with_options
 
 E = TypeVar("E", bound=type[ReconstructionEnv])
@@ -41,7 +41,7 @@ def task(sentence: str, **arguments: str) -> Callable[[E], E]:
 )
 class RoomEnv(ReconstructionEnv):
     def __init__(self, *, scene: Scenes = "room", scene_seed: int | None = None, **options: Unpack[EnvOptions]) -> None:
-        _check_names("Room-v0", options, "scene", "scene_seed")
+        _check_names(RoomEnv, options, "scene", "scene_seed")
         super().__init__(_with_numbers(scene, scene_seed=scene_seed), **options)
 
 
@@ -59,37 +59,37 @@ class ApartmentEnv(ReconstructionEnv):
         scene_seed: int | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
-        _check_names("Apartment-v0", options, "scene", "rooms", "scene_seed")
+        _check_names(ApartmentEnv, options, "scene", "rooms", "scene_seed")
         super().__init__(_with_numbers(scene, rooms=rooms, scene_seed=scene_seed), **options)
 
 
 @task('**Mesh-v0**: any mesh file, `scene="file.glb"` or `scene="file.obj?units=mm&up=y"`.')
 class MeshEnv(ReconstructionEnv):
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
-        _check_names("Mesh-v0", options, "scene")
+        _check_names(MeshEnv, options, "scene")
         super().__init__(_with_loader(scene, "mesh", "Mesh-v0", "file.glb"), **options)
 
 
 @task('**Replica-v0**: a scene of the Replica dataset, `scene="replica_v1/room_0"`.')
 class ReplicaEnv(ReconstructionEnv):
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
-        _check_names("Replica-v0", options, "scene")
+        _check_names(ReplicaEnv, options, "scene")
         super().__init__(_with_loader(scene, "replica", "Replica-v0", "replica_v1/room_0"), **options)
 
 
 @task('**Matterport3D-v0**: a scene of Matterport3D, `scene="mp3d/GdvgFV5R1Z5"`.')
 class Matterport3DEnv(ReconstructionEnv):
     def __init__(self, *, scene: Scenes | None = None, **options: Unpack[EnvOptions]) -> None:
-        _check_names("Matterport3D-v0", options, "scene")
+        _check_names(Matterport3DEnv, options, "scene")
         super().__init__(_with_loader(scene, "matterport3d", "Matterport3D-v0", "mp3d/GdvgFV5R1Z5"), **options)
 
 
-def _check_names(task: str, options: Mapping[str, Any], *own: str) -> None:
-    """Raise `InputError` for a keyword that no environment has."""
+def _check_names(kind: type, options: Mapping[str, Any], *own: str) -> None:
+    """Raise `UnknownKeyword` for a keyword that no environment has."""
     known = EnvOptions.__annotations__.keys() | set(own)
     for name in options:
         if name not in known:
-            raise unknown_name(f"keyword of {task}", name, known)
+            raise unknown_keyword(f"{kind.__name__}.__init__", name, known)
 
 
 def _with_loader(scene: Any, loader: str, task: str, example: str) -> Any:

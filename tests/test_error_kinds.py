@@ -101,7 +101,8 @@ def _raises_in(node: ast.AST, path: str, around: tuple[str, ...]) -> Iterator[Ra
         if isinstance(child, ast.Raise) and child.exc is not None:
             raised = child.exc.func if isinstance(child.exc, ast.Call) else child.exc
             what = raised.attr if isinstance(raised, ast.Attribute) else getattr(raised, "id", "")
-            yield Raise(path, child.lineno, ".".join(inner), "InputError" if what == "unknown_name" else what)
+            kind = "InputError" if what in ("unknown_name", "unknown_keyword") else what
+            yield Raise(path, child.lineno, ".".join(inner), kind)
         yield from _raises_in(child, path, inner)
 
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from activestructure_gym.config import configure, known_preset
-from activestructure_gym.errors import MOST_NAMES, InputError, listed, unknown_name
+from activestructure_gym.errors import MOST_NAMES, InputError, listed, unknown_keyword, unknown_name
 from activestructure_gym.evaluation.cli.commands import find_command
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.protocols import get_protocol
@@ -51,3 +51,13 @@ def test_no_message_lists_more_than_five_names(give, command):
 def test_a_long_list_of_given_names_ends_with_how_many_more_there_are():
     assert listed("ab") == "a, b" and listed("abcde") == "a, b, c, d, e"
     assert listed(range(46)) == "0, 1, 2, 3, 4 and 41 more"
+
+
+def test_an_unknown_keyword_is_refused_in_python_s_own_words() -> None:
+    def of_python(a: int) -> None: ...
+
+    with pytest.raises(TypeError) as refused:
+        of_python(b=1)  # type: ignore[call-arg]
+    error = unknown_keyword(of_python.__qualname__, "b", ["a"])
+    assert isinstance(error, TypeError) and isinstance(error, InputError)
+    assert str(error).startswith(str(refused.value)) and str(error).endswith(". Known: a")

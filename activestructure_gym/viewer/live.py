@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import zlib
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 _PATIENCE_S = 15.0  # a question for news waits so long before it is answered that there is none
 _LONGEST = 1000  # bytes of a command
+_MOST_STRANGERS = 64  # connections that have not shown the key; the oldest makes room for the next
 PACES = (0.0, 1.0, 3.0)  # seconds between two decisions that can be chosen
 _ZLIB_LEVEL = 1  # it is the same machine
 
@@ -240,10 +242,12 @@ class LiveView:
                 self._paused, self._steps = False, 0
             elif kind == "step":
                 self._paused, self._steps = True, self._steps + 1
-            elif kind == "pace" and command.get("seconds") in PACES:
+            elif kind == "pace" and not isinstance(command.get("seconds"), bool) and command.get("seconds") in PACES:
                 self._pace = float(command["seconds"])
             elif kind == "visit" and self.chooses and recorder is not None and recorder.moments:
                 row, moment = command.get("row"), len(recorder.moments) - 1
+                if any(isinstance(command.get(name), bool) for name in ("row", "episode", "moment")):
+                    return "whole numbers are expected"
                 if command.get("episode") != self._episode or command.get("moment") != moment or not self._open:
                     return "this decision has been made"
                 if not isinstance(row, int) or not 0 <= row < len(recorder.moments[moment].candidates):
@@ -269,12 +273,36 @@ class _Server(ThreadingHTTPServer):
     """Many pages may ask at once, and none of them keeps the program alive."""
 
     daemon_threads = True
+    request_queue_size = 128  # connections that wait to be accepted
     allow_reuse_address = os.name != "nt"  # Windows would let a second program serve at a port that is taken
 
     def __init__(self, place: tuple[str, int], view: LiveView) -> None:
         self.address_family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
         self.view = view
+        self._strangers: dict[Any, None] = {}  # connections that have not shown the key, the oldest first
+        self._counting = threading.Lock()
         super().__init__(place, _Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer on a thread; where too many connections have not shown the key, close the oldest of them."""
+        with self._counting:
+            self._strangers[request] = None
+            oldest = next(iter(self._strangers)) if len(self._strangers) > _MOST_STRANGERS else None
+        if oldest is not None:
+            self.admit(oldest)
+            with suppress(OSError):
+                oldest.shutdown(socket.SHUT_RDWR)  # its thread reads the end
+        super().process_request(request, client_address)
+
+    def admit(self, request: Any) -> None:
+        """Count a connection no more among those that have not shown the key."""
+        with self._counting:
+            self._strangers.pop(request, None)
+
+    def close_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.admit(request)
+        super().close_request(request)
 
     def server_bind(self) -> None:
         """Without asking the network for this machine's name, which can take long and is not needed."""
@@ -290,7 +318,7 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: _Server
-    timeout = 60  # seconds without a request after which a connection is let go
+    timeout = 15  # seconds without a request after which a connection is let go
 
     def do_GET(self) -> None:
         """The page, and what is new."""
@@ -345,6 +373,7 @@ class _Handler(BaseHTTPRequestHandler):
         view, host, origin = self.server.view, self.headers.get("Host", ""), self.headers.get("Origin")
         known = view.hosts is None or host in view.hosts
         if known and origin in (None, f"http://{host}") and view.knows(asked.get("key", "")):
+            self.server.admit(self.connection)
             return True
         self._answer(HTTPStatus.FORBIDDEN, b"open the address that was printed, with its key")
         return False
@@ -360,6 +389,10 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
+
+    def version_string(self) -> str:
+        """Name the program, and no version: also who has no key is answered."""
+        return "asg"
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nobody reads it."""

@@ -315,7 +315,7 @@ class _Episode:
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
 
     def _chosen(self, row: Any) -> int:
-        if not self.env.action_space.contains(row):
+        if not self.env.is_row(row):
             last = int(self.env.action_space.n) - 1
             raise InputError(
                 f"policy '{self.job.policy}': act() must return a row, a whole number from 0 to {last}, "

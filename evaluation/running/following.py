@@ -247,6 +247,7 @@ class FollowingEnv(ReconstructionEnv):
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Follow the next leg; terminates with the last one."""
+        self._turn.check_open("step")
         legs = self.course.legs
         leg = legs[self._next] if self._next < len(legs) else Leg(self.course.poses[:0], ())
         self._next += 1

@@ -201,8 +201,29 @@ def test_what_make_takes_stands_in_the_signature_of_the_task(env_id: str) -> Non
 
 
 def test_a_keyword_that_nobody_knows_is_refused_with_the_nearest() -> None:
-    with pytest.raises(InputError, match=r"unknown keyword of Room-v0 'frame_buget'; did you mean 'frame_budget'\?"):
+    with pytest.raises(InputError, match=r"unexpected keyword argument 'frame_buget'; did you mean 'frame_budget'\?"):
         gym.make(ENV_IDS[0], scene="box", frame_buget=3)
+
+
+def as_torchrl_makes(env_id: str, **options: Any) -> gym.Env[Any, Any]:
+    """Make an environment as TorchRL's ``GymEnv`` does: with a keyword for Atari, which is taken back if refused so."""
+    try:
+        return gym.make(env_id, frameskip=1, **options)
+    except TypeError as error:
+        if "unexpected keyword argument 'frameskip'" not in str(error):
+            raise
+    return gym.make(env_id, **options)
+
+
+def test_torchrl_makes_every_environment_by_name(env_id: str, options: dict[str, Any]) -> None:
+    env = as_torchrl_makes(env_id, **options)
+    env.reset(seed=0)
+    env.close()
+    kind = TASKS[env_id.partition("/")[2]]
+    with pytest.raises(InputError) as error:
+        gym.make(env_id, frameskip=1, **options)
+    assert isinstance(error.value, TypeError)
+    assert str(error.value).startswith(f"{kind}.__init__() got an unexpected keyword argument 'frameskip'")  # Python's
 
 
 def test_record_video_writes_a_picture_per_step(env_id: str, options: dict[str, Any], tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.reconstruction import Reconstruction
 from activestructure_gym.scenes import load_scene
-from activestructure_gym.viewer import LiveView
+from activestructure_gym.viewer import LiveView, live
 from tests.browser import BROWSER, open_page
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 80, "mapper.iterations": 1}
@@ -87,6 +87,7 @@ def test_only_who_knows_the_link_is_answered(view: LiveView) -> None:
 @pytest.mark.parametrize(
     ("body", "status"),
     [(b"[" * 900, 400), (b"x" * 2000, 400), ([], 400), ({"do": "fly"}, 409), ({"do": "pace", "seconds": 1e9}, 409),
+     ({"do": "pace", "seconds": True}, 409),
      ({"do": "visit", "row": 0, "episode": 1, "moment": 0}, 409)],
 )  # fmt: skip
 def test_commands_that_are_none_are_refused(view: LiveView, body: Any, status: int) -> None:
@@ -153,7 +154,7 @@ def test_paused_it_goes_on_by_steps_and_where_it_is_sent(view: LiveView, episode
     thread.join(5)
     assert rows == [None]  # one decision, the policy's own
     thread, rows = waiting(view)
-    for row, moment, status in ((10**6, 0, 409), (True, 1, 409), (3, 7, 409), (3, 0, 200)):
+    for row, moment, status in ((10**6, 0, 409), (True, 0, 409), (3, False, 409), (3, 7, 409), (3, 0, 200)):
         assert ask(view, "/do", body={"do": "visit", "row": row, "episode": 1, "moment": moment})[0] == status
     thread.join(5)
     assert rows == [3]
@@ -209,6 +210,23 @@ def test_what_is_no_request_is_refused_without_a_traceback(
         line.shutdown(socket.SHUT_WR)
         assert line.makefile("rb").readline().split()[1] == str(status).encode()
     assert capsys.readouterr().err == ""
+
+
+def test_who_has_no_key_is_told_no_version_and_holds_few_threads(view: LiveView) -> None:
+    place = urlsplit(view.url)
+    answer = http.client.HTTPConnection(place.netloc, timeout=10)
+    answer.request("GET", "/")
+    assert answer.getresponse().getheader("Server") == "asg"
+    most, half = live._MOST_STRANGERS, []
+    for _ in range(2 * most):
+        half.append(socket.create_connection(view._server.server_address[:2], timeout=10))  # type: ignore[arg-type]
+        half[-1].sendall(b"GET / HTTP/1.1\r\n")
+    assert ask(view, "/")[0] == 200  # who has the key is answered
+    assert half[0].recv(1) == b""  # the oldest has made room
+    assert len(view._server._strangers) <= most
+    assert sum("process_request" in thread.name for thread in threading.enumerate()) <= most + 5
+    for line in half:
+        line.close()
 
 
 @pytest.mark.parametrize("view", [{"asks": True}], indirect=True)

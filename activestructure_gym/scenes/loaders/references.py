@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import unquote
@@ -30,43 +30,47 @@ def find_reference(base: Path, reference: str, *, climb: int = 1, folders: Seque
     spellings = [reference, name, unquote(name), _COMMENT.split(name)[0]]
     spellings += name.split()[-1:] if name.startswith("-") else []  # an option that no specification has
     spellings += [spelling.replace("\\", "/") for spelling in spellings]
-    spellings = list(dict.fromkeys(s.removeprefix("file://").removeprefix("./") for s in spellings))
-    names = list(dict.fromkeys(Path(spelling).name for spelling in spellings))
-    candidates = [base / spelling for spelling in spellings]
-    candidates += [base / folder / name for folder in (".", *folders) for name in names if name]
+    spellings = [s.removeprefix("file://").removeprefix("./") for s in spellings]
+    names = dict.fromkeys(os.path.basename(spelling.rstrip("/")) for spelling in spellings)
+    spellings += [os.path.join(folder, name) for folder in (".", *folders) for name in names if name]
+    candidates = list(dict.fromkeys(os.path.join(base, spelling) for spelling in spellings))
     absolute = Path(os.path.abspath(base))
     root = absolute.parents[climb - 1] if 0 < climb < len(absolute.parents) else absolute  # never the whole disk
     outside = False
-    for candidate in (*candidates, *_in_other_case(candidates, root)):
-        inside = Path(os.path.abspath(candidate)).is_relative_to(root)
-        try:
-            if candidate.is_file():
-                if inside:
-                    return candidate
-                outside = True
-        except OSError:  # a name that no file can have
-            continue
+    for candidate in candidates:
+        if os.path.isfile(candidate):
+            if _is_inside(candidate, root):
+                return Path(candidate)
+            outside = True
+    for candidate in candidates:
+        found = _in_other_case(candidate, root) if _is_inside(candidate, root) else ""
+        if found and os.path.isfile(found):
+            return Path(found)
     if outside:
         raise LimitError(f"lies outside of '{root}'; put it into the folder of the mesh")
     raise FileNotFoundError(f"'{reference}' is not beside '{base}'")
 
 
-def _in_other_case(candidates: Sequence[Path], root: Path) -> Iterator[Path]:
-    """Paths under ``root`` that differ from a candidate in upper and lower case only, as Windows takes them."""
-    for candidate in candidates:
-        path = Path(os.path.abspath(candidate))
-        if not path.is_relative_to(root):
-            continue
-        found = root
-        for part in path.relative_to(root).parts:
-            found = found / (part if os.path.exists(found / part) else _entries(found).get(part.casefold(), part))
-        yield found
+def _is_inside(path: str, root: Path) -> bool:
+    return os.path.abspath(path).startswith(os.path.join(root, ""))
 
 
-def _entries(folder: Path) -> dict[str, str]:
+def _in_other_case(path: str, root: Path) -> str:
+    """The path under ``root`` that differs in upper and lower case only, as Windows takes it; "" if there is none."""
+    found = str(root)
+    for part in os.path.abspath(path)[len(os.path.join(root, "")) :].split(os.sep):
+        entries = _entries(found)
+        entry = part if os.path.exists(os.path.join(found, part)) else entries.get(part.casefold())
+        if entry is None:
+            return ""
+        found = os.path.join(found, entry)
+    return found
+
+
+def _entries(folder: str) -> dict[str, str]:
     try:
-        return _listed(str(folder), os.stat(folder).st_mtime_ns)
-    except (OSError, ValueError):  # no folder, or no name that one can have
+        return _listed(folder, os.stat(folder).st_mtime_ns)
+    except OSError:  # a file, or a folder that may not be read
         return {}
 
 

@@ -111,7 +111,9 @@ class TextureStore:
             try:
                 image = opened_image(data)
                 self.budget.take("pixels", image.width * image.height)
-                self._opacities[key] = opacity_picture(image, channel)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    self._opacities[key] = opacity_picture(image, channel)
             except Exception as error:  # Pillow raises whatever the codec raises
                 self.note_unreadable(f"{name}: {error}" if isinstance(error, LimitError) else name)
         return self._opacities[key]

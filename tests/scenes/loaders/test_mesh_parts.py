@@ -77,6 +77,7 @@ def test_warnings_of_the_decoder_do_not_reach_the_terminal(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert (store := TextureStore()).add_file(tmp_path, "p.png") == 0
+        assert store.opacity_of_file(tmp_path, "p.png", "luminance") is not None
     assert tuple(store.images[0][0, 0]) == (120, 80, 40)
 
 

@@ -6,6 +6,8 @@ import io
 import warnings
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from activestructure_gym.scenes.loaders.budget import LimitError
 
 if TYPE_CHECKING:
@@ -35,3 +37,24 @@ def opened_image(data: bytes, *, formats: tuple[str, ...] = FORMATS, most_pixels
     if image.format in ("JPEG", "MPO") and data.count(b"\xff\xda") > _MOST_SCANS:
         raise LimitError(f"has more than {_MOST_SCANS} progressive scans")
     return image
+
+
+def eight_bits(image: Image) -> Image:
+    """The picture, with numbers of more bits brought to 8 (Pillow cuts them off); `LimitError` if no scale fits."""
+    from PIL import Image as images
+
+    if not image.mode.startswith(("I", "F")):
+        return image
+    values = np.asarray(image, dtype=np.float32)
+    low, high = values.min(), values.max()
+    if image.mode.startswith("I;16") or (image.mode == "I" and 255 < high <= 65535):
+        scale = 1.0 / 257.0
+    elif image.mode == "F" and high <= 1.0:
+        scale = 255.0
+    else:
+        scale = 1.0
+    if not (low >= 0 and high * scale <= 255.5):
+        raise LimitError(
+            f"has values from {low:g} to {high:g}; at most 65535 of whole numbers and 255 of floats is read"
+        )
+    return images.fromarray(np.rint(values * np.float32(scale)).astype(np.uint8))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from activestructure_gym.scenes.loaders.budget import LimitError, SceneBudget
-from activestructure_gym.scenes.loaders.images import opened_image
+from activestructure_gym.scenes.loaders.images import eight_bits, opened_image
 from activestructure_gym.scenes.loaders.opacity import Opacity, opacity_picture
 from activestructure_gym.scenes.loaders.references import PICTURE_FOLDERS, find_reference
 from activestructure_gym.scenes.scene import REPEAT, SceneMesh
@@ -153,27 +153,6 @@ def _shrunk_pixels(image: Image, max_size: int) -> np.ndarray:  # [h, w, 3] uint
         size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
         image = (image if image.mode == "RGB" else image.convert("RGB")).resize(size, images.Resampling.BOX)
     return np.ascontiguousarray(image.convert("RGB"), dtype=np.uint8)
-
-
-def eight_bits(image: Image) -> Image:
-    """The picture, with numbers of more bits brought to 8 (Pillow cuts them off); `LimitError` if no scale fits."""
-    from PIL import Image as images
-
-    if not image.mode.startswith(("I", "F")):
-        return image
-    values = np.asarray(image, dtype=np.float32)
-    low, high = values.min(), values.max()
-    if image.mode.startswith("I;16") or (image.mode == "I" and 255 < high <= 65535):
-        scale = 1.0 / 257.0
-    elif image.mode == "F" and high <= 1.0:
-        scale = 255.0
-    else:
-        scale = 1.0
-    if not (low >= 0 and high * scale <= 255.5):
-        raise LimitError(
-            f"has values from {low:g} to {high:g}; at most 65535 of whole numbers and 255 of floats is read"
-        )
-    return images.fromarray(np.rint(values * np.float32(scale)).astype(np.uint8))
 
 
 def placed(vertices: np.ndarray, world_from_part: np.ndarray) -> np.ndarray:  # [V, 3], [4, 4] -> [V, 3]

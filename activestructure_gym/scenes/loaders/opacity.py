@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from activestructure_gym.scenes.loaders.images import eight_bits
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT
 
 if TYPE_CHECKING:
@@ -125,8 +126,6 @@ def opacity_picture(image: Image, channel: str) -> np.ndarray | None:  # [h, w] 
         channel = "luminance" if alpha is None or np.asarray(alpha).min() == 255 else "alpha"
     if channel == "alpha":
         return None if alpha is None or np.asarray(alpha).min() == 255 else _shrunk(alpha)
-    from activestructure_gym.scenes.loaders.mesh_parts import eight_bits
-
     rgb = eight_bits(image).convert("RGB")
     if channel in ("r", "g", "b"):
         return _shrunk(rgb.getchannel(channel.upper()))

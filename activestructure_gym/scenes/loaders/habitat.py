@@ -23,7 +23,14 @@ from scipy.spatial.transform import Rotation
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.scenes.loaders.budget import LimitError
 from activestructure_gym.scenes.loaders.json_files import read_json
-from activestructure_gym.scenes.loaders.mesh_loader import finished_scene, read_parts, texture_notes, upright
+from activestructure_gym.scenes.loaders.mesh_loader import (
+    check_visible,
+    finished_scene,
+    read_parts,
+    solid_parts,
+    texture_notes,
+    upright,
+)
 from activestructure_gym.scenes.loaders.mesh_parts import (
     MeshPart,
     TextureStore,
@@ -79,6 +86,7 @@ def load_habitat_scene(
             if not isinstance(one, Mapping):
                 raise InputError(f"'{chosen}' has an object instance that is no table: {shown(one)}")
             parts += _instance(dataset, "objects", one, textures, chosen, origin)
+    check_visible(chosen, parts)
     turned = [replace(part, vertices=upright(part.vertices, "y")) for part in parts]
     mesh = assemble(turned, textures.images)
     return finished_scene(mesh, chosen, name=name.rpartition("/")[2], doubts=texture_notes(textures))
@@ -128,6 +136,7 @@ class _Dataset:
             parts = [_moved(part, motion, np.zeros(3)) for part in read_parts(asset, textures)]
             corners = np.concatenate([part.vertices for part in parts])
             middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+            parts = solid_parts(parts, textures)  # the box is that of the whole asset
             self.assets[file] = parts, scale * _vector(told, "COM", file, (0.0,) * 3) if "COM" in told else middle
         return self.assets[file]
 

@@ -80,7 +80,9 @@ def load_mesh_scene(
     parts, declared_scale, declared_up = _read(path, textures)
     scale = declared_scale if units is None else _metres_per_unit(units)
     _check_parts(path, parts)
-    mesh = assemble(_solid(path, parts, textures, scale), textures.images)
+    solid = solid_parts(parts, textures, scale)
+    check_visible(path, solid)
+    mesh = assemble(solid, textures.images)
     mesh, unpainted = painted(mesh)
     vertices = mesh.vertices.astype(np.float64) * scale
     try:
@@ -94,25 +96,31 @@ def load_mesh_scene(
 
 
 def read_parts(path: Path, textures: TextureStore) -> list[MeshPart]:
-    """The parts of a mesh file in its own axes, in metres; raises `InputError` where it cannot be read."""
+    """Return the parts of a mesh file in its own axes and in metres, transparent ones too (see `solid_parts`).
+
+    Raises `InputError` where it cannot be read.
+    """
     parts, scale, _ = _read(check_mesh_file(path), textures)
     _check_parts(path, parts)
-    solid = _solid(path, parts, textures, scale)
-    return [replace(part, vertices=np.asarray(part.vertices, dtype=np.float64) * scale) for part in solid]
+    return [replace(part, vertices=np.asarray(part.vertices, dtype=np.float64) * scale) for part in parts]
 
 
-def _solid(path: Path, parts: Sequence[MeshPart], textures: TextureStore, scale: float) -> list[MeshPart]:
-    """The parts without what is transparent; raises `InputError` if nothing is left."""
+def solid_parts(parts: Sequence[MeshPart], textures: TextureStore, scale: float = 1.0) -> list[MeshPart]:
+    """Return the parts without what is transparent, and note how much that was."""
     from activestructure_gym.scenes.loaders.cut_out import cut_out
 
     solid, found = cut_out(parts, scale)
-    if not solid:
-        raise InputError(
-            f"'{path}' is transparent everywhere: each of its {found.gone} triangles has an opacity below 0.5 (or the "
-            "cutoff of its material), so nothing of it can be seen; export it with opaque materials"
-        )
     textures.notes += found.notes()
     return solid
+
+
+def check_visible(path: Path, parts: Sequence[MeshPart]) -> None:
+    """Raise `InputError` if nothing is left of a file without what is transparent."""
+    if not parts:
+        raise InputError(
+            f"'{path}' is transparent everywhere: each of its triangles has an opacity below 0.5 (or the cutoff of its "
+            "material), so nothing of it can be seen; export it with opaque materials"
+        )
 
 
 def upright(vertices: np.ndarray, up: str) -> np.ndarray:  # [V, 3] -> [V, 3]

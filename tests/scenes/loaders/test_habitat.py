@@ -94,6 +94,24 @@ def test_rotations_and_scales_of_an_instance(dataset):
     np.testing.assert_array_equal(facing(mesh.faces[-12:]), facing(mesh.faces[-24:-12]))  # not turned inside out
 
 
+def test_what_is_transparent_is_left_out_and_the_rest_stays_in_its_place(dataset, gltf, make_box):
+    """A pole in an invisible box: the middle by which it is placed is that of the box."""
+    gltf.triangle_mesh(*make_box((0, 0, 0), (60, 40, 100)), material=0)
+    gltf.triangle_mesh(*make_box((0, 0, 0), (10, 10, 100)))
+    gltf.header["materials"] = [
+        {"alphaMode": "BLEND", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0]}},
+    ]
+    gltf.write(dataset.parent / "objects" / "chest.glb")
+    scene = load_scene(f"{dataset}?scene=one")
+    by_middle, by_origin = boxes(scene)
+    np.testing.assert_allclose(by_middle, [[1.1, 0.7, 0.0], [1.2, 0.8, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(by_origin, [[-2.1, 0.0, 0.0], [-2.0, 0.1, 1.0]], atol=1e-6)
+    assert any("12 faces are transparent" in note for note in scene.notes)
+    gltf.header["nodes"] = [{"mesh": 0}]
+    gltf.write(dataset.parent / "objects" / "chest.glb")
+    assert len(load_scene(f"{dataset}?scene=one").mesh.faces) == 12  # the room alone
+
+
 def changed(path, **content):
     table(path, **{**json.loads(path.read_text()), **content})
 

@@ -252,7 +252,7 @@ def test_free_space_and_observable_surface_see_through_an_opening(gltf_room, glt
 def test_a_scene_of_nothing_visible_is_refused(gltf, tmp_path):
     gltf.triangle_mesh(WALL, WALL_FACES, material=0)
     gltf.header["materials"] = [_plain(0.0) | {"alphaMode": "BLEND"}]
-    with pytest.raises(InputError, match="is transparent everywhere: each of its 2 triangles has an opacity below 0.5"):
+    with pytest.raises(InputError, match="is transparent everywhere: each of its triangles has an opacity below 0.5"):
         load_mesh_scene(gltf.write(tmp_path / "ghost.glb"))
 
 
@@ -485,5 +485,5 @@ def test_ply_colours_have_an_alpha(tmp_path, make_box, kind, full):
 def test_a_ply_file_of_nothing_visible_is_refused(tmp_path, make_box):
     path = _ply(tmp_path / "a.ply", make_box, "uchar", [0] * 4, 255, "vertex")
     path.write_text(path.read_text().replace(" 255 127 0 255", " 255 127 0 0"))
-    with pytest.raises(InputError, match="is transparent everywhere: each of its 14 triangles"):
+    with pytest.raises(InputError, match="is transparent everywhere"):
         load_mesh_scene(path, up="z")

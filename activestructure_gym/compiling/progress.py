@@ -41,14 +41,14 @@ def told_to(listener: Callable[[str], None]) -> Iterator[None]:
         PROGRESS.listener = before
 
 
-def describe(compiled: int, seconds: float) -> str:
-    """The progress line: kernels compiled so far and seconds."""
-    return f"{_heading()}: {compiled} so far, {seconds:.0f} s"
+def describe(compiled: int, seconds: float, total: int | None = None) -> str:
+    """Return the progress line: kernels compiled so far, of how many where that is known, and seconds."""
+    return f"{_heading()}: {compiled} {'so far' if total is None else f'of {total}'}, {seconds:.0f} s"
 
 
 def begin() -> str:
-    """The first line of a log."""
-    return f"{_heading()}: up to a minute on two cores"
+    """Return the first line of a log."""
+    return f"{_heading()}: about a minute on two cores"
 
 
 def conclusion(compiled: int, seconds: float) -> str:

@@ -189,6 +189,11 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
     raise InputError(f"{unknown}; a file or folder is a scene, too, and there is none of that name")
 
 
+def check_scene_name(spec: str) -> None:
+    """Raise `InputError` where ``spec`` names no scene, or a file or a folder that there is not; loads nothing."""
+    _resolved(spec)
+
+
 def imports_code(spec: str) -> bool:
     """Whether loading the scene would import a module that its text names, as in ``my_package.scenes:make``."""
     target, _ = _split_options(spec)

@@ -10,15 +10,18 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from activestructure_gym.errors import printable
 from activestructure_gym.evaluation.cli.fitting import table_lines
+from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.streams import Stream, escape, fitting, raw
 
 _WIDEST = 10_000  # columns
+_WIDE = 110  # columns from which on a terminal has room for long bars
 _EVERY = 30.0  # seconds between two lines of the same kind in a log
 
 
@@ -70,6 +73,19 @@ def working(console: Console, text: str) -> Iterator[Callable[[str], None]]:
                 console.print(escape(text), style="dim")
 
         yield say
+
+
+def progress_bar(console: Console, *behind: ProgressColumn, **options: Any) -> Progress:
+    """Return a bar behind a description and before these columns and the time left; see `short_title`."""
+    size = 32 if console.width >= _WIDE else 8
+    left = TimeRemainingColumn(table_column=Column(no_wrap=True))
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=size), *behind, left
+    return Progress(*columns, console=console, transient=True, **options)
+
+
+def short_title(console: Console, title: str) -> str:
+    """Return a description of a bar, shortened to half of the terminal, without markup."""
+    return escape(shortened(title, console.width // 2, "..." if console.options.ascii_only else "…"))
 
 
 def width_of(console: Console) -> int | None:

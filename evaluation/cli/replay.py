@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from rich.progress import TextColumn
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.closing import print_page
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
 from activestructure_gym.evaluation.cli.options import use_trust
-from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
 from activestructure_gym.streams import escape
 
 if TYPE_CHECKING:
@@ -119,11 +120,9 @@ def _check_place(name: str, out: Path) -> None:
 @contextmanager
 def _progress(console: Console, run: Run) -> Iterator[Callable[[int, int], None]]:
     """A bar while ``run`` is played again, and who tells it how far that is."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as progress:
-        task = progress.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
+    with progress_bar(console, TextColumn("{task.completed} of {task.total} frames")) as progress:
+        title = short_title(console, f"playing {run.job.title}")
+        task = progress.add_task(title, total=run.metrics["metrics"]["frames"])
         yield lambda frames, budget: progress.update(task, completed=frames)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Runs, Switch
 from activestructure_gym.evaluation.cli.options import use_trust
-from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
 from activestructure_gym.streams import complain, escape
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ class Verify:
     def run(self) -> int:
         """Play, tell and remember; returns the exit code."""
         use_trust(self.trust_code)
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
+        from rich.progress import TextColumn
 
         from activestructure_gym.evaluation.archive.comparison import each_run
         from activestructure_gym.evaluation.archive.verified import REFUTED, keep
@@ -53,10 +53,10 @@ class Verify:
         failed, unplayed, open_ = len(refused), 0, 0
         for reason in refused.values():
             console.print(f"[red]✗[/] damaged: {escape(reason)}")
-        columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} of {task.total} frames")
         for run in runs:
-            with Bar(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-                task = bar.add_task(escape(f"playing {run.job.title}"), total=run.metrics["metrics"]["frames"])
+            with progress_bar(console, TextColumn("{task.completed} of {task.total} frames")) as bar:
+                title = short_title(console, f"playing {run.job.title}")
+                task = bar.add_task(title, total=run.metrics["metrics"]["frames"])
 
                 def tell(progress: Progress, bar: Bar = bar, task: TaskID = task) -> None:
                     bar.update(task, completed=progress.frames)

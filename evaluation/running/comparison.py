@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -101,8 +102,13 @@ class Comparison:
         views. Writes nothing but that cache. Returns the jobs, seeds in the outer loop, so that a comparison that is
         stopped early has compared something. Raises `InputError` for the first thing that cannot work.
         """
+        from activestructure_gym.scenes.library import check_scene_name
+
         policies = self._check_policies()
         everybody = self.everybody(policies)
+        for spec in self.scenes:
+            if not self.recorded.get(spec):  # a file that has moved since is found by `scene_as_recorded`
+                check_scene_name(spec)
         hashes = {}
         planners = [policy for policy in policies if not is_trajectory(policy)]
         with warming_up(planners or ["random"], self.overrides, notify):
@@ -221,6 +227,10 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
         raise InputError(f"the output '{directory}' cannot be made: '{parent}' is a file")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(f"the output '{directory}' cannot be written: no permission in '{parent}'")
+    try:  # what the system says of the owner is not true of every file system
+        os.rmdir(tempfile.mkdtemp(prefix=f".{store.COMPARISON}.", dir=parent))
+    except OSError as error:
+        raise InputError(f"the output '{directory}' cannot be written: {error.strerror} in '{parent}'") from None
 
 
 def _is_ours(path: Path) -> bool:

@@ -7,11 +7,14 @@ import time
 from collections.abc import Sequence
 from types import TracebackType
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.table import Column
 from rich.text import Text
 
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.evaluation.running import episode
 from activestructure_gym.evaluation.running.engines import Outcome
 from activestructure_gym.streams import escape
@@ -19,6 +22,9 @@ from activestructure_gym.streams import escape
 # Share of a job's time that follows its last frame: measuring and writing.
 _REST_SHARE = 0.1
 _QUIET = 30.0  # seconds that a log says nothing at most
+_WIDE = 110  # columns from which on a terminal has room for long bars
+_WIDE_BAR, _NARROW_BAR, _LEAST = 24, 8, 8
+_NUMBERS = 48  # columns of frames, C.R., time left and stage, with what is between them
 
 
 class LiveProgress:
@@ -30,12 +36,14 @@ class LiveProgress:
 
     def __init__(self, console: Console) -> None:
         self._console, self._jobs = console, 0
+        bar = _WIDE_BAR if console.width >= _WIDE else _NARROW_BAR
+        self._room = max(console.width - bar - _NUMBERS, _LEAST)  # columns of a title
         self._display = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=bar),
             TextColumn("{task.fields[frames]}", justify="right"),
             TextColumn("{task.fields[coverage]}", justify="right"),
-            _Left(),
+            _Left(Column(no_wrap=True)),
             TextColumn("[dim]{task.fields[stage]}"),
             console=console,
             refresh_per_second=4,
@@ -73,7 +81,8 @@ class LiveProgress:
     def progress(self, job: Job, progress: episode.Progress) -> None:
         """See `Listener.progress`."""
         if job.name not in self._bars:
-            task = self._display.add_task(escape(job.title), total=1.0, frames="", coverage="", stage="", left=None)
+            title = escape(shortened(job.title, self._room, _ellipsis(self._console)))
+            task = self._display.add_task(title, total=1.0, frames="", coverage="", stage="", left=None)
             self._bars[job.name] = _Bar(task, job.title)
         bar = self._bars[job.name]
         left = bar.seconds_left(progress)
@@ -103,24 +112,28 @@ class LiveProgress:
         """See `Listener.ended`."""
         self._ended += 1
         bar = self._bars.pop(outcome.job.name, None)
-        words = ""
+        words: list[str] = []
         if bar is not None:
             task = next(task for task in self._display.tasks if task.id == bar.task)
-            words = f"  {task.fields['frames']} frames  {task.fields['coverage']}  {time.monotonic() - bar.began:.0f} s"
+            facts = [f"{task.fields['frames']} frames" if task.fields["frames"] else "", task.fields["coverage"]]
+            words = [*filter(None, facts), f"{time.monotonic() - bar.began:.0f} s"]
             self._display.remove_task(bar.task)
         left = self._update_whole()
-        rest = ""
+        rest = []
         if not self._console.is_terminal and self._ended < self._jobs:
-            rest = f"[dim]  {self._ended}/{self._jobs}" + (f", {_clock(left)} left" if left is not None else "")
+            rest = [f"{self._ended}/{self._jobs}" + (f", {_clock(left)} left" if left is not None else "")]
         if outcome.finished:
-            self._say(f"[green]✓[/] {escape(outcome.job.title)}[dim]{words}[/]{rest}")
+            self._say(f"[green]✓[/] {escape(outcome.job.title)}", *words, *rest)
         else:
-            words = escape(outcome.error or "")
-            self._say(f"[red]✗[/] {escape(outcome.job.title)}  [red]{words}[/]{rest}")
+            self._say(f"[red]✗[/] {escape(outcome.job.title)}  [red]{escape(outcome.error or '')}[/]", *rest)
 
-    def _say(self, text: str) -> None:
+    def _say(self, text: str, *facts: str) -> None:
+        """Print the text and the facts behind it, those in a line of their own where one line has no room for both."""
         self._said = time.monotonic()
-        self._console.print(text, highlight=False)
+        tail = "  ".join(facts)
+        line = self._console.render_str(f"{text}  {tail}").plain
+        gap = "  " if cell_len(line) <= self._console.width else "\n  "
+        self._console.print(f"{text}{gap if facts else ''}[dim]{escape(tail)}[/]", highlight=False)
 
     def _keep_saying(self) -> None:
         """Write the state of all jobs to a log whenever nothing has been written for half a minute."""
@@ -171,6 +184,10 @@ class _Bar:
             return None
         remaining = max(0, progress.frame_budget - progress.frames)
         return (now - self._first[0]) / frames * remaining
+
+
+def _ellipsis(console: Console) -> str:
+    return "..." if console.options.ascii_only else "…"
 
 
 class _Left(ProgressColumn):

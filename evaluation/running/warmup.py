@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -32,6 +32,7 @@ from activestructure_gym.evaluation.machine.processes import UTF_8, end_session
 from activestructure_gym.evaluation.machine.threads import worker_environment
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running.engines.process import search_path
+from activestructure_gym.evaluation.running.first_kernels import kernels_of, not_compiled
 
 _MARK = "compiling"  # before the name of a kernel, on standard output
 _COUNTS = ("NUMBA_NUM_THREADS",)  # variables of numba that change no machine code
@@ -62,7 +63,7 @@ def warming_up(
         yield
         return
     work = json.dumps({"job": smallest.as_dict(), "gains": gains})
-    tally = _Tally(notify)
+    tally = _Tally(notify, not_compiled(kernels_of(gains), kernel_files()))
     processes = [_start(part, work, tally) for part in ("map", "world")]
     try:
         with told_to(tally):
@@ -190,11 +191,15 @@ def _hashed(content: Any) -> str:
 
 
 class _Tally:
-    """Puts together what several processes compile; each kernel counts once."""
+    """Puts together what several processes compile; each kernel counts once.
 
-    def __init__(self, notify: Callable[[str], None]) -> None:
+    ``expected`` names what has to be compiled. A kernel that it lacks, as of a feature of the user's own, is added.
+    """
+
+    def __init__(self, notify: Callable[[str], None], expected: Collection[str] = ()) -> None:
         self._notify = notify
         self._names: set[str] = set()
+        self._expected = set(expected)
         self._began = self.heard = time.monotonic()  # of the last kernel
         self._lock = threading.Lock()
 
@@ -206,7 +211,8 @@ class _Tally:
                 self._notify(begin())
             self._names.add(name)
             self.heard = time.monotonic()
-            self._notify(describe(len(self._names), self._seconds()))
+            total = len(self._expected | self._names) if self._expected else None
+            self._notify(describe(len(self._names), self._seconds(), total))
 
     def conclude(self) -> None:
         """Report that all is compiled, if anything had to be."""

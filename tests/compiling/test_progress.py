@@ -16,7 +16,8 @@ from activestructure_gym.compiling.locks import LOCKS
 
 def test_the_lines() -> None:
     assert progress.describe(7, 12.3) == "compiling kernels, once per installation: 7 so far, 12 s"
-    assert progress.begin() == "compiling kernels, once per installation: up to a minute on two cores"
+    assert progress.begin() == "compiling kernels, once per installation: about a minute on two cores"
+    assert progress.describe(7, 12.3, 47) == "compiling kernels, once per installation: 7 of 47, 12 s"
     assert progress.conclusion(1, 0.4) == "compiled 1 kernel in 0 s"
     assert progress.conclusion(54, 30) == "compiled 54 kernels in 30 s"
 

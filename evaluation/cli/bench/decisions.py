@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
 from activestructure_gym.evaluation.cli.fields import Count, Names, NoNames, PathName, PresetName, Switch, option
 from activestructure_gym.evaluation.cli.options import parse_seeds, split_list, split_policies
-from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
 from activestructure_gym.files import replaced
 from activestructure_gym.streams import escape
 
@@ -77,16 +75,14 @@ class Decisions:
         scenes = split_names(self.scene) or (("box",) if self.quick else benchmark.SCENES)
         records = [] if folder is None else _kept(folder, settings)
         asked = {(scene, seed) for scene in scenes for seed in seeds}
-        columns = (TextColumn("{task.description}"), BarColumn(bar_width=32), TimeRemainingColumn())
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        with progress_bar(console, disable=not console.is_terminal) as bar:
             left = len(asked - {(record["scene"], record["seed"]) for record in records})
             task = bar.add_task("deciding", total=left * settings.frames)
             ended = 0
 
             def tell(scene: str, seed: int, frames: int) -> None:
-                bar.update(
-                    task, completed=ended * settings.frames + frames, description=f"{escape(scene)}, seed {seed}"
-                )
+                title = short_title(console, f"{scene}, seed {seed}")
+                bar.update(task, completed=ended * settings.frames + frames, description=title)
 
             for found in benchmark.run_decisions_benchmark(scenes, seeds, settings, done=records, tell=tell):
                 ended += 1

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from activestructure_gym.evaluation.cli.bench.tables import SceneNames, print_rows, split_names
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
-from activestructure_gym.evaluation.cli.output import make_console
+from activestructure_gym.evaluation.cli.output import make_console, progress_bar
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.streams import escape
 
@@ -149,7 +148,6 @@ def _write(out: str, name: str, settings: dict[str, Any], rows: Sequence[dict[st
 @contextmanager
 def _progress(console: Console, steps: int) -> Iterator[Any]:
     """A bar; gives the function that moves it on by one step."""
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=32), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with progress_bar(console, disable=not console.is_terminal) as bar:
         task = bar.add_task("measuring", total=steps)
         yield lambda: bar.advance(task)

@@ -7,10 +7,23 @@ from collections.abc import Mapping
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Column
 
+from activestructure_gym.evaluation.machine.terminal import shortened
 from activestructure_gym.streams import escape
 
 _SHOWN = ("train/loss", "train/agreement", "rollout/reward_per_episode", "train/approx_kl")
+
+
+_WIDE = 110  # columns from which on a terminal has room for long bars
+_TITLE, _OTHERS = 28, 52  # columns of the title at most; of all that is no bar, number or stage
+
+
+def _whole(entries: list[str], width: int) -> str:
+    """As many of the entries, from the first on, as a line of this width holds."""
+    while entries and len("  ".join(entries)) > width:
+        entries = entries[:-1]
+    return "  ".join(entries)
 
 
 class Live:
@@ -18,12 +31,14 @@ class Live:
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        bar = 24 if console.width >= _WIDE else 8
+        self._room = max(console.width - bar - _OTHERS, 0)  # columns of the numbers, or of the stage
         self._progress = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=bar),
             TextColumn("{task.completed:.0f}/{task.total:.0f}"),
             TextColumn("{task.fields[numbers]}"),
-            TimeRemainingColumn(),
+            TimeRemainingColumn(table_column=Column(no_wrap=True)),
             TextColumn("[dim]{task.fields[stage]}"),
             console=console,
             refresh_per_second=4,
@@ -45,7 +60,7 @@ class Live:
         """A new bar; ``steps`` of an environment are made per unit."""
         if self._task is not None:
             self._progress.remove_task(self._task)
-        self._task = self._progress.add_task(escape(title), total=total, completed=done, numbers="", stage="")
+        self._task = self._progress.add_task(escape(shortened(title, _TITLE)), total=total, completed=done, numbers="", stage="")
         self._steps, self._last = steps, (done, time.monotonic())
         self._tenth = 0
         if not self._console.is_terminal:
@@ -54,7 +69,7 @@ class Live:
     def say(self, stage: str) -> None:
         """Show the current stage."""
         if self._task is not None:
-            self._progress.update(self._task, stage=escape(stage))
+            self._progress.update(self._task, stage=escape(shortened(stage, self._room)))
 
     def files(self, done: int, total: int) -> None:
         """Move the bar of files or episodes."""
@@ -72,7 +87,7 @@ class Live:
             numbers.append(f"{self._steps * (done - self._last[0]) / max(seconds, 1e-9):.0f} steps/s")
         self._last = (done, time.monotonic())
         if self._task is not None:
-            self._progress.update(self._task, completed=done, numbers="  ".join(numbers), stage="")
+            self._progress.update(self._task, completed=done, numbers=_whole(numbers, self._room), stage="")
         if "validation/normalised" in row:
             self._console.print(
                 f"[green]✓[/] after {done}: coverage {100 * row['validation/auc']:.1f} %, normalised "

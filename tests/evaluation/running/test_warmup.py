@@ -117,6 +117,12 @@ def test_a_kernel_counts_once_whoever_compiles_it():
     counts = [line.rpartition(",")[0] for line in said[1:-1]]
     assert counts == [f"compiling kernels, once per installation: {number} so far" for number in (1, 2, 2)]
     said.clear()
+    tally = _Tally(said.append, {"room.one", "room.two", "room.three"})
+    for name in ("room.one", "mine.one"):  # a kernel of the user's own is one more
+        tally(name)
+    counts = [line.rpartition(": ")[2].rpartition(",")[0] for line in said[1:]]
+    assert counts == ["1 of 3", "2 of 4"]
+    said.clear()
     _Tally(said.append).conclude()  # nothing had to be compiled
     assert said == []
 

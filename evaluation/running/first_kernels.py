@@ -1,0 +1,89 @@
+"""The kernels that a first comparison compiles, so that its progress has a total."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+# By module, without the package's name: what `warmup` compiles for any policy. A slow test compiles them all.
+_ALWAYS = {
+    "envs.reward": "_mark_seen",
+    "evaluation.metrics.fusion_kernels": (
+        "_add_free_space _add_row _cut _with_neighbours areas_of integrate mark range_of_tiles span triangles"
+    ),
+    "evaluation.metrics.nearest": "_box_distance _build _search _squared",
+    "evaluation.metrics.windows": "_compare _down _first _next _products _window_sums",
+    "evaluation.protocols.activegamer": "_mask",
+    "features.hole_area": "_march",
+    "geometry.depth_noise": "axial_sigma",
+    "geometry.rotations": "_quaternions",
+    "mapping.borders": "_ends _lies_behind",
+    "mapping.boxes": "renew_boxes",
+    "mapping.density": "_choose _means_in_view _on_the_plane _parts _sample _seen _textured bucket joined",
+    "mapping.hidden": "_farthest behind_the_measured",
+    "mapping.map_passes": "shows_its_back too_wide unfit",
+    "mapping.parts": "_reaches",
+    "motion.clearance": "_first_blocked_edge",
+    "motion.reachability": "_best_corner _lengths_at _spread",
+    "motion.rrt": "_grow _measure _shorten _skip_vertices",
+    "motion.trajectory": "_limit_turns _short_way _within",
+    "planes.detection_kernels": (
+        "_coplanar_gap _square_distance add_point block_moments explained_shares fit_planes grow_regions "
+        "merge_coplanar noise refine_pixels refit segment_areas segment_moments spread_points"
+    ),
+    "planes.matching_kernels": "depth_gaps qualifying",
+    "planes.quality_kernels": "_may_touch edge_sides open_sides tile_holes",
+    "planes.sparseness": "_bits _coarse_tiles _mark _rank _spread",
+    "planes.surface_kernels": "_lift cell_of count_hits image_sums join look_up_cells",
+    "sensors.raycast": "_pixel_rays",
+    "sensors.shading": "_displayed _wrapped_texel shade_pixels",
+    "splatting.kernels": "blend compare prepare score shape unblend",
+    "splatting.passes": "_median",
+    "splatting.surface_depth": "_densest",
+    "views.visibility": "_cosines_in_sight",
+    "volume.depth_image": "_fill_pyramid",
+    "volume.distance_field": (
+        "_across_columns _along_columns _bounding_box join_distances sample sample_points segment_above "
+        "segments_above sight_line"
+    ),
+    "volume.integration": "_nearest_in_footprint carve mark_hits",
+}
+# The kernels of single features, by the module of the feature.
+_OF_FEATURES = {
+    "features.gavis": "visibility",
+    "features.gs_planner": "_walk",
+    "features.hgs_planner": "_transmitted_unknown",
+    "features.magician": "_look",
+    "features.popgs_block": "block_numbers",
+    "features.r3_recon": "lost_renderability",
+    "features.unexplored": "_sums",
+    "features.unknown_volume": "_open",
+    "features.unseen_sides": "_look _sorted_into_cells",
+    "features.view_angle": "cover",
+}
+_OURS = __name__.partition(".")[0]
+
+
+def kernels_of(gains: Sequence[str]) -> set[str]:
+    """Return the names of the kernels that a comparison compiles whose policies ask for these features."""
+    from activestructure_gym.features import FEATURES
+
+    modules = {FEATURES.get(FEATURES.owner(gain)).__module__.removeprefix(f"{_OURS}.") for gain in gains}
+    by_module = _ALWAYS | {module: names for module, names in _OF_FEATURES.items() if module in modules}
+    return {f"{_OURS}.{module}.{name}" for module, names in by_module.items() for name in names.split()}
+
+
+def not_compiled(names: Iterable[str], files: Iterable[Path]) -> set[str]:
+    """Return the kernels among ``names`` that none of the files of compiled kernels is of."""
+    kept = {_parts(file) for file in files}
+    return {name for name in names if tuple(name.split(".")[-3:]) not in kept}
+
+
+def _parts(file: Path) -> tuple[str, str, str]:
+    """The package, the module and the function of a file of a compiled kernel.
+
+    A file is called MODULE.FUNCTION-LINE.VERSION.DIGEST.kernel, and is in PACKAGE/__pycache__ or in PACKAGE_DIGEST.
+    """
+    folder = file.parent.parent.name if file.parent.name == "__pycache__" else file.parent.name.rpartition("_")[0]
+    module, _, rest = file.name.partition(".")
+    return folder, module, rest.partition("-")[0]

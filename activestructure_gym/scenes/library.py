@@ -191,7 +191,9 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
 
 def check_scene_name(spec: str) -> None:
     """Raise `InputError` where ``spec`` names no scene, or a file or a folder that there is not; loads nothing."""
-    _resolved(spec)
+    name, _, path, _ = _resolved(spec)
+    if name in ("", "mesh") and path is not None and not os.path.exists(os.path.expanduser(path)):
+        raise InputError(f"there is no scene file or folder {shown(path)}")
 
 
 def imports_code(spec: str) -> bool:

@@ -82,19 +82,28 @@ def print_next(console: Console, commands: Sequence[Sequence[str]]) -> None:
     console.print("Next:")
     for words in commands:
         for line in command_lines(words, width_of(console)):
-            console.print(Text(_INDENT + flat(line)), soft_wrap=True)
+            console.print(Text(flat(line)), soft_wrap=True)
 
 
 def command_lines(words: Sequence[str], width: int | None) -> list[str]:
-    """Return a command for a shell; where it is wider than a terminal it goes on behind backslashes."""
+    """Return the lines of a command for a shell; where it is wider than a terminal it goes on behind backslashes.
+
+    A path that is wider than a line goes on at the beginning of the next one, which a shell reads as one word. A quoted
+    word cannot.
+    """
     quoted = [shlex.quote(word) for word in words]
-    lines, room = [quoted[0]], None if width is None else width - len(_INDENT) - len(" \\")
+    lines = [_INDENT + quoted[0]]
     for word in quoted[1:]:
-        if room is None or cell_len(f"{lines[-1]} {word}") <= room:
+        if width is None or cell_len(f"{lines[-1]} {word} \\") <= width:
             lines[-1] += f" {word}"
-        else:
-            lines[-1] += " \\"
-            lines.append(_INDENT + word)
+            continue
+        lines[-1] += " \\"
+        lines.append(2 * _INDENT + word)
+        while cell_len(f"{lines[-1]} \\") > width and "/" in lines[-1].strip() and not word.startswith("'"):
+            end = lines[-1].rfind("/", 0, width - 2) + 1
+            if not end:
+                break
+            lines[-1:] = [f"{lines[-1][:end]}\\", lines[-1][end:]]
     return lines
 
 

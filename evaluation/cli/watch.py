@@ -98,10 +98,13 @@ class Watch:
 
     def _make(self) -> tuple[gym.Env[Any, Any], Policy]:
         from activestructure_gym.policies import make_env_and_policy
+        from activestructure_gym.scenes.library import check_scene_name
 
         scenes = split_scenes((self.scene,))
         if not scenes:
             raise InputError(f"--scene names a scene to explore, got '{self.scene}'; `asg scenes` lists the names")
+        for scene in scenes:
+            check_scene_name(scene)
         preset = self.preset or (NATIVE_PRESET if self.terms == "native" else "default")
         return make_env_and_policy(
             _COLOURED_BY if self.policy == YOU else self.policy,

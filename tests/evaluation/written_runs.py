@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,9 @@ from tests.evaluation.report import conftest as made_up
 JOB = Job("room", "random", 0, scene_hash="ab" * 32)
 
 
-def write_run(directory: Path, job: Job = JOB, *, sums: bool = True) -> Path:
+def write_run(directory: Path, job: Job = JOB, *, sums: bool = True, **numbers: Any) -> Path:
     """Write it into ``directory``, which is returned; without ``sums`` as versions before them did."""
-    run = made_up.maker(directory.parent)(job.scene, job.policy, job.seed, planes=True)
+    run = made_up.maker(directory.parent)(job.scene, job.policy, job.seed, planes=True, **numbers)
     directory.mkdir(parents=True)
     config = {"format": store.FORMAT_VERSION, "job": job.as_dict(), "hash": job.hash, **run.config}
     views = [{"psnr": float(psnr)} for psnr in run.pictures["psnr"]]

@@ -60,7 +60,8 @@ class Live:
         """A new bar; ``steps`` of an environment are made per unit."""
         if self._task is not None:
             self._progress.remove_task(self._task)
-        self._task = self._progress.add_task(escape(shortened(title, _TITLE)), total=total, completed=done, numbers="", stage="")
+        short = escape(shortened(title, _TITLE))
+        self._task = self._progress.add_task(short, total=total, completed=done, numbers="", stage="")
         self._steps, self._last = steps, (done, time.monotonic())
         self._tenth = 0
         if not self._console.is_terminal:

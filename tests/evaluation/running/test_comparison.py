@@ -138,3 +138,21 @@ def test_an_output_without_permission(tmp_path):
 def test_the_warm_up_ends_with_its_block_when_that_fails():
     with pytest.raises(InputError, match="bad scene"), warming_up(["random"], {}):
         raise InputError("bad scene")
+
+
+@pytest.mark.parametrize("scene", ["bx", "nowhere/house.glb", "mesh:nowhere.glb", "missing.obj"])
+def test_a_scene_that_is_not_there_is_refused_before_anything_is_compiled(scene, monkeypatch):
+    from activestructure_gym.evaluation.running import comparison
+
+    monkeypatch.setattr(comparison, "warming_up", lambda *given: pytest.fail("compiles"))
+    with pytest.raises(InputError, match="unknown scene|there is no scene file"):
+        Comparison([scene], ["random"]).prepare()
+
+
+def test_an_output_that_no_file_can_be_made_in_is_refused(tmp_path, monkeypatch):
+    def refuse(**given):
+        raise OSError(2, "No such file or directory")
+
+    monkeypatch.setattr("tempfile.mkdtemp", refuse)  # as in /proc, of which the system says that it can be written
+    with pytest.raises(InputError, match="cannot be written: No such file or directory in"):
+        check_output(tmp_path / "new", resume=False)

@@ -108,7 +108,7 @@ class Reconstruction:
         start_pose = np.array(start_pose, dtype=np.float64)
         if start_pose.shape != (4, 4):
             raise InputError(f"a start pose is a 4x4 world_from_camera matrix, got shape {start_pose.shape}")
-        check_start_pose(truth.free_space, scene.bounds, start_pose, config.motion.body_radius)
+        check_start_pose(truth, start_pose, config.motion.body_radius)
         start_pose = unrounded_start(start_pose)
 
         self.scene = scene

@@ -43,6 +43,7 @@ def typed_options(
     options: Mapping[str, Any],
     *,
     apart: Collection[str] = (),  # parameters that are no options
+    more: Collection[str] = (),  # options that the caller reads itself, for messages
 ) -> dict[str, Any]:
     """Keyword arguments for ``factory``; texts are read as its annotations say, other values are passed on.
 
@@ -52,14 +53,14 @@ def typed_options(
     parameters = {key: p for key, p in inspect.signature(factory).parameters.items() if key not in apart}
     takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
     known = [key for key, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
-    if options and not known and not takes_any:
+    if options and not known and not more and not takes_any:
         given = "&".join(f"{key}={value}" for key, value in options.items())
         raise InputError(f"{label} takes no options, got '{given}'; leave them away")
     hints = _hints(factory)
     arguments = {}
     for key, value in options.items():
         if key not in known and not takes_any:
-            raise unknown_name(f"option of {label}", key, known)
+            raise unknown_name(f"option of {label}", key, [*known, *more])
         arguments[key] = _typed(f"option {key} of {label}", value, hints.get(key, Any))
     missing = [k for k in known if parameters[k].default is inspect.Parameter.empty and k not in arguments]
     if missing:

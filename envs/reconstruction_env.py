@@ -19,7 +19,7 @@ from activestructure_gym.envs.reward import RewardConfig, SurfaceCoverage, rewar
 from activestructure_gym.envs.turn import Turn
 from activestructure_gym.errors import InputError, InputWarning, shown
 from activestructure_gym.geometry import look_along
-from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of
+from activestructure_gym.ground_truth import POSE_ROUNDING, GroundTruth, ground_truth_of, warn_if_hardly_seen
 from activestructure_gym.motion import is_level, unrounded_start
 from activestructure_gym.reconstruction import Reconstruction, Visit
 from activestructure_gym.scenes import Scene, load_scene
@@ -348,8 +348,12 @@ class ReconstructionEnv(gym.Env[dict[str, Any], np.int64]):
 
 
 def as_truth(scene: SceneSpec) -> GroundTruth:
-    """The truth of whatever names or is a scene."""
-    return scene if isinstance(scene, GroundTruth) else ground_truth_of(load_scene(scene))
+    """Return the truth of whatever names or is a scene; warn where little of a scene can be seen."""
+    if isinstance(scene, GroundTruth):
+        return scene
+    truth = ground_truth_of(load_scene(scene))
+    warn_if_hardly_seen(truth)
+    return truth
 
 
 def as_pose(value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]

@@ -1,21 +1,19 @@
-"""Start poses: choosing them for a scene, and checking one that a user gives."""
+"""Start poses: choose them for a scene."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth.free_space import FreeSpace
+from activestructure_gym.ground_truth.level_ground import CAMERA_HEIGHTS
 from activestructure_gym.scenes.scene import Scene
 
 START_POSES = 16  # per scene; episodes draw from them by seed
 MIN_START_POSES = 8  # limits are loosened until this many are found
-CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried or on a mast
 # Metres of clearance, the first that leaves enough places: what the agent may know to be free around its start
 # (MotionConfig.start_free_radius), less, then what paths must keep.
 _CLEARANCES = (0.6, 0.45, 0.35, 0.25, 0.2)
-POSE_ROUNDING = 1e-3  # by how much a given pose's axes may fail to be orthonormal: three decimals
 _VIEW_RANGE = 6.0  # metres; open space beyond does not make a view better
 _HEADINGS = 72
 
@@ -82,36 +80,3 @@ def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
     half = _HEADINGS // 12
     around = np.concatenate([view[-half:], view, view[:half]])
     return directions[np.convolve(around, np.ones(2 * half + 1), mode="valid").argmax()]
-
-
-def check_start_pose(
-    space: FreeSpace,
-    bounds: np.ndarray,  # [2, 3] metres, the scene's
-    world_from_camera: np.ndarray,  # [4, 4]
-    body_radius: float,  # metres
-) -> None:
-    """Raise `InputError` unless a body can stand at the pose.
-
-    In a scene too narrow for the body, whose own start poses are tighter, the tightest of those is the measure.
-    """
-    pose = np.asarray(world_from_camera, dtype=np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise InputError(f"a start pose must be a finite 4 x 4 matrix (world_from_camera), got shape {pose.shape}")
-    rotation = pose[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_ROUNDING or np.linalg.det(rotation) < 0:
-        raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is no rotation")
-    position = pose[:3, 3]
-    where = f"the start pose at ({', '.join(f'{value:.2f}' for value in position)})"
-    clearance = float(space.clearance_at(position)[0])
-    starts = space.start_poses[:, :3, 3]
-    nearest = starts[np.linalg.norm(starts - position, axis=1).argmin()]
-    hint = f"the nearest free start is ({', '.join(f'{value:.2f}' for value in nearest)})"
-    if clearance <= 0:
-        low, high = bounds
-        if (position < low).any() or (position > high).any():
-            raise InputError(f"{where} is outside the scene's bounds; {hint}")
-        raise InputError(f"{where} is inside a wall or furniture, or outside the rooms; {hint}")
-    required = min(body_radius, float(space.clearance_at(starts).min()))
-    # A tenth of a voxel: the clearance between voxel centres is interpolated.
-    if clearance < required - 0.1 * space.voxel_size:
-        raise InputError(f"{where} is {clearance:.2f} m from the nearest surface, but needs {required:.2f} m; {hint}")

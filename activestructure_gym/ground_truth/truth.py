@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,11 +10,15 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from activestructure_gym.errors import InputWarning
 from activestructure_gym.ground_truth.free_space import FreeSpace, compute_free_space
 from activestructure_gym.ground_truth.observable import SURFACE_SAMPLES, ObservableSurface, observable_surface_of
+from activestructure_gym.ground_truth.regions import Regions
 from activestructure_gym.ground_truth.start_poses import choose_start_poses
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
+
+HARDLY_SEEN = 0.3  # share of the surface; where less can be seen, the region in use may be the wrong one
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +37,12 @@ class GroundTruth:
     @cached_property
     def free_space(self) -> FreeSpace:
         """The free space, with the scene's start poses."""
-        return free_space_of(self.scene)
+        return free_space_of(self.scene, self.__dict__.get("regions"))
+
+    @cached_property
+    def regions(self) -> Regions:
+        """All regions of free space, of which one is used. They are costly; only listings and messages ask for them."""
+        return Regions(self.scene)
 
     @cached_property
     def observable_surface(self) -> ObservableSurface:
@@ -40,14 +50,32 @@ class GroundTruth:
         return observable_surface_of(self.scene, self.free_space, self.surface_samples)
 
 
-def free_space_of(scene: Scene) -> FreeSpace:
-    """The free space of a scene with its start poses, from the cache on disk where it has been computed before.
+def warn_if_hardly_seen(truth: GroundTruth) -> None:
+    """Give an `InputWarning` where less than 30 % of the surface can be seen from the free space in use."""
+    if text := hardly_seen(truth):
+        warnings.warn(f"scene '{truth.scene.name}': {text}", InputWarning, stacklevel=3)
 
-    Raises `InputError` where no free space is found.
+
+def hardly_seen(truth: GroundTruth) -> str:
+    """Say that less than 30 % of the surface can be seen from the free space in use; empty where more can be."""
+    share = truth.observable_surface.area_share
+    if share >= HARDLY_SEEN:
+        return ""
+    return (
+        f"only {100 * share:.0f} % of the surface can be seen from the region of free space in use; "
+        "`asg scenes SCENE` lists the regions, and the scene's option inside=x,y,z uses another one"
+    )
+
+
+def free_space_of(scene: Scene, regions: Regions | None = None) -> FreeSpace:
+    """Return the free space of a scene with its start poses, from the cache on disk where it has been computed before.
+
+    ``regions`` are those of the scene, where they have been found already. Raises `InputError` where no free space is
+    found.
     """
 
     def compute() -> dict[str, np.ndarray]:
-        space = compute_free_space(scene)
+        space = compute_free_space(scene, regions)
         return {
             "origin": space.origin,
             "voxel_size": np.array(space.voxel_size),

@@ -29,7 +29,7 @@ except ImportError:  # Windows, where an open file cannot be removed anyhow
     fcntl = None  # type: ignore[assignment]
 
 # Part of every key: raise it when the meaning of any cached array changes.
-CACHE_VERSION = 2
+CACHE_VERSION = 3
 DEFAULT_LIMIT = 4 << 30  # bytes: 3,500 apartments, or 20 scenes with the views of the protocol `activegamer`
 
 _LOCAL_HEADER = 30  # bytes before the name of a zip file's entry

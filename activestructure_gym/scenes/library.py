@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,9 @@ def _is_factory(entry: Any) -> bool:
         return False
     return True
 
+
+# The option that every scene takes: a point of the region of free space that is used.
+INSIDE = "inside"
 
 # Factories of generated scenes take keyword options only. A factory whose first parameter is called `path` reads
 # files: its name becomes a prefix, as in "mesh:house.obj?units=cm".
@@ -122,7 +126,8 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
         name), ``my_package.scenes:make`` (a factory anywhere), ``house.glb?units=cm&up=y`` (a mesh file, or the folder
         of a dataset's scene), ``replica:room_0`` (the same with the kind said).
     **options
-        Keyword arguments of the factory; they win over options in the text.
+        Keyword arguments of the factory, and ``inside`` for any scene: a point (x, y, z) in metres of the region of
+        free space that is used. They win over options in the text.
 
     Returns
     -------
@@ -160,7 +165,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
     for key in options:
         if key in said:
             raise InputError(f"the scene '{spec}' says its own {key}; say it in one place")
-        if key not in parameters and not takes_any:
+        if key not in parameters and key != INSIDE and not takes_any:
             raise InputError(f"the scene '{spec}' takes no {key}; leave it away")
     more = "&".join(f"{key}={value}" for key, value in options.items())
     return f"{spec}{'&' if said else '?'}{more}"
@@ -272,7 +277,11 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
     label = f"scene '{name}'" if name else f"scene '{path}'"
-    arguments = typed_options(label, factory, options, apart=("path",) if path is not None else ())
+    # A factory may have an option of that name itself.
+    own = INSIDE in inspect.signature(factory).parameters
+    inside = None if own else options.get(INSIDE)
+    options = options if own else {key: value for key, value in options.items() if key != INSIDE}
+    arguments = typed_options(label, factory, options, apart=("path",) if path is not None else (), more=(INSIDE,))
     try:
         scene = factory(path, **arguments) if path is not None else factory(**arguments)
     except OSError as error:
@@ -284,4 +293,24 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
     wrong = scene.mesh.wrong()
     if wrong:
         raise InputError(f"{label}: its mesh cannot be used: {wrong}")
-    return scene
+    return scene if inside is None else replace(scene, inside=_point_in(label, scene, inside))
+
+
+def _point_in(label: str, scene: Scene, given: Any) -> tuple[float, float, float]:
+    """The point of the option ``inside``; raises `InputError` unless it is three numbers in the scene's bounds."""
+    try:
+        values = given.split(",") if isinstance(given, str) else list(given)
+        x, y, z = (float(value) for value in values)
+    except (TypeError, ValueError):
+        x = y = z = float("nan")
+    if not np.isfinite([x, y, z]).all():
+        raise InputError(
+            f"the option inside of {label} is a point of free space, three numbers x,y,z in metres, got {shown(given)}"
+        )
+    low, high = scene.bounds
+    if (np.array([x, y, z]) < low).any() or (np.array([x, y, z]) > high).any():
+        box = " to ".join(f"({', '.join(f'{value:.2f}' for value in corner)})" for corner in (low, high))
+        raise InputError(
+            f"the option inside of {label} is a point in the scene's bounds, {box} m, got {x:g},{y:g},{z:g}"
+        )
+    return x, y, z

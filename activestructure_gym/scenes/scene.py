@@ -91,6 +91,7 @@ class Scene:
     labels: PartLabels | None = None  # of generated scenes, for tests
     evaluation_views: PosedSequence | None = None  # recorded views that came with the scene, for evaluation
     notes: tuple[str, ...] = field(default=())  # what the loader wants the user to read (scale check, dropped parts)
+    inside: tuple[float, float, float] | None = None  # metres: a point of the region of free space that is used
 
     def __getstate__(self) -> dict[str, Any]:
         # The ray caster is rebuilt where it is needed; the small caches travel along.
@@ -108,7 +109,7 @@ class Scene:
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 over geometry and appearance: the key of every cache and of every result."""
+        """SHA-256 over geometry, appearance and the chosen region: the key of every cache and of every result."""
         digest = hashlib.sha256()
         mesh = self.mesh
         for array in (mesh.vertices, mesh.faces, mesh.colors, mesh.uv, mesh.face_texture, *mesh.textures):
@@ -116,4 +117,6 @@ class Scene:
             digest.update(np.ascontiguousarray(array).tobytes())
         if mesh.texture_wrap or mesh.linear_colors:  # the exception, so that the keys of all other scenes stay
             digest.update(str((mesh.texture_wrap, mesh.linear_colors)).encode())
+        if self.inside is not None:  # likewise
+            digest.update(str(("inside", self.inside)).encode())
         return digest.hexdigest()

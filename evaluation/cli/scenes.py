@@ -1,15 +1,16 @@
-"""``asg scenes``: list the registered scenes, or check one."""
+"""``asg scenes``: list the registered scenes, or check one and list its regions of free space."""
 
 from __future__ import annotations
 
 import inspect
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
+from rich.table import Table
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.cli.fields import PathName, Switch, option
@@ -17,12 +18,18 @@ from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape
 
+if TYPE_CHECKING:
+    from activestructure_gym.ground_truth import GroundTruth
+    from activestructure_gym.ground_truth.regions import Region
+
+_MOST_LISTED = 8  # regions
+_SAMPLES = 10_000  # of the surface, for the share that can be seen from regions that are not used
 _MOST_BOTTOMLESS = 0.1  # share of the free space; small holes are in every scan
 
 
 @dataclass(frozen=True)
 class Scenes:
-    """List the scenes known by name, or check one: size, free space, what of it can be seen."""
+    """List the scenes known by name, or check one: size, regions of free space, what can be seen from them."""
 
     spec: Annotated[str | None, tyro.conf.Positional, option("[SCENE]", "")] = None
     """A name with options (apartment?seed=3&rooms=4), a mesh file (house.glb?units=cm&up=auto) or a folder."""
@@ -47,6 +54,7 @@ class Scenes:
             print_whole(console, table)
             console.print(
                 "Options are written as in 'apartment?seed=3&rooms=4', in quotes, or a shell reads the ? and the &. "
+                "Every scene also takes inside=x,y,z, a point of the region of free space that is used. "
                 "Any glb, gltf, obj, ply, stl or dae file is a scene too, and so are folders of published datasets "
                 "(guide: own_scene): asg scenes FILE checks it."
             )
@@ -56,12 +64,13 @@ class Scenes:
             facts = describe(self.spec, status.update)
         if self.json:
             notes = [text for name, text in facts["lines"] if name == "note"]
-            print_json({**dict(facts["lines"]), "note": notes})
+            print_json({**dict(facts["lines"]), "note": notes, "regions": facts["regions"]})
         else:
             table = plain_table("", "", "")
             for name, text in facts["lines"]:
                 table.add_row(f"[bold]{name}[/]", escape(text))
             print_whole(console, table)
+            print_whole(console, _region_table(facts["regions"]))
         if self.picture is not None:
             from activestructure_gym.evaluation.archive.parts import writing
             from activestructure_gym.evaluation.report.scene_picture import scene_picture
@@ -76,8 +85,9 @@ class Scenes:
 
 
 def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
-    """The ``truth`` of the loaded scene, and ``lines`` of (name, text) about it."""
+    """Return the ``truth`` of the loaded scene, ``lines`` of (name, text) about it, and rows on its ``regions``."""
     from activestructure_gym.ground_truth import ground_truth_of
+    from activestructure_gym.ground_truth.truth import hardly_seen
     from activestructure_gym.scenes import load_scene
 
     with warnings.catch_warnings():
@@ -85,6 +95,7 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
         scene = load_scene(spec)
     notify("finding free space")
     known = ground_truth_of(scene)
+    regions = known.regions
     space = known.free_space
     notify("finding what can be seen")
     seen = known.observable_surface
@@ -99,11 +110,70 @@ def describe(spec: str, notify: Any = lambda _: None) -> dict[str, Any]:
         ("recorded views", str(len(scene.evaluation_views)) if scene.evaluation_views is not None else "none"),
         ("content", scene.content_hash[:16]),
     ]
-    lines += [("note", note) for note in scene.notes]
+    ground = regions.ground(regions.used)
+    notes = list(scene.notes)
+    if ground.level_area and ground.ceiling_height is None:
+        lid = f"the top of the scene's bounds, z {scene.bounds[1, 2]:.2f} m, closes its free space"
+        notes = [note for note in notes if ", ceiling height " not in note and "no ceiling found" not in note]
+        notes.insert(0, f"no ceiling found over {100 * (1 - ground.covered_share):.0f} % of the level ground: {lid}")
     bottomless = float(np.isinf(space.height[space.clearance > 0]).mean())
     if bottomless > _MOST_BOTTOMLESS:
-        lines.append(("note", f"{100 * bottomless:.0f} % of the free space has no floor below; is one missing?"))
-    return {"truth": known, "lines": lines}
+        notes.append(f"{100 * bottomless:.0f} % of the free space has no floor below; is one missing?")
+    notes += [text for text in (hardly_seen(known),) if text]
+    lines += [("note", note) for note in notes]
+    return {"truth": known, "lines": lines, "regions": [_region(known, region, notify) for region in _listed(known)]}
+
+
+def _listed(known: GroundTruth) -> list[Region]:
+    """The regions with most level ground, and the one in use."""
+    places, used = known.regions.places, known.regions.used
+    return [region for number, region in enumerate(places) if number < _MOST_LISTED or region is used]
+
+
+def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:
+    from activestructure_gym.ground_truth.free_space import free_space_in
+    from activestructure_gym.ground_truth.observable import observable_surface_of
+    from activestructure_gym.ground_truth.regions import in_text
+
+    regions = known.regions
+    number, ground, point = regions.number(region), regions.ground(region), regions.name_of(region)
+    short = np.round(point, 1)
+    name = in_text(short if regions.at(short) is region else point)
+    if region is regions.used:
+        share = known.observable_surface.area_share
+    else:
+        notify(f"finding what can be seen from region {number} of {len(regions.places)}")
+        other = replace(known.scene, inside=tuple(float(value) for value in name.split(",")))
+        share = observable_surface_of(other, free_space_in(region), _SAMPLES).area_share
+    return {
+        "number": number,
+        "used": region is regions.used,
+        "volume_m3": round(region.volume, 1),
+        "floor_z_m": None if ground.floor is None else round(ground.floor, 2),
+        "ceiling_m": None if ground.ceiling_height is None else round(ground.ceiling_height, 2),
+        "level_ground_m2": round(ground.level_area, 1),
+        "seen_share": round(share, 3),
+        "inside": name,
+    }
+
+
+def _region_table(rows: list[dict[str, Any]]) -> Table:
+    """The regions in 80 columns."""
+    table = plain_table("Regions of free space (* is used; the scene's option inside=X,Y,Z uses another)")
+    for column in ("", "volume m3", "floor z m", "ceiling m", "level m2", "seen", "inside="):
+        table.add_column(column, justify="left" if column == "inside=" else "right", no_wrap=True)
+    for row in rows:
+        floor, ceiling = row["floor_z_m"], row["ceiling_m"]
+        table.add_row(
+            f"{'* ' if row['used'] else ''}{row['number']}",
+            f"{row['volume_m3']:.1f}",
+            "none" if floor is None else f"{floor:.2f}",
+            "none" if ceiling is None else f"{ceiling:.2f}",
+            f"{row['level_ground_m2']:.1f}",
+            f"{100 * row['seen_share']:.0f} %",
+            row["inside"],
+        )
+    return table
 
 
 def _registered() -> list[dict[str, Any]]:

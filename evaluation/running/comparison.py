@@ -166,7 +166,7 @@ class Comparison:
     def _check_scene(self, spec: str, policies: Sequence[str]) -> Scene:
         from activestructure_gym.config import configure
         from activestructure_gym.envs.reconstruction_env import as_pose
-        from activestructure_gym.ground_truth import check_start_pose, ground_truth_of
+        from activestructure_gym.ground_truth import check_start_pose, ground_truth_of, warn_if_hardly_seen
         from activestructure_gym.volume.voxel_volume import grid_shape
 
         scene = scene_as_recorded(spec, self.recorded.get(spec, ""))
@@ -176,7 +176,7 @@ class Comparison:
         if not len(known.free_space.start_poses) and self.start_pose is None:
             raise InputError(f"scene '{spec}' has no place to start from: give one with --start x,y,z,yaw")
         if self.start_pose is not None:
-            check_start_pose(known.free_space, scene.bounds, as_pose(self.start_pose), config.motion.body_radius)
+            check_start_pose(known, as_pose(self.start_pose), config.motion.body_radius)
         for policy in filter(is_trajectory, policies):
             given = Given.of(policy)
             given.course(known, config.keyframe_every)
@@ -185,6 +185,7 @@ class Comparison:
                     f"'{policy}' would be measured by the views that it maps, those recorded with '{spec}': leave "
                     "--view-source at free_space"
                 )
+        warn_if_hardly_seen(known)
         self.protocol.truth(known)
         for name in self.also_protocols:
             get_protocol(name).truth(known)

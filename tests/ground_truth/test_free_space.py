@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.ground_truth import free_space as free_space_module
 from activestructure_gym.ground_truth import truth as truth_module
-from activestructure_gym.ground_truth.free_space import enclosed_share
+from activestructure_gym.ground_truth import voxelized as voxelized_module
 from activestructure_gym.ground_truth.truth import free_space_of
+from activestructure_gym.ground_truth.voxelized import enclosed_share
 
 
 def _inside(space, low, high) -> np.ndarray:
@@ -154,7 +154,7 @@ def test_limits_that_no_place_satisfies(furnished_room):
 
 def test_the_second_time_comes_from_the_cache(empty_room, monkeypatch):
     first = free_space_of(empty_room)
-    monkeypatch.setattr(truth_module, "compute_free_space", lambda scene: pytest.fail("computed again"))
+    monkeypatch.setattr(truth_module, "compute_free_space", lambda *_: pytest.fail("computed again"))
     second = free_space_of(empty_room)
     np.testing.assert_array_equal(first.clearance, second.clearance)
     np.testing.assert_array_equal(first.start_poses, second.start_poses)
@@ -162,7 +162,7 @@ def test_the_second_time_comes_from_the_cache(empty_room, monkeypatch):
 
 
 def test_large_buildings_get_larger_voxels_and_still_a_free_space(make_scene, make_box, monkeypatch):
-    monkeypatch.setattr(free_space_module, "MAX_VOXELS", 200_000)
+    monkeypatch.setattr(voxelized_module, "MAX_VOXELS", 200_000)
     space = free_space_of(make_scene(*make_box((0, 0, 0), (20, 15, 3)), name="hall"))
     assert space.clearance.size <= 200_000 and 0.1 < space.voxel_size < 0.2
     assert space.volume > 0.85 * 20 * 15 * 3 and len(space.start_poses) == 16
@@ -189,5 +189,5 @@ def test_a_surface_that_is_too_much_for_memory_gets_larger_voxels(monkeypatch, m
 
     room = make_scene(*make_box((0, 0, 0), (4, 3, 2.5)))  # 59 m2, 24,000 samples
     assert free_space.compute_free_space(room).voxel_size == pytest.approx(0.1)
-    monkeypatch.setattr(free_space, "MAX_SAMPLES", 10_000)
+    monkeypatch.setattr(voxelized_module, "MAX_SAMPLES", 10_000)
     assert 0.15 < free_space.compute_free_space(room).voxel_size < 0.18  # by hand: 0.1 * (2.4)^(1/2), in steps of 1.1

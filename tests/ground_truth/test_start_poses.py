@@ -6,12 +6,12 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import ground_truth_of
-from activestructure_gym.ground_truth.start_poses import check_start_pose
+from activestructure_gym.ground_truth.start_check import check_start_pose
 from activestructure_gym.scenes import Scene
 
 
 def check(scene: Scene, pose: np.ndarray) -> None:
-    check_start_pose(ground_truth_of(scene).free_space, scene.bounds, pose, 0.45)
+    check_start_pose(ground_truth_of(scene), pose, 0.45)
 
 
 def test_poses_stand_free_at_eye_height_and_look_level(furnished_room):

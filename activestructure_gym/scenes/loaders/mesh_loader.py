@@ -380,13 +380,25 @@ def scale_note(scene: Scene, scale: float = 1.0) -> tuple[str, bool]:
 
 
 def ceiling_height(scene: Scene) -> float | None:
-    """Metres between floor and ceiling, or None where fewer than a tenth of the vertical lines meet both."""
+    """Return the metres between floor and ceiling, or None where there is no ceiling.
+
+    There is none where fewer than a tenth of the vertical lines meet both, or fewer than half of those that begin
+    between walls and above a floor: furniture has a top in a room without a ceiling, too.
+    """
     low, high = scene.bounds
     grid = (np.arange(24) + 0.5) / 24
     x, y, z = np.meshgrid(grid, grid, (0.25, 0.5, 0.75), indexing="ij")
     starts = low + np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) * (high - low)
-    upward = np.tile([0.0, 0.0, 1.0], (len(starts), 1))
-    total = scene.raycaster.cast(starts, upward).distance + scene.raycaster.cast(starts, -upward).distance
-    total = total[np.isfinite(total)]
+
+    def length(*way: float) -> np.ndarray:
+        return scene.raycaster.cast(starts, np.tile(way, (len(starts), 1))).distance
+
+    up, down = length(0.0, 0.0, 1.0), length(0.0, 0.0, -1.0)
+    total = (up + down)[np.isfinite(up + down)]
+    angles = np.arange(8) * np.pi / 4
+    walls = sum(np.isfinite(length(np.cos(angle), np.sin(angle), 0.0)).astype(int) for angle in angles)
+    indoors = np.isfinite(down) & (walls >= 6)
+    if len(total) <= 0.1 * len(starts) or np.isfinite(up[indoors]).sum() < 0.5 * indoors.sum():
+        return None
     # Furniture shortens lines and nothing lengthens them, so the room's height is among the long ones.
-    return float(np.percentile(total, 75)) if len(total) > 0.1 * len(starts) else None
+    return float(np.percentile(total, 75))

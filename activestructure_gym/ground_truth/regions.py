@@ -1,0 +1,321 @@
+"""The regions of free space that a scene has, and the one of them that an agent is put into.
+
+A mesh from the world is neither closed nor consistently oriented. So inside and outside are separated by visibility: a
+place is enclosed when most directions meet a surface. An enclosed region is a connected set of such places in which a
+body fits. The rest of the scene's box that has ground below is open to the sky; the top of the box is its lid.
+
+The largest enclosed region is used, unless another one has more level ground. Open ground is used where there is no
+enclosed region, or where the largest
+
+- is the inside of a body: its surfaces are seen from behind;
+- is a void below the ground: empty, or with the back of the ground as its ceiling;
+- is a part of a larger place: most of its edge at the camera's height is open ground;
+- is too small for a room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.ground_truth.level_ground import Ground, front_share, ground_of
+from activestructure_gym.ground_truth.voxelized import VoxelizedScene, voxelized
+from activestructure_gym.scenes.scene import Scene
+
+BODY_CLEARANCE = 0.2  # metres; the smallest clearance a path may have (motion.MotionConfig.min_clearance)
+MIN_VOLUME = 0.5  # cubic metres of free space; less is no room
+# Share of directions that must meet a surface. A room without ceiling has about 0.78 at eye height, a room with a
+# glass front 0.95, a place outside beside a wall at most 0.75 (ground and wall, half of all directions each).
+ENCLOSED_SHARES = (0.75, 0.6)  # the second is for wide open-topped scans, where the first finds nothing
+LISTED_GROUND = 1.0  # m2 of level ground; regions with less (closed furniture) are listed only when they are used
+ROOM_GROUND = 4.0  # m2 of level ground; regions with less that are open, or the inside of a body, are no places
+_FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # shares of the sight from a region that make it the inside of a body, or not
+_MORE_GROUND = 1.1  # as much level ground another enclosed region must have to be used instead of the largest
+_BELOW_GROUND = 0.8  # share of a region's ceiling that is the back of ground, from which on it lies below it
+_OPEN_EDGE = 0.5  # share of a region's edge that is open, from which on it is a part of another
+_NEAR = 2  # voxels: a point so close to a region, and seen from it, belongs to it
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A connected set of free voxels."""
+
+    grid: VoxelizedScene
+    box: tuple[slice, ...]  # of the grid
+    inside: np.ndarray  # bool, in the box: the region's voxels
+    distances: np.ndarray  # [X, Y, Z] float32 metres to the nearest surface, of this and of other regions
+    enclosed: bool  # closed in by surfaces; False: open to the sky
+
+    @cached_property
+    def voxels(self) -> np.ndarray:  # [X, Y, Z] bool
+        """The region's voxels in the whole grid."""
+        whole = np.zeros(self.grid.occupied.shape, dtype=bool)
+        whole[self.box] = self.inside
+        return whole
+
+    @property
+    def clearance(self) -> np.ndarray:  # [X, Y, Z] float32
+        """Metres to the nearest surface, 0 outside of the region."""
+        return np.where(self.voxels, self.distances, np.float32(0.0))
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        return float(np.count_nonzero(self.inside)) * self.grid.voxel_size**3
+
+    @cached_property
+    def ground(self) -> Ground:
+        """The surfaces below and above."""
+        return ground_of(self.grid, self.inside, [side.start for side in self.box])
+
+    @cached_property
+    def front_share(self) -> float:
+        """Share of the sight from the region that meets surfaces from their front, 0..1."""
+        return front_share(self.grid, np.argwhere(self.inside) + [side.start for side in self.box])
+
+    def holds(self, point: np.ndarray) -> bool:  # [3] metres
+        """Whether a point is in the region, or so close that the region's next voxel sees it."""
+        grid, at = self.grid, self.grid.voxel_of(point)
+        low = np.maximum(at - _NEAR, 0)
+        near = np.argwhere(self.voxels[tuple(slice(a, b) for a, b in zip(low, np.maximum(at + _NEAR + 1, 0)))]) + low
+        if not len(near):
+            return False
+        if (near == at).all(axis=1).any():
+            return True
+        centers = grid.centers(near)
+        return bool((~grid.scene.raycaster.occluded(np.asarray(point), centers)).any())
+
+
+class Regions:
+    """The regions of free space of a scene. What is costly is found when it is first asked for."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.grid = voxelized(scene)
+        self.threshold, self.enclosed = _enclosed_regions(self.grid)
+
+    @cached_property
+    def used(self) -> Region:
+        """The region that the scene's ``inside`` names, else the default. Raises `InputError`."""
+        if self.scene.inside is None:
+            return self.default
+        point = np.array(self.scene.inside)
+        found = self.at(point)
+        if found is not None:
+            return found
+        nearest = self._nearest(point)
+        hint = "no point of it is" if nearest is None else f"the nearest free point is {in_text(nearest)}"
+        raise InputError(
+            f"scene '{self.scene.name}': inside={in_text(point)} is not in free space, but {self.reason(point)}; {hint}"
+        )
+
+    @cached_property
+    def default(self) -> Region:
+        """The region that is used where the scene names none. Raises `InputError` where none is found."""
+        if not self.enclosed:
+            if not self.open_air:
+                raise InputError(
+                    f"scene '{self.scene.name}' has no free space: no region of {MIN_VOLUME} m^3 that is "
+                    f"{BODY_CLEARANCE} m away from all surfaces and enclosed by them, or open to the sky with "
+                    f"{ROOM_GROUND:g} m^2 of level ground; a scene is rooms seen from inside, with walls and floor, or "
+                    "ground with things on it: check its units and up axis"
+                )
+            return max(self.open_air, key=self.level_area)
+        largest, *others = self.enclosed
+        area = self.level_area(largest)
+        rooms = [other for other in others if not self._is_no_room(other)]
+        if self._is_no_room(largest):
+            rivals = rooms + [other for other in self.open_air if self._replaces(other, largest)]
+        else:
+            rivals = [
+                other
+                for other in rooms
+                if (self.level_area(other) > _MORE_GROUND * area and not self._lies_below(other, largest))
+                or (self.level_area(other) >= 0.8 * area and self._lies_below(largest, other))
+            ]
+            if self._may_be_below(largest):
+                rivals += [other for other in self.open_air if self._replaces(other, largest)]
+        return max(rivals, key=self.level_area, default=largest)
+
+    @cached_property
+    def open_air(self) -> list[Region]:
+        """The regions open to the sky that have level ground apart from that of enclosed regions."""
+        grid = self.grid
+        free = ~grid.occupied & _within(grid) & _above_ground(grid)
+        for region in self.enclosed:
+            if self._is_body(region) or self._may_be_below(region):
+                free[region.box] &= ~region.inside
+        if np.count_nonzero(free & (grid.share < self.threshold)) * grid.voxel_size**3 < MIN_VOLUME:
+            return []
+        found = _connected(grid, free, grid.clearance(free), enclosed=False)
+        return [one for one in found if self.level_area(one) >= ROOM_GROUND and not self._is_body(one)]
+
+    @cached_property
+    def places(self) -> list[Region]:
+        """The regions that can be chosen: with level ground, and apart from each other."""
+        found = [*self.open_air]
+        if self.enclosed:
+            default = self.default
+            found += [
+                region
+                for region in self.enclosed
+                if region is default
+                or self.level_area(region) >= (ROOM_GROUND if self._is_body(region) else LISTED_GROUND)
+                # What open ground leads into is a part of that.
+                and (default.enclosed or np.mean(default.voxels[region.box][region.inside]) < 0.5)
+            ]
+        return sorted(found, key=lambda region: -self.level_area(region))
+
+    def at(self, point: np.ndarray) -> Region | None:  # [3] metres
+        """Return the place that holds a point, an enclosed one first."""
+        return next((one for one in sorted(self.places, key=lambda one: not one.enclosed) if one.holds(point)), None)
+
+    def number(self, region: Region) -> int:
+        """Return the number by which a place is listed, from 1."""
+        return next(number for number, one in enumerate(self.places, 1) if one is region)
+
+    def ground(self, region: Region) -> Ground:
+        """Return the ground of a region; of one that is open to the sky without what enclosed regions have of it."""
+        if region.enclosed:
+            return region.ground
+        known = self.__dict__.setdefault("_grounds", {})
+        if id(region) not in known:
+            known[id(region)] = ground_of(self.grid, self._own(region))
+        return known[id(region)]
+
+    def level_area(self, region: Region) -> float:
+        """Return the square metres of level ground that a region alone has."""
+        return self.ground(region).level_area
+
+    def name_of(self, region: Region) -> np.ndarray:  # [3] metres
+        """Return a point that names the region: over its level ground if it has any, and far from all surfaces."""
+        clearance = np.where(region.voxels if region.enclosed else self._own(region), region.distances, np.float32(0.0))
+        over = np.zeros_like(clearance)
+        standing = tuple(self.ground(region).standing(self.grid).T)
+        over[standing] = clearance[standing]
+        best = over if over.any() else clearance
+        return self.grid.centers(np.array(np.unravel_index(int(best.argmax()), best.shape)))
+
+    def reason(self, point: np.ndarray) -> str:  # [3] metres
+        """Say why a point is in no place, as the end of a sentence."""
+        grid, at = self.grid, self.grid.voxel_of(point)
+        if ((at < 0) | (at >= grid.share.shape)).any() or grid.share[tuple(at)] < self.threshold:
+            return "outside of the rooms, where no level ground is below or no body fits"
+        return "inside a wall or furniture"
+
+    def _own(self, region: Region) -> np.ndarray:  # [X, Y, Z] bool
+        own = region.voxels & (self.grid.share < self.threshold)
+        for other in self.enclosed:
+            own[other.box] &= ~other.inside
+        return own
+
+    def _nearest(self, point: np.ndarray) -> np.ndarray | None:
+        """The nearest centre of a voxel of any place in which a body fits."""
+        best, found = np.inf, None
+        for region in self.places:
+            centers = self.grid.centers(np.argwhere(region.clearance >= BODY_CLEARANCE))
+            distance = np.linalg.norm(centers - point, axis=1)
+            if len(centers) and distance.min() < best:
+                best, found = float(distance.min()), centers[distance.argmin()]
+        return found
+
+    def _is_no_room(self, region: Region) -> bool:
+        return self.level_area(region) < ROOM_GROUND or self._is_body(region) or self._open_edge(region) > _OPEN_EDGE
+
+    def _is_body(self, region: Region) -> bool:
+        return region.front_share < _FROM_BEHIND
+
+    def _may_be_below(self, region: Region) -> bool:
+        """Whether the ceiling is the back of a ground, or cannot be told from one in an empty space."""
+        ground = region.ground
+        return ground.ceiling_behind_share >= _BELOW_GROUND or (region.front_share < _FROM_FRONT and ground.is_bare)
+
+    def _lies_below(self, region: Region, other: Region) -> bool:
+        """Whether a region is a void below the ground of another, which has things on it."""
+        ground = self.ground(other)
+        if not self._may_be_below(region) or ground.is_bare:
+            return False
+        lowest = self.grid.origin[2] + region.box[2].start * self.grid.voxel_size
+        above = region.voxels.any(axis=2)[tuple(ground.columns.T)] & (ground.below > lowest)
+        return bool(ground.area[above].sum() >= 0.5 * ground.level_area)
+
+    def _open_edge(self, region: Region) -> float:
+        """Share of a region's edge at the camera's height beyond which open ground goes on."""
+        grid, voxels, at = self.grid, region.voxels, region.ground.standing(self.grid)
+        goes_on = ~grid.occupied & (grid.share < self.threshold) & _within(grid) & _above_ground(grid)
+        edge, open_edge = 0, 0
+        for step in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
+            beyond = tuple((at + step).T)  # the grid has a voxel to spare on every side
+            left = ~voxels[beyond]
+            edge += int(left.sum())
+            open_edge += int((left & goes_on[beyond]).sum())
+        return open_edge / max(edge, 1)
+
+    def _replaces(self, other: Region, largest: Region) -> bool:
+        """Whether open ground is preferred to the largest enclosed region, which may be no room."""
+        area, given_up = self.level_area(other), self.level_area(largest)
+        if self._lies_below(largest, other) or (self._is_body(largest) and other.front_share >= _FROM_FRONT):
+            return area >= 0.5 * given_up
+        if not self._is_no_room(largest):
+            return False
+        return area >= (2.0 if self._open_edge(largest) > _OPEN_EDGE else 4.0) * given_up
+
+
+def in_text(point: np.ndarray | tuple[float, ...]) -> str:
+    """A point as the option ``inside`` takes it: ``1.25,0,-3.5``."""
+    return ",".join(f"{round(float(value), 2) + 0.0:g}" for value in point)
+
+
+def _enclosed_regions(grid: VoxelizedScene) -> tuple[float, list[Region]]:
+    """The share that makes a place enclosed, and the enclosed regions, the one with the largest core first."""
+    for threshold in ENCLOSED_SHARES:
+        candidates = ~grid.occupied & (grid.share >= threshold)
+        found = _connected(grid, candidates, grid.clearance(candidates), enclosed=True)
+        if found and found[0].volume >= MIN_VOLUME:
+            return threshold, [found[0], *(region for region in found[1:] if region.volume >= MIN_VOLUME)]
+    return ENCLOSED_SHARES[-1], []
+
+
+def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarray, *, enclosed: bool) -> list[Region]:
+    """The regions of the candidates that a body can move in, the largest first; small ones are left away."""
+    from scipy import ndimage
+
+    # Two neighbouring voxels on both sides of a wall cannot both be this far from it, however thin it is.
+    core = candidates & (clearance >= max(BODY_CLEARANCE, 0.6 * grid.voxel_size))
+    labels, count = ndimage.label(core)
+    if not count:
+        return []
+    sizes = np.bincount(labels.ravel())[1:]
+    order = np.argsort(-sizes, kind="stable")
+    boxes = ndimage.find_objects(labels)
+    # Back to the walls: what the body covers when its centre is in the core.
+    steps = max(1, round(BODY_CLEARANCE / grid.voxel_size))
+    found = []
+    for index in order:
+        if found and sizes[index] * grid.voxel_size**3 < 0.05 * MIN_VOLUME:
+            break
+        box = tuple(slice(max(0, side.start - steps), side.stop + steps) for side in boxes[index])
+        inside = ndimage.binary_dilation(labels[box] == index + 1, iterations=steps, mask=candidates[box])
+        found.append(Region(grid, box, inside, clearance, enclosed))
+    return found
+
+
+def _above_ground(grid: VoxelizedScene) -> np.ndarray:  # [X, Y, Z] bool
+    """Voxels with a surface in them or somewhere below."""
+    return np.logical_or.accumulate(grid.occupied, axis=2)
+
+
+def _within(grid: VoxelizedScene) -> np.ndarray:  # [X, Y, Z] bool
+    """Voxels whose centres lie in the scene's bounds."""
+    low, high = grid.scene.bounds
+    x, y, z = (
+        (centers >= low[axis]) & (centers <= high[axis])
+        for axis, centers in enumerate(
+            grid.origin[axis] + (np.arange(size) + 0.5) * grid.voxel_size
+            for axis, size in enumerate(grid.occupied.shape)
+        )
+    )
+    return x[:, None, None] & y[None, :, None] & z[None, None, :]

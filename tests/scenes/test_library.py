@@ -251,3 +251,40 @@ def test_a_path_that_none_can_be_is_one_sentence(kind, path):
     with pytest.raises(InputError) as error:
         load_scene(f"{kind}:{path}")
     assert len(str(error.value)) < 500
+
+
+@pytest.mark.parametrize("inside", ["1,1.5,1", (1, 1.5, 1), np.array([1, 1.5, 1])])
+def test_every_scene_takes_a_point_of_the_region_that_is_used(mesh_file, hut, inside):
+    for spec, options in (("box", {}), (str(mesh_file), {"units": "mm", "up": "z"})):
+        scene = load_scene(spec, inside=inside, **options)
+        plain = load_scene(spec, **options)
+        assert scene.inside == (1.0, 1.5, 1.0) and plain.inside is None
+        assert scene.content_hash != plain.content_hash
+    assert load_scene("box?inside=1,1.5,1").content_hash == load_scene("box", inside=inside).content_hash
+    assert with_options("box?inside=1,1.5,1", {"seed": 3}) == "box?inside=1,1.5,1&seed=3"
+    assert with_options("box", {"inside": "1,1,1"}) == "box?inside=1,1,1"
+
+
+@pytest.mark.parametrize("inside", ["1,2", "1,2,3,4", "a,b,c", "nan,1,1", "inf,1,1", "", 3, [1, 2, [3]], {"x": 1}])
+def test_a_point_that_is_none_is_one_sentence(inside):
+    with pytest.raises(
+        InputError, match="inside of scene 'box' is a point of free space, three numbers x,y,z"
+    ) as caught:
+        load_scene("box", inside=inside)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_point_outside_of_the_bounds_names_them():
+    with pytest.raises(
+        InputError, match=r"in the scene's bounds, \(0.00, 0.00, 0.00\) to \(4.00, 3.00, 2.50\) m, got 9"
+    ):
+        load_scene("box?inside=9,1,1")
+
+
+def test_a_factory_may_have_an_option_of_that_name_itself(hut):
+    @SCENES.register("well")
+    def make_well(*, inside: float = 1.0) -> Scene:
+        return replace(hut(), source=f"well({inside})")
+
+    scene = load_scene("well?inside=2")
+    assert scene.source == "well(2.0)" and scene.inside is None

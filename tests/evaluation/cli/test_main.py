@@ -275,6 +275,42 @@ def test_a_scene_without_floor_is_noticed(tmp_path, capsys):
         assert ("no floor below" in capsys.readouterr().out) == (not floor)
 
 
+def write_boxes(path, *boxes):
+    """Closed boxes, each (low, high), as one OBJ file."""
+    sides = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    corners = [
+        p for low, high in boxes for p in np.stack(np.meshgrid(*zip(low, high), indexing="ij"), -1).reshape(-1, 3)
+    ]
+    faces = [" ".join(str(8 * n + k) for k in side) for n in range(len(boxes)) for side in sides]
+    write_obj(path, corners, "".join(f"f {face}\n" for face in faces))
+
+
+def test_the_regions_of_a_scene_are_listed_and_chosen(tmp_path, capsys, monkeypatch):
+    write_boxes(tmp_path / "storeys.obj", ((0, 0, 0), (5, 4, 2.4)), ((0, 0, 2.6), (4, 4, 5.1)))
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["scenes", "storeys.obj?up=z", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["regions"]
+    assert [row["used"] for row in rows] == [True, False] and [row["floor_z_m"] for row in rows] == [0.0, 2.6]
+    assert [row["ceiling_m"] for row in rows] == [2.4, 2.5]
+    assert rows[0]["seen_share"] + rows[1]["seen_share"] == pytest.approx(1.0, abs=0.02)
+    chosen = f"storeys.obj?up=z&inside={rows[1]['inside']}"
+    assert main(["scenes", chosen, "--picture", "upper.png"]) == 0
+    out = capsys.readouterr().out
+    table = out[out.index("Regions of free space") :].splitlines()
+    assert max(map(len, table)) <= 80 and [line[:3] for line in table[3:5]] == ["  1", "* 2"]
+    assert main(["compare", "--scenes", chosen, "--start=2,2,1.3,0", "--policies", "random", "--preset", "fast"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "is free, but in another region than the one in use: region 1 of `asg scenes`" in said
+
+
+def test_a_room_without_ceiling_is_not_given_one(tmp_path, capsys):
+    corners = np.array([(x, y, z) for x in (0, 5) for y in (0, 4) for z in (0, 2.6)])
+    write_obj(tmp_path / "open.obj", corners, "f 1 2 4 3\nf 5 6 8 7\nf 1 2 6 5\nf 3 4 8 7\nf 1 3 7 5\n")
+    assert main(["scenes", "open.obj?up=z"]) == 0
+    out = capsys.readouterr().out
+    assert "no ceiling found" in out and "plausible" not in out
+
+
 def test_bench_prints_what_was_measured(monkeypatch, capsys):
     from activestructure_gym.evaluation.benchmarks import sensors as benchmark
 

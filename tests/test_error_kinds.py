@@ -53,6 +53,7 @@ INSIDE = (
 )
 # What inside of those rooms looks at a machine, a file or a whole scene, which is the user's.
 USERS_INSIDE = {
+    "activestructure_gym/compiling/decorator.py": {"check_compiling"},
     "activestructure_gym/mapping/gaussian_map.py": {"GaussianMap.load_npz"},
     "activestructure_gym/splatting/rasterizers.py": {"rasterizer"},
     "activestructure_gym/splatting/torch_rasterizer.py": {"TorchRasterizer.mapping_step"},

@@ -13,8 +13,8 @@ memory yet.
 `thread_team` calls a kernel on several threads at once.
 """
 
-from activestructure_gym.compiling.decorator import kernel
+from activestructure_gym.compiling.decorator import check_compiling, kernel
 from activestructure_gym.compiling.files import cache_place
 from activestructure_gym.compiling.progress import describe, told_to
 
-__all__ = ["cache_place", "describe", "kernel", "told_to"]
+__all__ = ["cache_place", "check_compiling", "describe", "kernel", "told_to"]

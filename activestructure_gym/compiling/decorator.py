@@ -5,25 +5,28 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from typing import Any
 
-from numba import njit
+from numba import config, njit
 from numba.core.compiler_lock import global_compiler_lock
 
 from activestructure_gym.compiling.files import KernelFiles, OthersFolder, warn_of_no_cache
 from activestructure_gym.compiling.locks import LOCKS
 from activestructure_gym.compiling.progress import PROGRESS
+from activestructure_gym.errors import InputError
 
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile for use from Python: kept on disk, without the GIL, dividing by zero as numpy does.
 
-    Where nothing can be kept, the kernel is compiled by every process, and one warning names the remedy.
+    Where nothing can be kept, the kernel is compiled by every process, and one warning names the remedy. Where
+    ``NUMBA_DISABLE_JIT`` forbids compiling, calling the kernel raises `InputError`.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher: Any = njit(**options)(function)
-    if not hasattr(dispatcher, "compile"):  # NUMBA_DISABLE_JIT
-        return dispatcher
+    if not hasattr(dispatcher, "compile"):
+        return _uncompiled(function)
     try:
         dispatcher._cache = KernelFiles(dispatcher.py_func)  # as numba's own ``enable_caching`` does with its cache
     except OthersFolder as error:
@@ -50,6 +53,24 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     dispatcher.compile = compile_or_load_alone  # numba calls it for every signature it has no machine code for
     return dispatcher
+
+
+def _uncompiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return what stands for a kernel where numba compiles nothing: a refusal."""
+
+    @wraps(function)
+    def refuse(*arguments: Any, **named: Any) -> Any:
+        check_compiling()
+
+    return refuse
+
+
+def check_compiling() -> None:
+    """Raise `InputError` where the environment forbids numba to compile."""
+    if config.DISABLE_JIT:
+        raise InputError(
+            "NUMBA_DISABLE_JIT is set, and the kernels cannot run as Python: they need atomic instructions. Unset it"
+        )
 
 
 def name_of(kernel: Any) -> str:

@@ -14,6 +14,7 @@ from activestructure_gym.evaluation.cli.listing import print_json
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
 from activestructure_gym.streams import escape
 
+_NUMBA = "numba"  # what the kernels need
 _LONGEST = 20  # characters of a version; a checksum has 64
 
 
@@ -120,15 +121,19 @@ def _states() -> tuple[set[str], list[tuple[str, str, str]]]:
     rows.append(("engine", "ray", "works" if with_ray else "not installed: pip install 'activestructure-gym[ray]'"))
     rows.append(("cache", str(cache_directory()), _cache_state()))
     rows.append(("kernels", *_kernels_state()))
-    return {"raycast", "cpu"}, rows
+    return {"raycast", "cpu", _NUMBA}, rows
 
 
 def _kernels_state() -> tuple[str, str]:
     """Directory of the compiled kernels, and whether its files can be used."""
-    from activestructure_gym.compiling import cache_place
+    from activestructure_gym.compiling import cache_place, check_compiling
     from activestructure_gym.compiling.files import is_whole
     from activestructure_gym.evaluation.running.warmup import kernel_files
 
+    try:
+        check_compiling()
+    except InputError as error:
+        return _NUMBA, str(error)
     place = cache_place()
     if place is None:
         return "compiled", "cannot be kept: every process compiles them. Set NUMBA_CACHE_DIR"

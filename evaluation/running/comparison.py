@@ -84,9 +84,11 @@ class Comparison:
 
     def check_machine(self) -> None:
         """Raise `InputError` where this machine lacks what the jobs need; those of a cluster may have it."""
+        from activestructure_gym.compiling import check_compiling
         from activestructure_gym.config import configure
         from activestructure_gym.splatting.rasterizers import rasterizer
 
+        check_compiling()
         rasterizer(configure(self.preset, self.overrides).mapper.backend)
 
     def everybody(self, policies: Sequence[str] = ()) -> list[str]:

@@ -16,6 +16,7 @@ import pytest
 from activestructure_gym.compiling import files, kernel, progress, told_to
 from activestructure_gym.compiling.files import is_whole
 from activestructure_gym.compiling.locks import LOCKS
+from activestructure_gym.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -158,3 +159,32 @@ def test_spawned_environments_on_a_fresh_installation(run, tmp_path) -> None:
     assert all(is_whole(file) for file in cache.rglob("*.kernel"))
     # What two processes wrote at the same time can be read.
     assert run(tmp_path, ONE.replace("SCRIPTS", str(tmp_path)), cache=cache)[0] == ""
+
+
+def test_where_compiling_is_forbidden_a_kernel_says_so_in_one_sentence(package, run, monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    code = """
+        from activestructure_gym.errors import InputError
+        import tiny  # may be loaded
+        try:
+            tiny.doubled(2)
+        except InputError as error:
+            print(error)
+    """
+    out, err = run(package, code, cache=tmp_path / "cache")
+    assert out.startswith("NUMBA_DISABLE_JIT is set") and out.endswith("Unset it") and err == ""
+
+
+def test_a_comparison_and_the_doctor_say_that_compiling_is_forbidden(monkeypatch, capsys) -> None:
+    from numba import config
+
+    from activestructure_gym.evaluation.cli import main
+    from activestructure_gym.evaluation.running.comparison import Comparison
+    from activestructure_gym.sensors import renderer
+
+    monkeypatch.setattr(config, "DISABLE_JIT", 1)
+    monkeypatch.setattr(renderer, "renderer_status", lambda: {"raycast": "works"})
+    with pytest.raises(InputError, match="NUMBA_DISABLE_JIT is set"):
+        Comparison(["box"], ["random"]).check_machine()
+    assert main(["doctor"]) == 1
+    assert "`asg compare` cannot run: kernels numba does not work" in " ".join(capsys.readouterr().out.split())

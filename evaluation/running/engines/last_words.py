@@ -6,6 +6,8 @@ import re
 import signal
 from pathlib import Path
 
+from activestructure_gym.errors import one_line
+
 _FAULT = "a fault in compiled code, or too little memory or address space (ulimit -v)"
 _REASONS = {
     "SIGKILL": "perhaps because memory ran out",
@@ -20,7 +22,7 @@ def last_words(log: Path, start: int, code: int) -> str:
     """Why a process with this exit code left no result; its log begins at byte ``start``."""
     text = log.read_bytes()[start:].decode("utf-8", errors="replace")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    last = lines[-1] if lines else ""
+    last = one_line(lines[-1]) if lines else ""  # a policy's exception may say anything
     if code < 0:
         return f"{_place_of_fault(lines) or last or 'the worker wrote nothing'} ({_signal(-code)})"
     if code == 0 or re.match(r"SystemExit\b", last):
@@ -39,7 +41,7 @@ def error_words(error: BaseException) -> str:
     """The sentence about an exception of a run in this process."""
     if isinstance(error, SystemExit):
         return ended_by_its_code(error.code)
-    words = f"{type(error).__name__}: {error}".removesuffix(": ")
+    words = one_line(f"{type(error).__name__}: {error}".removesuffix(": "))
     return f"{words} ({_NO_MEMORY})" if isinstance(error, MemoryError) else words
 
 

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import ast
 import configparser
+import re
 import subprocess
 import sys
 from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from tests.requirements import closure, extras, ours
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("activestructure_gym", "envs", "policies", "evaluation")
@@ -53,3 +59,41 @@ def test_what_is_kept_on_disk_is_compiled_by_our_decorator() -> None:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "njit":
                 assert "cache" not in {keyword.arg for keyword in node.keywords}, f"{path}:{node.lineno}: use @kernel"
+
+
+def pins() -> dict[str, Requirement]:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    found = [Requirement(line) for line in lines if not line.startswith("#")]
+    assert all(str(pin.specifier).startswith("==") for pin in found)
+    assert len({canonicalize_name(pin.name) for pin in found}) == len(found)
+    return {canonicalize_name(pin.name): pin for pin in found}
+
+
+def test_every_package_that_an_install_brings_has_a_pin() -> None:
+    # torch's build with CUDA names the libraries that it was built with, to the exact version.
+    libraries = re.compile("(nvidia|cuda|triton)(-|$)")
+    needed = {name for name in closure(ours(*extras())) if not libraries.match(name)}
+    assert len(needed) > 60 and "execnet" in needed  # of pytest-xdist
+    assert not needed - set(pins()), "write a version that resolves into constraints.txt"
+
+
+def test_the_pins_are_within_what_setup_cfg_asks_for() -> None:
+    pinned = pins()
+    for wanted in ours(*extras()):
+        (version,) = pinned[canonicalize_name(wanted.name)].specifier
+        assert wanted.specifier.contains(version.version, prereleases=True), f"{wanted}, pinned to {version.version}"
+
+
+def test_workflows_install_the_pinned_versions() -> None:
+    text = (ROOT / ".github" / "workflows" / "publish.yml").read_text(encoding="utf-8")
+    commands = re.findall(r"pip install (.*)", text)
+    assert commands
+    for command in commands:
+        named = re.fullmatch(r"(\w+)==(\S+) --index-url \S+", command)
+        if named:
+            assert str(pins()[named[1]].specifier) == f"=={named[2]}"
+            continue
+        given, _, names = command.partition("-c constraints.txt ")
+        assert not given and names, f"pip install {command}: without a version"
+        others = [name for name in names.split() if re.fullmatch(r"\w[\w-]*", name)]  # neither this package nor a wheel
+        assert {canonicalize_name(name) for name in others} <= set(pins())

@@ -10,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,12 +18,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from packaging.utils import canonicalize_name
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.commands import COMMANDS, find_command
 from activestructure_gym.evaluation.cli.parsing import parse
 from activestructure_gym.policies import POLICIES
 from activestructure_gym.scenes import SceneMesh, load_scene
+from tests.requirements import closure, ours
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -277,10 +280,25 @@ def test_commands_within_sentences_have_their_options(page: Path) -> None:
             assert not re.match("unrecognized options|unknown command", str(error)), words
 
 
-def test_the_workflow_publishes_with_the_least_rights_and_no_secret() -> None:
+@pytest.mark.parametrize("path", sorted((ROOT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.stem)
+def test_workflows_read_only_and_name_actions_by_commit(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert yaml.safe_load(text)["permissions"] == {"contents": "read"} and "secrets." not in text
+    steps = [step for job in yaml.safe_load(text)["jobs"].values() for step in job["steps"]]
+    for step in steps:
+        assert "run" in step or re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step["uses"])
+        if step.get("uses", "").startswith("actions/checkout"):
+            assert step["with"]["persist-credentials"] is False
+    # Beside each commit stands its version, one per action.
+    named = re.findall(r"uses: ([\w/-]+@\w+)  # (v\d+\.\d+\.\d+)$", text, re.MULTILINE)
+    assert len(named) == text.count("uses:") and len({action for action, _ in named}) == len(
+        {action.partition("@")[0] for action, _ in named}
+    )
+
+
+def test_the_workflow_publishes_with_the_least_rights() -> None:
     text = (ROOT / ".github" / "workflows" / "publish.yml").read_text(encoding="utf-8")
     jobs = yaml.safe_load(text)["jobs"]
-    assert yaml.safe_load(text)["permissions"] == {"contents": "read"} and "secrets." not in text
     rights = {name: job.get("permissions") for name, job in jobs.items()}
     assert rights == {
         "site": None, "distributions": None, "pages": {"pages": "write", "id-token": "write"},
@@ -290,20 +308,45 @@ def test_the_workflow_publishes_with_the_least_rights_and_no_secret() -> None:
         needed = job.get("needs", [])
         assert set([needed] if isinstance(needed, str) else needed) <= set(jobs), name
         for step in job["steps"]:
-            assert "run" in step or re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step["uses"])
-            if step.get("uses", "").startswith("actions/checkout"):
-                assert step["with"]["persist-credentials"] is False
             if step.get("uses", "").startswith("pypa/"):
                 assert step["with"] == {"attestations": True}  # and no password
         # Who may publish runs nothing of the repository.
         assert not job.get("permissions") or not any("run" in step for step in job["steps"])
-    # Beside each commit stands its version, one per action.
-    named = re.findall(r"uses: ([\w/-]+@\w+)  # (v\d+\.\d+\.\d+)$", text, re.MULTILINE)
-    assert len(named) == text.count("uses:") and len({action for action, _ in named}) == len(
-        {action.partition("@")[0] for action, _ in named}
-    )
     scripts = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     assert any("docs/build" in script for script in scripts) and os.access(DOCS / "build", os.X_OK)
+
+
+ALONE = """
+import importlib.abc, sys
+
+class Blocked(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in BLOCKED:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Blocked())
+sys.path[:0] = [DOCS, ROOT]
+import sphinx, furo, myst_parser  # the extra is there
+import conf, _site
+from _site import environments, gallery, links, mesh_file, reference, shapes
+pages = gallery.pages() | reference.pages()
+assert "policies/random.md" in pages and "reference/activestructure_gym.policies.learned.md" in pages
+"""
+
+
+def test_the_site_asks_for_nothing_but_its_extra() -> None:
+    """Its pages are made although no package can be imported that the extra `docs` alone does not bring."""
+    pytest.importorskip("sphinx", reason="pip install 'activestructure-gym[docs]'")
+    brought = set(closure(ours("docs"))) | {"activestructure-gym"}
+    blocked = [
+        module
+        for module, owners in metadata.packages_distributions().items()
+        if not brought & {canonicalize_name(owner) for owner in owners}
+    ]
+    assert {"ray", "pytest", "skimage", "tensorboard"} & set(blocked)
+    code = f"BLOCKED, DOCS, ROOT = {set(blocked)!r}, {str(DOCS)!r}, {str(ROOT)!r}\n{ALONE}"
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr[-3000:]
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -201,7 +202,10 @@ def stl(path: Path) -> Blocks:
 def dae(path: Path) -> Blocks:
     import collada
 
-    for geometry in collada.Collada(str(path)).scene.objects("geometry"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # pycollada 0.9.3 sets the shape of arrays
+        document = collada.Collada(str(path))
+    for geometry in document.scene.objects("geometry"):
         for primitives in geometry.primitives():
             shapes = primitives.polygons() if hasattr(primitives, "polygons") else primitives.shapes()
             for shape in shapes:

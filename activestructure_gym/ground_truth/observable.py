@@ -41,7 +41,8 @@ def observable_surface_of(
     ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` come back.
     """
     key = f"observable-{scene.content_hash}-{samples}-{viewpoints}"
-    arrays = cached_arrays(key, lambda: _compute(scene, space, samples, viewpoints))
+    layout = {"points": ("f4", 2), "normals": ("f4", 2), "area_share": ("f8", 0), "area": ("f8", 0)}
+    arrays = cached_arrays(key, lambda: _compute(scene, space, samples, viewpoints), layout)
     return ObservableSurface(
         points=arrays["points"],
         normals=arrays["normals"],

@@ -84,7 +84,9 @@ def free_space_of(scene: Scene, regions: Regions | None = None) -> FreeSpace:
             "start_poses": choose_start_poses(scene, space),
         }
 
-    arrays = cached_arrays(f"free-space-{scene.content_hash}", compute)
+    layout = {"origin": ("f8", 1), "voxel_size": ("f8", 0), "clearance": ("f4", 3), "height": ("f4", 3),
+              "start_poses": ("f8", 3)}  # fmt: skip
+    arrays = cached_arrays(f"free-space-{scene.content_hash}", compute, layout)
     return FreeSpace(
         origin=arrays["origin"],
         voxel_size=float(arrays["voxel_size"]),

@@ -202,7 +202,7 @@ class GaussianMap:
         except (OSError, ValueError) as error:
             raise InputError(f"'{path}' is not a Gaussian map saved as npz ({error})") from error
         version = content.get("format_version")
-        if version is None or version.shape != () or version != _FORMAT_VERSION:
+        if version is None or version.shape != () or version.dtype != np.int64 or version != _FORMAT_VERSION:
             raise InputError(
                 f"'{path}' has the map format {version}, this version reads format {_FORMAT_VERSION}; "
                 "save the map again or export it as PLY"
@@ -213,10 +213,9 @@ class GaussianMap:
         if shapes[0] is None or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != ROWS:
             raise InputError(f"'{path}' should hold three arrays of one shape (14, n), but their shapes are {shapes}")
         types = [content[name].dtype for name in names]
-        if any(dtype.kind != "f" for dtype in types):
-            raise InputError(f"'{path}' should hold three arrays of floats, but their types are {types}")
-        with np.errstate(over="ignore"):  # what float32 cannot hold is infinite there
-            parameters, first, second = (content[name].astype(np.float32) for name in names)
+        if any(dtype != np.float32 for dtype in types):
+            raise InputError(f"'{path}' should hold three arrays of float32, but their types are {types}")
+        parameters, first, second = (content[name] for name in names)
         if not all(np.isfinite(block).all() for block in (parameters, first, second)):
             raise InputError(f"'{path}' holds Gaussians with values that are not finite")
         loaded = cls(shapes[0][1])

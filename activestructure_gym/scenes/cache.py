@@ -11,7 +11,7 @@ import struct
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -86,20 +86,30 @@ def clear_cache(limit: int = 0) -> tuple[int, int]:
     return count, gone
 
 
-def cached_arrays(key: str, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def cached_arrays(
+    key: str, compute: Callable[[], dict[str, np.ndarray]], layout: Mapping[str, tuple[str, int]] | None = None
+) -> dict[str, np.ndarray]:
     """The arrays that ``compute`` returns, read from disk where they are stored.
 
     Kept uncompressed: unpacking the true views of a scene takes longer than measuring a map against some of them.
     Two processes may compute the same key at once; each writes a file of its own and moves it into place, so a
-    reader sees nothing or everything. A file that is not, to the bit, what was written is computed again, and so is one
-    that another user can have written. Without a writable directory the result is computed every time.
+    reader sees nothing or everything. A file that is not, to the bit, what was written is computed again. So is one
+    that another user can have written, and one without the arrays of ``layout``: by name the dtype and the number of
+    axes. Without a writable directory the result is computed every time.
     """
     file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
     arrays = _read(file)
-    if arrays is None:
+    if arrays is None or not _fits(arrays, layout or {}):
         arrays = compute()
         _write(file, arrays)
     return arrays
+
+
+def _fits(arrays: Mapping[str, np.ndarray], layout: Mapping[str, tuple[str, int]]) -> bool:
+    return all(
+        name in arrays and arrays[name].dtype == np.dtype(dtype) and arrays[name].ndim == axes
+        for name, (dtype, axes) in layout.items()
+    )
 
 
 def _read(file: Path) -> dict[str, np.ndarray] | None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from activestructure_gym.evaluation.archive.picture_record import STORED_VIEWS, pixel_size, plan_scale
 from activestructure_gym.evaluation.archive.schema import Mismatch
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.protocols import StandardProtocol
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -51,11 +54,15 @@ def _check_curve(curve: Sequence[Mapping[str, Any]], steps: Sequence[Mapping[str
             _agree(f"{name} after decision {number}", {"steps.jsonl": value, "the curve": point.get(name)})
 
 
-def check_views(results: Mapping[str, Any], views: int, pictures: Arrays) -> None:
-    """Raise `Mismatch` unless the pictures are of the first of the views that were measured, at most ``views``."""
+def check_views(results: Mapping[str, Any], protocol: StandardProtocol, pictures: Arrays) -> None:
+    """Raise `Mismatch` unless the pictures are of the first of the views that were measured, in the protocol's size."""
     measured = results["metrics"]["views"]
-    if not 1 <= len(measured) <= views:
-        raise Mismatch(f"metrics.json lists {len(measured)} views, and its protocol looks at 1 to {views}")
+    if not 1 <= len(measured) <= protocol.views:
+        raise Mismatch(f"metrics.json lists {len(measured)} views, and its protocol looks at 1 to {protocol.views}")
+    rows, columns = pictures["true"].shape[1:3]
+    if protocol.view_source == "free_space" and (rows, columns) != (protocol.view_height, protocol.view_width):
+        wanted = f"{protocol.view_width} x {protocol.view_height}"
+        raise Mismatch(f"pictures.npz holds views of {columns} x {rows} pixels, and its protocol looks at {wanted}")
     kept = {"metrics.json": min(STORED_VIEWS, len(measured)), "pictures.npz": len(pictures["psnr"])}
     _agree("pictures of views", kept)
     for number, (view, psnr) in enumerate(zip(measured, pictures["psnr"]), start=1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -45,6 +46,21 @@ def finished_runs(directory: Path, jobs: Sequence[Job]) -> list[Run]:
     labels = scene_labels({job.scene: job.scene_hash for job in jobs})
     found = [store.read_done(run_directory(directory, job), job, labels[job.scene]) for job in jobs]
     return [run for run in found if run is not None]
+
+
+def readable_runs(directory: Path, jobs: Sequence[Job]) -> tuple[list[Run], dict[str, str]]:
+    """The finished ones of these jobs that a report can be made of; and by title the damage of the others."""
+    labels = scene_labels({job.scene: job.scene_hash for job in jobs})
+    found, damaged = list[Run](), dict[str, str]()
+    for job in jobs:
+        try:
+            run = store.read_done(run_directory(directory, job), job, labels[job.scene])
+            if run is not None:
+                store.read_shown(copy.copy(run))  # a copy, whose arrays are not kept
+                found.append(run)
+        except InputError as error:
+            damaged[job.title] = str(error)
+    return found, damaged
 
 
 def each_run(directories: Sequence[Path]) -> tuple[list[Run], dict[str, str]]:

@@ -133,55 +133,55 @@ STEP: Check = table(
 
 def _places(*shape: int | str, least: int = 0) -> Array:
     """The `Array` of positions in the world, metres."""
-    return Array("f", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
+    return Array("f8", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
 
 
-_TRAJECTORY = {
+TRAJECTORY = {
     "world_from_camera": _places("T", 4, 4, least=1),
-    "keyframes": Array("iu", ("K",), low=0, least=1),
-    "intrinsics": Array("f", (4,)),
-    "image_size": Array("iu", (2,), low=1, high=_WIDEST_IMAGE),
+    "keyframes": Array("i8", ("K",), low=0, least=1),
+    "intrinsics": Array("f8", (4,)),
+    "image_size": Array("i8", (2,), low=1, high=_WIDEST_IMAGE),
 }
-_LEGS = {"keyframe_rounds": Array("iu", ("K",), low=0, high=1000), "legs": Array("iu", ("D", 3), low=0)}
-_RANGE = {"max_range": Array("f", (), low=0, high=_FARTHEST)}  # of the sensor, metres; not every path says it
+_LEGS = {"keyframe_rounds": Array("i8", ("K",), low=0, high=1000), "legs": Array("i8", ("D", 3), low=0)}
+_RANGE = {"max_range": Array("f8", (), low=0, high=_FARTHEST)}  # of the sensor, metres; not every path says it
 _PICTURES = {
-    "rendered": Array("u", ("views", "height", "width", 3), high=255, least=1),
-    "true": Array("u", ("views", "height", "width", 3), high=255, least=1),
-    "psnr": Array("f", ("views",), least=1),
-    "plan_state": Array("u", ("columns", "rows"), high=2, least=1),
+    "rendered": Array("u1", ("views", "height", "width", 3), high=255, least=1),
+    "true": Array("u1", ("views", "height", "width", 3), high=255, least=1),
+    "psnr": Array("f8", ("views",), least=1),
+    "plan_state": Array("u1", ("columns", "rows"), high=2, least=1),
     "plan_corner": _places(2),
-    "plan_extent": Array("f", (2,), low=1e-3, high=_FARTHEST),
-    "above_rgb": Array("u", ("h", "w", 3), high=255, least=1),
-    "above_alpha": Array("u", ("h", "w"), high=255, least=1),
+    "plan_extent": Array("f8", (2,), low=1e-3, high=_FARTHEST),
+    "above_rgb": Array("u1", ("h", "w", 3), high=255, least=1),
+    "above_alpha": Array("u1", ("h", "w"), high=255, least=1),
 }
 _GRAPH = {
-    "ids": Array("iu", ("planes",)),
-    "normals": Array("f", ("planes", 3), low=-2, high=2),
-    "offsets": Array("f", ("planes",)),
+    "ids": Array("i8", ("planes",)),
+    "normals": Array("f8", ("planes", 3), low=-2, high=2),
+    "offsets": Array("f8", ("planes",)),
     "centroids": _places("planes", 3),
-    "areas": Array("f", ("planes",), low=0),
-    "structural": Array("b", ("planes",)),
-    "deficit": Array("f", ("planes",)),
-    "edges": Array("iu", ("edges", 2), low=0),
-    "edge_weights": Array("f", ("edges",)),
-    "edge_in_tree": Array("b", ("edges",)),
+    "areas": Array("f8", ("planes",), low=0),
+    "structural": Array("b1", ("planes",)),
+    "deficit": Array("f8", ("planes",)),
+    "edges": Array("i8", ("edges", 2), low=0),
+    "edge_weights": Array("f8", ("edges",)),
+    "edge_in_tree": Array("b1", ("edges",)),
     "deficiency_centres": _places("holes", 3),
-    "deficiency_normals": Array("f", ("holes", 3)),
-    "deficiency_areas": Array("f", ("holes",), low=0),
-    "deficiency_planes": Array("iu", ("holes",), low=0),
-    "cell": Array("f", (), low=1e-4, high=1e3),
+    "deficiency_normals": Array("f8", ("holes", 3)),
+    "deficiency_areas": Array("f8", ("holes",), low=0),
+    "deficiency_planes": Array("i8", ("holes",), low=0),
+    "cell": Array("f8", (), low=1e-4, high=1e3),
     "patch_corners": _places("planes", 3),
-    "patch_axes": Array("f", ("planes", 2, 3), low=-2, high=2),
-    "patch_shapes": Array("iu", ("planes", 2), low=0, high=1e6),
-    "patch_starts": Array("iu", ("starts",), low=0),
-    "patch_bits": Array("u", ("bytes",), high=255),
+    "patch_axes": Array("f8", ("planes", 2, 3), low=-2, high=2),
+    "patch_shapes": Array("i8", ("planes", 2), low=0, high=1e6),
+    "patch_starts": Array("i8", ("starts",), low=0),
+    "patch_bits": Array("u1", ("bytes",), high=255),
 }
 
 
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
-    legs = _LEGS if _LEGS.keys() <= arrays.keys() else {}  # of later runs, and of no other path
-    sizes = check_arrays(arrays, _TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
+    legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # of later runs, and of no other path
+    sizes = check_arrays(arrays, TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
     if sizes["T"] > _MOST_POSES:
         raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
     poses = arrays["world_from_camera"]
@@ -203,6 +203,9 @@ def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
     sizes = check_arrays(arrays, _PICTURES)
     if sizes["views"] > _MOST_PICTURES:
         raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
+    cells = arrays["plan_extent"] / arrays["plan_state"].shape  # metres
+    if abs(cells[0] - cells[1]) > 1e-6 * cells.max():
+        raise Mismatch("plan_state and plan_extent do not fit together: its cells are no squares")
 
 
 def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
@@ -240,6 +243,7 @@ __all__ = [
     "JOB",
     "METRICS",
     "TIMING",
+    "TRAJECTORY",
     "anything",
     "check_graph",
     "check_pictures",

@@ -154,9 +154,9 @@ def check_depth(value: Any) -> None:
 
 @dataclass(frozen=True)
 class Array:
-    """One array of an npz file. A name among the sizes is the same number wherever it stands in the file."""
+    """One array of an npz file. A name among the sizes is the same number in all arrays of the file."""
 
-    kinds: str  # of numpy's dtypes: f, i, u, b, U
+    dtype: str  # kind and bytes of a number: f8, i8, u1, b1; others are refused, wider ones too
     shape: tuple[int | str, ...]
     low: float = -LARGEST
     high: float = LARGEST
@@ -176,8 +176,9 @@ def check_arrays(arrays: Mapping[str, np.ndarray], layout: Mapping[str, Array]) 
         found = arrays[name]
         known = (sizes.get(size, size) if isinstance(size, str) else size for size in wanted.shape)
         expected = " x ".join(map(str, known)) or "a single number"
-        if found.ndim != len(wanted.shape) or found.dtype.kind not in wanted.kinds:
-            raise Mismatch(f"{name}: expected {expected}, got {found.dtype} of the shape {found.shape}")
+        dtype = np.dtype(wanted.dtype)
+        if found.ndim != len(wanted.shape) or found.dtype != dtype:
+            raise Mismatch(f"{name}: expected {dtype}, {expected}, got {found.dtype.str} of the shape {found.shape}")
         for size, have in zip(wanted.shape, found.shape):
             least = wanted.least if isinstance(size, str) else size
             if have < least or have != (sizes.setdefault(size, have) if isinstance(size, str) else size):

@@ -201,7 +201,7 @@ def read_shown(run: Run) -> None:
     steps, trajectory, graph, pictures, _ = run.steps, run.trajectory, run.graph, run.pictures, run.protocols
     try:
         agreement.check_counts(run.metrics, run.timing["decisions"], steps, trajectory)
-        agreement.check_views(run.metrics, run.job.protocol.views, pictures)
+        agreement.check_views(run.metrics, run.job.protocol, pictures)
         if graph is not None:
             agreement.check_planes(graph, steps)
     except schema.Mismatch as error:

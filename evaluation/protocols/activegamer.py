@@ -239,7 +239,7 @@ def even_samples(scene: Scene, count: int) -> np.ndarray:  # [at most count, 3] 
         return {"points": np.asarray(points, dtype=np.float32)}
 
     key = f"even-samples-v1-{scene.content_hash[:32]}-{count}"
-    return cached_arrays(key, compute)["points"].astype(np.float64)
+    return cached_arrays(key, compute, {"points": ("f4", 2)})["points"].astype(np.float64)
 
 
 def circle_indices() -> np.ndarray:  # [36]

@@ -20,6 +20,7 @@ _MIN_CLEARANCE = 0.3  # metres from the camera to the nearest surface, as for ca
 
 # Raised whenever the drawing or the rendering of views changes, so that no old cache file is read.
 _CACHE_VERSION = 1
+_LAYOUT = {"world_from_camera": ("f8", 3), "rgb": ("u1", 4), "depth": ("f4", 3)}
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def free_space_views(
         raise InputError(f"at most {_POSES_DRAWN} held-out views can be drawn, got {count}")
     scene = known.scene
     key = f"views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{count}-{camera}-{supersample}"
-    arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(known, count), camera, supersample))
+    arrays = cached_arrays(key, lambda: _render(scene, _draw_poses(known, count), camera, supersample), _LAYOUT)
     return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
 
 
@@ -59,7 +60,7 @@ def posed_views(scene: Scene, poses: np.ndarray, *, camera: PinholeCamera, super
     """The scene as seen from ``poses`` [V, 4, 4] world_from_camera. Rendered once and cached by content and poses."""
     digest = hashlib.sha256(np.ascontiguousarray(poses, dtype="<f8").tobytes()).hexdigest()[:16]
     key = f"posed-views-v{_CACHE_VERSION}-{scene.content_hash[:32]}-{digest}-{camera}-{supersample}"
-    arrays = cached_arrays(key, lambda: _render(scene, poses, camera, supersample))
+    arrays = cached_arrays(key, lambda: _render(scene, poses, camera, supersample), _LAYOUT)
     return HeldOutViews(camera, arrays["world_from_camera"], arrays["rgb"], arrays["depth"])
 
 

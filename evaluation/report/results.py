@@ -18,7 +18,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.claims import failures
-from activestructure_gym.evaluation.archive.comparison import open_comparison, read_record
+from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
@@ -225,21 +225,33 @@ def _told(run: Run) -> dict[str, str]:
 def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
     """The runs of comparisons' directories and of single runs' directories, in the order given.
 
-    A job that stands in two of them counts once. Raises `InputError` for a directory that is neither.
+    A job that is in two of them counts once. A damaged run is left out, and is among the missing with its damage.
+    Raises `InputError` for a directory that is neither, and where no run is left.
     """
     runs: dict[str, Run] = {}
-    sources = []
+    sources, reasons = list[Source](), list[str]()
     for directory in directories:
         if (directory / store.COMPARISON).is_file():
-            found = open_comparison(directory)
-            sources.append(source_of(directory, read_record(directory) or {}, found))
+            record = read_record(directory) or {"jobs": {}}
+            found, damaged = readable_runs(directory, jobs_of(record, directory))
+            sources.append(source_of(directory, record, found, damaged))
         elif (directory / store.DONE).is_file():
-            found = [store.read_run(directory)]
-            sources.append(Source(directory))
+            found, damaged = [], {}
+            try:
+                run = store.read_run(directory)
+                store.read_shown(copy.copy(run))
+                found.append(run)
+            except InputError as error:
+                damaged[str(directory)] = str(error)
+            sources.append(Source(directory, missing=damaged))
         else:
             raise InputError(f"'{directory}' is neither a comparison ({store.COMPARISON}) nor a finished run")
+        reasons += damaged.values()
         for run in found:
             runs.setdefault(run.key, run)
+    if not runs and reasons:
+        more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
+        raise InputError(f"no run can be reported: {reasons[0]}{more}")
     if not runs:
         asked = sum(len(source.missing) for source in sources)
         resume = "; ".join(f"asg compare --out {shlex.quote(str(source.directory))} --resume" for source in sources)
@@ -258,13 +270,16 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
     return Results(named, sources, baseline)
 
 
-def source_of(directory: Path, record: Mapping[str, Any], runs: Sequence[Run]) -> Source:
-    """A comparison as a source: what of its record (``compare.json``) has no run is missing."""
+def source_of(
+    directory: Path, record: Mapping[str, Any], runs: Sequence[Run], damaged: Mapping[str, str] | None = None
+) -> Source:
+    """A comparison as a source: what of its record (``compare.json``) has no run is missing, or ``damaged``."""
     finished = {run.job.hash: run.job.title for run in runs}
     said, elsewhere = record.get("failed") or {}, failures(directory)
     missing = {title: why for title, why in said.items() if title not in finished.values()}  # others finished it later
     for content in (record.get("jobs") or {}).values():
         job = Job.from_dict(content)
         if job.hash not in finished:
-            missing[job.title] = elsewhere.get(job.name) or said.get(job.title) or "not run to its end"
+            reasons = ((damaged or {}).get(job.title), elsewhere.get(job.name), said.get(job.title))
+            missing[job.title] = next(filter(None, reasons), "not run to its end")
     return Source(directory, record.get("command", ""), record.get("workers"), missing)

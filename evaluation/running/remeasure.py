@@ -113,6 +113,7 @@ def read_path(file: str | Path) -> CameraPath:
 
 def _path_of(arrays: Mapping[str, np.ndarray], file: str | Path) -> CameraPath:
     try:
+        arrays = {name: _as_stored(name, array) for name, array in arrays.items()}
         run_files.check_trajectory(arrays)
     except Mismatch as error:
         raise InputError(
@@ -120,3 +121,10 @@ def _path_of(arrays: Mapping[str, np.ndarray], file: str | Path) -> CameraPath:
             "keyframes [K], intrinsics [4] and image_size [2]"
         ) from error
     return CameraPath.from_arrays(arrays)
+
+
+def _as_stored(name: str, array: np.ndarray) -> np.ndarray:
+    """A path from elsewhere may have numbers of another width, such as float32."""
+    wanted = run_files.TRAJECTORY.get(name)
+    same_kind = wanted is not None and array.dtype.kind in ("f" if wanted.dtype == "f8" else "iu")
+    return array.astype(wanted.dtype) if wanted is not None and same_kind else array

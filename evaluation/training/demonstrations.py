@@ -136,8 +136,9 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
         "action_mask": ("K",), "plane_features": (planes, columns), "plane_mask": (planes,),
         "plane_edges": (planes, planes), "candidate_planes": ("K", planes), "scores": ("K",), "rewards": (),
     }  # fmt: skip
-    layout = {name: Array("fiub", ("N", *shape), least=1) for name, shape in shapes.items()}
-    return layout | {"ends": Array("b", ("N",), least=1)}
+    dtypes = {"action_mask": "i1", "plane_mask": "i1", "candidate_planes": "i1", "rewards": "f8"}
+    layout = {name: Array(dtypes.get(name, "f4"), ("N", *shape), least=1) for name, shape in shapes.items()}
+    return layout | {"ends": Array("b1", ("N",), least=1)}
 
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:

@@ -127,7 +127,7 @@ def read_tensors(
     *,
     most: int = LARGEST_WEIGHTS,  # bytes
 ) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Tensors and notes of a safetensors file, all numbers finite; shapes are compared before anything is read.
+    """Tensors and notes of a safetensors file, all of them float32 and finite; nothing is read of a file with others.
 
     Raises `InputError`.
     """
@@ -141,7 +141,11 @@ def read_tensors(
         raise InputError(f"'{file}' is no whole safetensors file: its header would have {header:,} bytes")
     try:
         with safe_open(file, "pt") as stored:
-            shapes = {name: tuple(stored.get_slice(name).get_shape()) for name in stored.keys()}
+            slices = {name: stored.get_slice(name) for name in stored.keys()}
+            for name, tensor in slices.items():
+                if (dtype := tensor.get_dtype()) != "F32":
+                    raise InputError(f"'{file}' holds {dtype} as '{name[:80]}', expected F32")
+            shapes = {name: tuple(tensor.get_shape()) for name, tensor in slices.items()}
             wanted = shapes if expected is None else expected
             for name in sorted(wanted.keys() | shapes.keys()):
                 if shapes.get(name) != wanted.get(name):
@@ -153,7 +157,7 @@ def read_tensors(
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"'{file}' is no whole safetensors file ({reason})") from error
     for name, tensor in tensors.items():
-        if tensor.is_complex() or not torch.isfinite(tensor).all():
+        if not torch.isfinite(tensor).all():
             raise InputError(f"'{file}' holds numbers in '{name[:80]}' that are not finite")
     return tensors, notes
 

@@ -22,21 +22,32 @@ def write_run(directory: Path, job: Job = JOB, *, sums: bool = True, **numbers: 
     directory.mkdir(parents=True)
     config = {"format": store.FORMAT_VERSION, "job": job.as_dict(), "hash": job.hash, **run.config}
     views = [{"psnr": float(psnr)} for psnr in run.pictures["psnr"]]
-    metrics = {**run.metrics["metrics"], "views": views, "lpips": None, "notes": {"lpips": "no weights"}}
+    metrics = {
+        **run.metrics["metrics"],
+        "views": views,
+        "keyframes": 4,
+        "lpips": None,
+        "notes": {"lpips": "no weights"},
+    }
     points = run.metrics["curve"][1:]  # one after each decision
     counts = {"structural": 1, "objects": 1, "deficiency_centres": 1}  # of the graph
     steps = [
-        {**step, "frames": point["frames"], "metres": point["metres"], "graph": {**step["graph"], **counts}}
+        {**step, "frames": point["frames"], "metres": point["metres"], "graph": {**step["graph"], **counts},
+         "checkpoint": {name: point[name] for name in ("completion_ratio", "psnr")}}
         for step, point in zip(run.steps, points)
-    ]
+    ]  # fmt: skip
     store.write_json(directory / "config.json", config)
     store.write_json(directory / "metrics.json", {"format": store.FORMAT_VERSION, **run.metrics, "metrics": metrics})
     store.write_json(directory / "timing.json", run.timing)
     (directory / store.STEPS).write_text("".join(store.json_line(step) for step in steps))
     camera = {"intrinsics": np.array([48.0, 48, 48, 27]), "image_size": np.array([96, 54])}
-    np.savez(directory / store.TRAJECTORY, **run.trajectory, **camera)
+    legs = np.array([[8, points[0]["frames"], 0], [14, points[1]["frames"], 0], [20, points[2]["frames"], 0]])
+    mapped = {"keyframe_rounds": np.ones(4, np.int64), "legs": legs, "max_range": np.array(10.0)}
+    np.savez(directory / store.TRAJECTORY, **run.trajectory, **camera, **mapped)
     np.savez_compressed(directory / store.GRAPH, **run.graph)
-    np.savez_compressed(directory / store.PICTURES, **run.pictures)
+    protocol = job.protocol
+    shown = np.zeros((len(views), protocol.view_height, protocol.view_width, 3), np.uint8)
+    np.savez_compressed(directory / store.PICTURES, **run.pictures | {"rendered": shown, "true": shown})
     GaussianMap(8).save_npz(directory / store.MAP)
     store.finish(directory, job)
     if not sums:

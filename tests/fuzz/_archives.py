@@ -130,7 +130,9 @@ def _episode(config: Any) -> dict[str, np.ndarray]:
     }  # fmt: skip
     state = {name: rng.random((3, *shape)).astype(np.float32) for name, shape in shapes.items()}
     masks = {"action_mask": np.ones((3, 5), np.int8), "plane_mask": np.ones((3, planes), np.int8)}
-    return {**state, **masks, "ends": np.array([False, False, True])}
+    masks["candidate_planes"] = np.ones((3, 5, planes), np.int8)
+    rewards = state["rewards"].astype(np.float64)
+    return {**state, **masks, "rewards": rewards, "ends": np.array([False, False, True])}
 
 
 def write(files: Files, folder: Path) -> Path:

@@ -59,6 +59,18 @@ def test_what_another_user_can_have_written_is_computed_again(directory):
     assert compute.calls == 3 and not file.is_symlink()
 
 
+def test_a_file_without_the_arrays_that_are_expected_is_computed_again(directory):
+    compute, layout = Counted(), {"a": ("f4", 2), "b": ("f8", 0)}
+    whole = cached_arrays("key", compute, layout)
+    (file,) = directory.iterdir()
+    for other in ({"a": whole["a"].astype(np.float64)}, {"a": whole["a"][0]}, {"b": np.float32(1.5)}):
+        calls = compute.calls
+        np.savez(file, **whole | other)
+        assert cached_arrays("key", compute, layout)["a"].shape == (2, 3) and compute.calls == calls + 1
+    np.savez(file, a=whole["a"])
+    assert "b" in cached_arrays("key", compute, layout)
+
+
 def test_compressed_files_of_older_versions_are_read_and_replaced(directory):
     compute = Counted()
     cached_arrays("key", compute)

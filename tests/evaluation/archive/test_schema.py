@@ -92,7 +92,7 @@ def test_a_file_is_read_up_to_a_size(tmp_path):
         read_checked_json(tmp_path)
 
 
-LAYOUT = {"points": Array("f", ("n", 3)), "ids": Array("iu", ("n",), low=0, high=9), "flags": Array("b", (2,))}
+LAYOUT = {"points": Array("f8", ("n", 3)), "ids": Array("i8", ("n",), low=0, high=9), "flags": Array("b1", (2,))}
 
 
 def arrays(**changes):
@@ -103,13 +103,16 @@ def arrays(**changes):
     "change, words",
     [
         ({"points": np.zeros((4, 2))}, r"points: expected n x 3, got the shape \(4, 2\)"),
-        ({"points": np.zeros(4)}, "points: expected n x 3, got float64"),
+        ({"points": np.zeros(4)}, "points: expected float64, n x 3, got <f8 of the shape"),
         ({"points": np.full((4, 3), np.nan)}, "points holds numbers that are not finite"),
         ({"ids": np.arange(5)}, r"ids: expected 4, got the shape \(5,\)"),
-        ({"ids": np.arange(4.0)}, "ids: expected 4, got float64"),
+        ({"ids": np.arange(4.0)}, "ids: expected int64, 4, got <f8"),
         ({"ids": np.arange(7, 11)}, "ids holds numbers outside 0 .. 9"),
         ({"flags": np.ones(3, bool)}, "flags: expected 2, got the shape"),
-        ({"flags": np.array(["a", "b"])}, "flags: expected 2, got <U1"),
+        ({"points": np.zeros((4, 3), np.float32)}, "points: expected float64, n x 3, got <f4"),
+        ({"points": np.zeros((4, 3), ">f8")}, "points: expected float64, n x 3, got >f8"),
+        ({"ids": np.arange(4, dtype=np.uint64)}, "ids: expected int64, 4, got <u8"),
+        ({"flags": np.array(["a", "b"])}, "flags: expected bool, 2, got <U1"),
     ],
 )
 def test_arrays_agree_with_each_other(change, words):

@@ -203,7 +203,7 @@ def poses(**changes):
     [
         ("trajectory", {"world_from_camera": poses()[:0]}, "world_from_camera: expected"),
         ("trajectory", {"world_from_camera": poses(at=3, pose=2 * np.eye(4))}, "no rigid poses"),
-        ("trajectory", {"keyframes": np.array([20])}, "points behind the 20 poses"),
+        ("trajectory", {"keyframes": np.array([0, 5, 10, 20])}, "points behind the 20 poses"),
         ("trajectory", {"image_size": np.array([16000, 9])}, "no camera's"),
         ("trajectory", {"intrinsics": np.zeros(4)}, "focal lengths"),
         ("pictures", {"psnr": np.zeros(3)}, "psnr: expected 4"),

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.policies import POLICIES
@@ -88,6 +89,16 @@ def test_damaged_files_are_told(checkpoint: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="cannot be read as the description of a checkpoint") as error:
             load_network(find_checkpoint(tmp_path / "a"))
         assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.int32, torch.bool, torch.complex64])
+def test_weights_of_another_width_or_kind_are_refused(checkpoint: Path, tmp_path: Path, dtype: torch.dtype) -> None:
+    weights = described(checkpoint, tmp_path)
+    tensors = load_file(weights)
+    name = next(iter(tensors))
+    save_file(tensors | {name: tensors[name].to(dtype)}, weights)
+    with pytest.raises(InputError, match=f"as '{name}', expected F32"):
+        load_network(weights)
 
 
 def described(checkpoint: Path, place: Path, **changes: object) -> Path:

@@ -36,6 +36,7 @@ class Claims:
     def __init__(self, directory: Path) -> None:
         self.lost_after = _lost_after()
         self._place = directory / CLAIMS
+        parts.refuse_links(directory, CLAIMS)
         with parts.writing(self._place):
             self._place.mkdir(parents=True, exist_ok=True)
         # Containers may share their name and the numbers of their processes.

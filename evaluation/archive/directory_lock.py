@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.parts import refuse_links
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
 
 try:
@@ -23,6 +24,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 LOCK = ".lock"  # holds "<process> <machine>" of the last supervisor
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # it would be emptied, wherever it leads
 _PATIENCE = 15.0  # seconds for the workers of a killed supervisor to end: above the grace they give themselves
 _TICK = 0.1
 _BYTE = 1 << 20  # which one Windows locks: it lets nobody read a locked byte
@@ -39,7 +41,8 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        refuse_links(directory, LOCK)
+        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
     except OSError as error:
         raise InputError(f"the output '{directory}' cannot be made: {error.strerror}") from error
     try:
@@ -58,7 +61,7 @@ def hold(directory: Path, *, shared: bool = False) -> Iterator[int]:
 def check_free(directory: Path, *, shared: bool = False) -> None:
     """Raise `InputError` where a supervisor holds ``directory``, if need be but a ``shared`` one; writes nothing."""
     try:
-        descriptor = os.open(directory / LOCK, os.O_RDWR)
+        descriptor = os.open(directory / LOCK, os.O_RDWR | _NO_LINK)
     except OSError:
         return  # not there; or not ours to write, which others say better
     try:

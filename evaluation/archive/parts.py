@@ -38,7 +38,9 @@ def whole_files(directory: Path) -> Iterator[Path]:
         with writing(directory):
             yield part
             places = {file: directory / file.relative_to(part) for file in sorted(part.rglob("*")) if file.is_file()}
-            for place in places.values():  # before the first takes its place
+            for file, place in places.items():  # before the first takes its place
+                below = file.relative_to(part).parents
+                refuse_links(directory, *(str(folder) for folder in below if folder.name))
                 place.parent.mkdir(parents=True, exist_ok=True)
                 if place.is_dir():
                     raise IsADirectoryError(errno.EISDIR, f"'{place.name}' in it is a folder")
@@ -48,6 +50,25 @@ def whole_files(directory: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
         if new and not any(directory.iterdir()):
             directory.rmdir()
+
+
+def refuse_links(directory: Path, *names: str) -> None:
+    """Raise `InputError` if one of the files or folders of these names in ``directory`` is a link.
+
+    A directory that somebody else made may hold links to anywhere; nothing is written through them.
+    """
+    for name in names:
+        if (place := directory / name).is_symlink():
+            raise InputError(
+                f"'{place}' is a link, and nothing is written through it: remove the link, or move it away"
+            )
+
+
+def unlinked(path: Path) -> Path:
+    """Remove ``path`` if it is a link, so that it can be written as a file of its own; what it leads to stays."""
+    if path.is_symlink():
+        path.unlink()
+    return path
 
 
 @contextmanager

@@ -44,7 +44,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import agreement, run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
 from activestructure_gym.evaluation.archive.old_names import current_name
-from activestructure_gym.evaluation.archive.parts import part_of, writing
+from activestructure_gym.evaluation.archive.parts import part_of, refuse_links, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 
@@ -61,6 +61,7 @@ CONFIG, METRICS = "config.json", "metrics.json"
 COMPARISON = "compare.json"
 EVALUATIONS = "evaluations"
 JOBS = "jobs"  # sub-directory of a comparison: one run directory per finished job
+TABLES = "tables"  # sub-directory of a comparison: the report's tables, each as Markdown, CSV and LaTeX
 STEPS, TRAJECTORY, GRAPH, PICTURES, MAP = "steps.jsonl", "trajectory.npz", "graph.npz", "pictures.npz", "map.npz"
 PLY = "map.ply"
 # What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
@@ -214,14 +215,27 @@ def unsummed(run: Run) -> list[str]:
 
 
 def set_aside(directory: Path) -> None:
-    """Make a damaged run one that is not finished; its files stay until another one takes their place."""
-    (directory / DONE).unlink(missing_ok=True)
+    """Make a damaged run one that is not finished; its files stay until another one takes their place.
+
+    Of a run that is a link, to a larger disk for example, the link goes, and nothing behind it is touched.
+    """
+    if not _let_go(directory):
+        (directory / DONE).unlink(missing_ok=True)
 
 
 def withdraw(directory: Path) -> None:
     """Make a run one that is not finished, for as long as `reinstate` is not called or another one takes its place."""
-    with suppress(FileNotFoundError):  # somebody else was faster
-        os.replace(directory / DONE, directory / WITHDRAWN)
+    if not _let_go(directory):
+        with suppress(FileNotFoundError):  # somebody else was faster
+            os.replace(directory / DONE, directory / WITHDRAWN)
+
+
+def _let_go(directory: Path) -> bool:
+    """Remove a run's directory that is a link; what it leads to stays as it is. Returns whether it was one."""
+    if not directory.is_symlink():
+        return False
+    directory.unlink(missing_ok=True)
+    return True
 
 
 def reinstate(directory: Path) -> None:
@@ -299,9 +313,9 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
 def whole_directory(directory: Path) -> Iterator[Path]:
     """A temporary sibling to write into; it takes the name ``directory`` when the block ends without an error.
 
-    Whatever stood there before is replaced, unless it is the same job's finished result: another process was faster,
-    and equal jobs give equal results. The content is on the disk before the name is. After an error, Ctrl-C included,
-    nothing is left behind.
+    Whatever has that name is replaced, unless it is the same job's finished result: another process was faster, and
+    equal jobs give equal results. A link is replaced itself, and what it leads to stays. The content is on the disk
+    before the name is. After an error, Ctrl-C included, nothing is left behind.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
     part = directory.with_name(f".{directory.name}{part_of()}")
@@ -312,8 +326,8 @@ def whole_directory(directory: Path) -> Iterator[Path]:
         if _same_result(part, directory):
             return
         _flush(part)
-        if directory.exists():
-            shutil.rmtree(directory)
+        if not _let_go(directory) and directory.exists():
+            shutil.rmtree(directory) if directory.is_dir() else directory.unlink()
         try:
             os.replace(part, directory)
         except OSError:
@@ -349,6 +363,7 @@ def write_evaluation(directory: Path, parameters: dict[str, Any], scene_hash: st
     """
     path = directory / EVALUATIONS / f"{parameters['name']}.json"
     content = {"format": FORMAT_VERSION, "protocol": parameters, "scene": scene_hash, "metrics": metrics}
+    refuse_links(directory, EVALUATIONS)
     with writing(path):
         path.parent.mkdir(exist_ok=True)
         write_json(path, content)

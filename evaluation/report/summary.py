@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from activestructure_gym.evaluation.archive import parts
 from activestructure_gym.evaluation.archive.jobs import slug
-from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.archive.store import TABLES, Run
 from activestructure_gym.evaluation.report import verdicts
 from activestructure_gym.evaluation.report.charts import standalone
 from activestructure_gym.evaluation.report.columns import aspects
@@ -35,7 +35,6 @@ from activestructure_gym.evaluation.report.results import Results, opened, sourc
 from activestructure_gym.evaluation.report.tables import overview, runs_csv, table_rows
 
 PAGE = "report.html"
-TABLES = "tables"  # sub-directory of the tables, each as Markdown, CSV and LaTeX
 
 
 def write_report(

@@ -27,6 +27,7 @@ from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
+from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
 from activestructure_gym.evaluation.running.following import PASSIVE, Given
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
@@ -209,9 +210,14 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
 
     ``shared`` with others, it may hold what they have begun.
     """
+    if directory.is_symlink() and not directory.exists():
+        raise InputError(f"the output '{directory}' is a link that leads nowhere: mend it, or choose another --out")
     if directory.exists() and not directory.is_dir():
         raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
     if directory.is_dir():
+        parts.refuse_links(directory, LOCK, LOGS, CLAIMS, store.TABLES)
+        if (directory / store.JOBS).is_symlink() and not (directory / store.JOBS).is_dir():
+            raise InputError(f"'{directory / store.JOBS}' is a link that leads to no folder: mend it, or remove it")
         check_free(directory, shared=shared)
         if (directory / store.COMPARISON).is_file():
             if not (resume or shared):

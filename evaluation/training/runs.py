@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.parts import refuse_links, unlinked
 from activestructure_gym.evaluation.archive.schema import Mismatch, checked_json, maybe, number, table
 from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
 from activestructure_gym.evaluation.machine import hardware as machine
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 CONFIG = "config.json"
 STATE = "state.safetensors"
+_TENSORBOARD = "tensorboard"  # a folder
 LOG = "log.jsonl"
 CURVE = "curve.svg"
 TIMING = "timing.json"
@@ -81,6 +83,7 @@ class TrainingRun:
 
     def __init__(self, directory: Path, config: TrainingConfig) -> None:
         directory.mkdir(parents=True, exist_ok=True)
+        refuse_links(directory, _TENSORBOARD)
         self.directory, self.config = directory, config
         self.position = 0  # units done
         self.best: float | None = None
@@ -95,7 +98,7 @@ class TrainingRun:
         self._load()
         self._cut_log()
         self.timing = Timing(directory / TIMING)
-        self._tensorboard = _tensorboard_writer(directory / "tensorboard", self.position)
+        self._tensorboard = _tensorboard_writer(directory / _TENSORBOARD, self.position)
 
     @property
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -180,7 +183,7 @@ class TrainingRun:
         save_checkpoint(self.directory / name, network, plain(notes) | {"versions": machine.versions()})
 
     def _log(self, row: Mapping[str, float]) -> None:
-        with open(self.directory / LOG, "a", encoding="utf-8") as file:
+        with open(unlinked(self.directory / LOG), "a", encoding="utf-8") as file:
             file.write(json_line({"unit": self.position, **row}))
             file.flush()
             os.fsync(file.fileno())

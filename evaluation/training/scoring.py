@@ -19,6 +19,7 @@ from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import schema
 from activestructure_gym.evaluation.archive.jobs import absolute_spec, scene_label, scene_labels, slug
+from activestructure_gym.evaluation.archive.parts import refuse_links
 from activestructure_gym.evaluation.archive.store import plain, read_json, write_json
 from activestructure_gym.evaluation.report.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws
@@ -94,6 +95,7 @@ def play_cells(
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
     conditions["overrides"] = dict(world.overrides)
     conditions |= {"starts": "in turn", "version": __version__}
+    refuse_links(directory, _EPISODES)
     (directory / _EPISODES).mkdir(parents=True, exist_ok=True)
     record = directory / RECORD
     known = (

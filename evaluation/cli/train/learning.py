@@ -57,6 +57,7 @@ def _run(
     """Train; returns the best validation, and whether there is a checkpoint to use."""
     import torch
 
+    from activestructure_gym.evaluation.archive.parts import refuse_links
     from activestructure_gym.evaluation.training import demonstrations
     from activestructure_gym.evaluation.training.runs import BEST, TrainingRun
     from activestructure_gym.evaluation.training.spreading import one_thread
@@ -88,6 +89,7 @@ def _run(
         else:
             from activestructure_gym.evaluation.training.supervised import train_supervised
 
+            refuse_links(directory, demonstrations.DATA)  # with --data the place is the user's own word
             episodes = Path(data) if data else directory / demonstrations.DATA
             live.begin(f"demonstrations of {config.teacher}", 1, 0)
 

@@ -39,9 +39,11 @@ class Score(Episodes):
 
         from activestructure_gym.config import known_preset
         from activestructure_gym.evaluation.archive.directory_lock import hold
+        from activestructure_gym.evaluation.archive.parts import writing
         from activestructure_gym.evaluation.training import scoring
         from activestructure_gym.evaluation.training.config import WorldConfig
         from activestructure_gym.evaluation.training.world import world_config
+        from activestructure_gym.files import replaced
         from activestructure_gym.policies import canonical_policy, make_policy
 
         console = make_console()
@@ -66,7 +68,8 @@ class Score(Episodes):
             live.say(f"{len(policies) + 2} policies each, {workers} at a time")
             scoring.play_cells(world, policies, cells, directory, workers=workers, tell=live.files)
         rows = scoring.table(directory, policies, cells, baselines)
-        (directory / "score.md").write_text(scoring.markdown(rows, baselines), encoding="utf-8")
+        with writing(directory), replaced(directory / "score.md") as file:
+            file.write(scoring.markdown(rows, baselines).encode())
         shown = plain_table(
             "mean coverage over the budget; normalised: 0 = random, 1 = one-step oracle; 95 %",
             *scoring.headings(rows, baselines),

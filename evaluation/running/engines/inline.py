@@ -10,6 +10,7 @@ from pathlib import Path
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.parts import unlinked
 from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.engines.last_words import error_words
 from activestructure_gym.evaluation.running.episode import run_job
@@ -27,7 +28,7 @@ def run_inline(
         except (Exception, SystemExit) as error:  # a third party's policy may raise anything
             log = directory / LOGS / f"{job.name}.log"
             log.parent.mkdir(parents=True, exist_ok=True)
-            log.write_text(traceback.format_exc(), encoding="utf-8")
+            unlinked(log).write_text(traceback.format_exc(), encoding="utf-8")
             outcome = Outcome(job, error_words(error))
         listener.ended(outcome)
         outcomes.append(outcome)

@@ -21,7 +21,7 @@ from pathlib import Path
 from activestructure_gym.errors import counted
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.parts import remove_parts
+from activestructure_gym.evaluation.archive.parts import remove_parts, unlinked
 from activestructure_gym.evaluation.archive.store import JOBS, is_done
 from activestructure_gym.evaluation.machine.processes import UTF_8, end_session
 from activestructure_gym.evaluation.running.engines.base import LOGS
@@ -68,7 +68,7 @@ class WorkerProcess:
         self._left_behind: list[str] = []  # processes that it had started and that were ended after it
         path = directory / LOGS / f"{job.name}.log"
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._log = open(path, "wb" if attempt == 1 else "ab")
+        self._log = open(unlinked(path), "wb" if attempt == 1 else "ab")
         self._log_start = self._log.tell()
         self._process = subprocess.Popen(
             [sys.executable, *command, str(run_directory(directory, job)), *map(str, keep_open)],

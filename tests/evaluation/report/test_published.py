@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from activestructure_gym.evaluation.archive.store import TABLES
 from activestructure_gym.evaluation.report.formats import markdown
 from activestructure_gym.evaluation.report.published import PUBLISHED, averages_table, published_tables, scenes_table
 from activestructure_gym.evaluation.report.results import Results
-from activestructure_gym.evaluation.report.summary import PAGE, TABLES, write_results
+from activestructure_gym.evaluation.report.summary import PAGE, write_results
 
 REPLICA, MP3D = PUBLISHED
 

@@ -54,8 +54,14 @@ def test_runs_that_are_left_out_are_said(measured, capsys):
     assert "1 of 2 runs in" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", [COMPARISON, f"{JOBS}/{GRID[0].name}/metrics.json"])
-@pytest.mark.parametrize("command", ["evaluate {}", "report {}", "report {} --out report"])
+_METRICS = f"{JOBS}/{GRID[0].name}/metrics.json"
+
+
+@pytest.mark.parametrize(
+    "command, name",
+    [("evaluate {}", COMPARISON), ("evaluate {}", _METRICS), ("report {}", COMPARISON),
+     ("report {} --out report", COMPARISON)],
+)  # fmt: skip
 def test_damage_ends_with_two_and_leaves_nothing(measured, name, command, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (measured / name).write_bytes(b"\xff")
@@ -64,6 +70,15 @@ def test_damage_ends_with_two_and_leaves_nothing(measured, name, command, capsys
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1 and f"all/{name}' is damaged" in said[0]
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_report_leaves_a_damaged_run_out_and_names_it(measured, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (measured / _METRICS).write_bytes(b"\xff")
+    assert main(["report", "all", "--out", "report"]) == 1
+    assert f"all/{_METRICS}' is damaged" in capsys.readouterr().out
+    summary = (tmp_path / "report" / "summary.md").read_text()
+    assert "Not finished, and not counted (1):" in summary and "is damaged" in summary
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,7 @@ def test_one_scene_in_two_folders_is_one_scene(make_run, tmp_path, monkeypatch):
         (tmp_path / name).mkdir()
         (tmp_path / name / store.DONE).touch()
     monkeypatch.setattr(store, "read_run", lambda directory: runs[directory.name == "q"])
+    monkeypatch.setattr(store, "read_shown", lambda run: None)
     found = gather([tmp_path / "p", tmp_path / "q"])
     assert found.scenes == ["a"] and found.policies == ["random", "b"]
     assert set(found.cells("random", "psnr")) == set(found.cells("b", "psnr")) == {("a", 0)}
@@ -158,6 +159,7 @@ def test_a_run_that_stands_in_two_places_counts_once(make_run, tmp_path, monkeyp
         (tmp_path / name).mkdir()
         (tmp_path / name / store.DONE).touch()
     monkeypatch.setattr(store, "read_run", lambda directory: runs[directory.name == "q"])
+    monkeypatch.setattr(store, "read_shown", lambda run: None)
     found = gather([tmp_path / "p", tmp_path / "q", tmp_path / "p"])
     assert [run.scene for run in found.runs] == ["x/a", "y/a"]  # told apart again
     with pytest.raises(InputError, match="neither a comparison"):

@@ -80,7 +80,12 @@ def load_mesh_scene(
     parts, declared_scale, declared_up = _read(path, textures)
     scale = declared_scale if units is None else _metres_per_unit(units)
     _check_parts(path, parts)
+    told = len(textures.notes)
     solid = solid_parts(parts, textures, scale)
+    if not solid and path.suffix.lower() not in (".glb", ".gltf"):
+        # Some exporters of these formats write the opposite, or an alpha of 0 that means nothing.
+        textures.notes[told:] = ["every face is transparent in the file, so all of them are read as solid"]
+        solid = [replace(part, opacity=None) for part in parts]
     check_visible(path, solid)
     mesh = assemble(solid, textures.images)
     mesh, unpainted = painted(mesh)

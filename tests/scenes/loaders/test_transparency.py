@@ -482,8 +482,10 @@ def test_ply_colours_have_an_alpha(tmp_path, make_box, kind, full):
     assert _distance(opaque) == pytest.approx(SOLID)
 
 
-def test_a_ply_file_of_nothing_visible_is_refused(tmp_path, make_box):
+def test_a_ply_file_of_nothing_visible_is_read_as_solid(tmp_path, make_box):
     path = _ply(tmp_path / "a.ply", make_box, "uchar", [0] * 4, 255, "vertex")
     path.write_text(path.read_text().replace(" 255 127 0 255", " 255 127 0 0"))
-    with pytest.raises(InputError, match="is transparent everywhere"):
-        load_mesh_scene(path, up="z")
+    scene = _load(path)
+    assert _distance(scene) == pytest.approx(SOLID)
+    assert any("every face is transparent in the file" in note for note in scene.notes)
+    assert not any("left out" in note for note in scene.notes)

@@ -9,6 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import StandardProtocol, Truth
+    from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.reconstruction import Reconstruction
 
 STORED_VIEWS = 8  # the first of the held-out views, which are in random order
@@ -20,17 +21,16 @@ _ALTITUDE = 60.0  # the eye's height above the plan in scene widths: as good as 
 
 
 def picture_arrays(
-    protocol: StandardProtocol, truth: Truth, reconstruction: Reconstruction, psnr: Sequence[float]
+    protocol: StandardProtocol, truth: Truth, gaussians: GaussianMap, plan: dict[str, np.ndarray], psnr: Sequence[float]
 ) -> dict[str, np.ndarray]:
     """What a run keeps for its pictures: ``rendered`` and ``true`` [n, H, W, 3] uint8, ``psnr`` [n], and the plan's."""
     count = min(STORED_VIEWS, len(truth.views))
-    gaussians = reconstruction.mapper.map
     rendered = [protocol.picture(gaussians, truth, index) for index in range(count)]
     return {
         "rendered": np.stack([np.rint(255.0 * picture).astype(np.uint8) for picture in rendered]),
         "true": truth.views.rgb[:count],
         "psnr": np.asarray(psnr[:count], dtype=np.float64),
-        **plan_arrays(reconstruction),
+        **plan,
     }
 
 

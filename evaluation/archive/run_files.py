@@ -82,6 +82,7 @@ _FOLLOWED = ("largest_step_m", "largest_turn_deg", "steps_too_long", "turns_too_
 _VIEWS = {"views": each(_numbers), "notes": table(others=text)}
 _POINT = {"decision": _count, "frames": _size, "metres": _size, "completion_ratio": number()}
 _POINT_MORE = {name: maybe(number()) for name in CURVE_MEASURES if name not in _POINT}
+CURVE: Check = each(table(_POINT, _POINT_MORE), least=1)
 METRICS: Check = table(
     {
         "format": number(whole=True),
@@ -95,7 +96,7 @@ METRICS: Check = table(
             | dict.fromkeys(_FOLLOWED, _size)
             | {"planning_notes": table(others=text)},
         ),
-        "curve": each(table(_POINT, _POINT_MORE), least=1),
+        "curve": CURVE,
     },
     {"protocol": PROTOCOL, "scene": text},
 )  # fmt: skip
@@ -239,6 +240,7 @@ def check_steps(steps: list[Any]) -> None:
 __all__ = [
     "COMPARISON",
     "CONFIG",
+    "CURVE",
     "EVALUATION",
     "JOB",
     "METRICS",

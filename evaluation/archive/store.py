@@ -6,6 +6,7 @@ A comparison's directory::
     jobs/<job name>/             one per finished job
         .done                    the job's hash; what has no such file is not a result. Behind it the SHA-256 of
                                  every file that is read again, in the form of sha256sum
+        .played                  of an episode that was played and is not measured yet; see `played`
         .withdrawn               what .done was, of a run that other own code played, until it is played again
         config.json              job, protocol, resolved configuration, scene, versions
         metrics.json             the numbers and the convergence curve; no clock in it
@@ -31,7 +32,7 @@ import math
 import os
 import shlex
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -56,6 +57,7 @@ T = TypeVar("T")
 FORMAT_VERSION = 3
 _READABLE = (2, FORMAT_VERSION)  # of 2 some policies had other names, see `old_names`
 DONE = ".done"
+PLAYED = ".played"  # in place of `DONE` until the episode is measured, see `played`
 WITHDRAWN = ".withdrawn"  # what `DONE` was, of a run that another text of own code played
 CONFIG, METRICS = "config.json", "metrics.json"
 COMPARISON = "compare.json"
@@ -159,12 +161,12 @@ class Run:
 
 def is_done(directory: Path, job: Job) -> bool:
     """Whether ``directory`` says that it holds the finished result of exactly this job; see `damage_of`."""
-    return _mark(directory)[0] == job.hash
+    return mark_and_sums(directory)[0] == job.hash
 
 
 def read_done(directory: Path, job: Job, scene: str | None = None) -> Run | None:
     """The finished result of exactly this job, None where there is none; `InputError` where it is damaged."""
-    mark = _mark(directory)[0]
+    mark = mark_and_sums(directory)[0]
     if mark != job.hash and (directory / DONE).exists():
         raise _damaged(directory / DONE, "it is not of the job that the directory is named after")
     if not mark:
@@ -259,9 +261,14 @@ def is_withdrawn(directory: Path) -> bool:
 
 def finish(directory: Path, job: Job) -> None:
     """Write the file that makes a run's directory a result, with the sums of the others; the last file of a run."""
+    write_mark(directory, DONE, job, _READ_AGAIN)
+
+
+def write_mark(directory: Path, mark: str, job: Job, names: Iterable[str]) -> None:
+    """Write a file with the job's hash and the sums of those of the named files that are there."""
     lines = [job.hash]
-    lines += [f"{_sum_of(directory / name)}  {name}" for name in _READ_AGAIN if (directory / name).is_file()]
-    (directory / DONE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines += [f"{sum_of(directory / name)}  {name}" for name in names if (directory / name).is_file()]
+    (directory / mark).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run:
@@ -292,7 +299,7 @@ def read_run(directory: str | os.PathLike[str], scene: str | None = None) -> Run
 
 def open_run(directory: Path, scene: str | None = None) -> Run:
     """As `read_run`, for a directory whose files are whole but that is not marked as finished."""
-    mark, sums = _mark(directory)
+    mark, sums = mark_and_sums(directory)
     found = {}
     for name, check in (("config", run_files.CONFIG), ("metrics", run_files.METRICS), ("timing", run_files.TIMING)):
         # The format first: another one may have other names.
@@ -326,15 +333,30 @@ def whole_directory(directory: Path) -> Iterator[Path]:
         if _same_result(part, directory):
             return
         _flush(part)
-        if not _let_go(directory) and directory.exists():
-            shutil.rmtree(directory) if directory.is_dir() else directory.unlink()
+        aside = aside_of(directory)
+        if directory.exists() or directory.is_symlink():  # of a link the link itself, nothing behind it
+            _remove(aside)
+            with suppress(FileNotFoundError):  # another process was faster
+                os.replace(directory, aside)
         try:
             os.replace(part, directory)
         except OSError:
             if not _same_result(part, directory):
                 raise
+        _remove(aside)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _remove(place: Path) -> None:
+    """Remove a directory, a file, or a link alone; leave what cannot be removed."""
+    with suppress(OSError):
+        place.unlink() if place.is_symlink() or not place.is_dir() else shutil.rmtree(place)
+
+
+def aside_of(directory: Path) -> Path:
+    """Return where a run's directory is for the moment in which another one takes its place."""
+    return directory.with_name(f".{directory.name}.aside")
 
 
 def _unlike_a_run(directory: Path) -> str:
@@ -347,6 +369,8 @@ def _unlike_a_run(directory: Path) -> str:
         runs = finished_marks(directory)
         example = f"; name one of its {len(runs)}, as {runs[0].parent}" if runs else ", none of whose runs has ended"
         return f"it is a comparison{example}"
+    if (directory / PLAYED).is_file():
+        return f"its episode was played and is not measured; `asg evaluate {shlex.quote(str(directory))}` measures it"
     return f"it has no {DONE} file, which is written last"
 
 
@@ -393,7 +417,7 @@ def _read(directory: Path, name: str, sums: Mapping[str, str], read: Callable[[P
     """A file of a run, compared with its sum where there is one; raises `InputError` that says how to get it back."""
     path = directory / name
     try:
-        if name in sums and _sum_of(path) != sums[name]:
+        if name in sums and sum_of(path) != sums[name]:
             raise schema.Mismatch(f"its content is not the one that {DONE} has the sum of")
         return read(path)
     except (OSError, ValueError) as error:
@@ -420,10 +444,10 @@ def _unreadable(path: Path, reason: Exception | str, remedy: str) -> InputError:
     return InputError(f"'{path}' is damaged: {reason}{remedy}")
 
 
-def _mark(directory: Path) -> tuple[str, dict[str, str]]:
+def mark_and_sums(directory: Path, mark: str = DONE) -> tuple[str, dict[str, str]]:
     """The job's hash and the sums by file name; empty where the run is not finished."""
     try:
-        with open(directory / DONE, "rb") as file:
+        with open(directory / mark, "rb") as file:
             first, *lines = file.read(1 << 16).decode("ascii", "replace").splitlines() or [""]
     except OSError:
         return "", {}
@@ -431,7 +455,8 @@ def _mark(directory: Path) -> tuple[str, dict[str, str]]:
     return first.strip(), {name: digest for digest, name in pairs}
 
 
-def _sum_of(path: Path) -> str:
+def sum_of(path: Path) -> str:
+    """Return the SHA-256 of a regular file."""
     if path.exists() and not path.is_file():
         raise schema.Mismatch("it is no regular file")
     with open(path, "rb") as file:
@@ -485,9 +510,10 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
-def _same_result(one: Path, other: Path) -> bool:
-    """Whether both directories are finished results of the same job."""
-    return bool(_mark(one)[0]) and _mark(one)[0] == _mark(other)[0]
+def _same_result(part: Path, directory: Path) -> bool:
+    """Whether ``directory`` is the finished result of the job that ``part`` is of, played or measured."""
+    mark = mark_and_sums(directory)[0]
+    return bool(mark) and mark in (mark_and_sums(part)[0], mark_and_sums(part, PLAYED)[0])
 
 
 def _flush(directory: Path) -> None:

@@ -26,7 +26,8 @@ def print_end(
     console: Console, result: Result, directory: Path, seconds: float, baseline: str | None, *, wide: bool
 ) -> int:
     """Write the report of a comparison, and print its result and what to run next; 0, or 1 if some runs failed."""
-    from activestructure_gym.evaluation.archive.comparison import read_record
+    from activestructure_gym.evaluation.archive.comparison import read_record, run_directory
+    from activestructure_gym.evaluation.archive.played import is_played
     from activestructure_gym.evaluation.cli.result_table import print_result
     from activestructure_gym.evaluation.report.method_text import trajectories_text
     from activestructure_gym.evaluation.report.planning_table import rich_planning_table
@@ -61,7 +62,9 @@ def print_end(
         print_next(console, [*next_commands(result.runs), *wider])
     if result.failed:
         what = counted(len(result.failed), "run")
-        complain(f"{what} failed; what was said is in {directory / 'logs'}")
+        kept = sum(is_played(run_directory(directory, outcome.job)) for outcome in result.failed)
+        left = f"; {counted(kept, 'episode')} kept, which --resume measures without playing again" if kept else ""
+        complain(f"{what} failed; what was said is in {directory / 'logs'}{left}")
     return 1 if result.failed else 0
 
 

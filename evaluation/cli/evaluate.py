@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.console import Console
 from rich.table import Table
 
-from activestructure_gym.errors import InputError, listed
+from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.cli.fields import NoNames, PathName, Runs, Switch, option
 from activestructure_gym.evaluation.cli.options import split_list, use_lpips_weights, use_trust
 from activestructure_gym.evaluation.cli.output import make_console, plain_table, print_whole
@@ -29,6 +30,7 @@ _SHOWN = (
 class Evaluate:
     """Measure finished runs again, from their stored maps alone, and say whether the numbers are the same.
 
+    Episodes that were played and are not measured yet are measured, which finishes their runs.
     With --map and --scene: measure a map of any origin.
     """
 
@@ -61,6 +63,7 @@ class Evaluate:
         from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
 
         console = make_console()
+        finished = {str(run.directory) for run in _finish_played(self.runs, console)}
         runs = _open(self.runs)
         rows = list[tuple[list[str], dict[str, Any]]]()
         compared, different, added = 0, 0, 0
@@ -68,6 +71,10 @@ class Evaluate:
         reasons: dict[str, str] = {}
         for run in runs:
             for protocol, stored in protocols_of(run, split_list(self.protocol)):
+                if stored is not None and str(run.directory) in finished:
+                    reasons |= stored["notes"]
+                    rows.append(([escape(run.job.title), protocol.name, "new"], stored))
+                    continue
                 with console.status(escape(f"measuring {run.job.title} by {protocol.name}")):
                     numbers = measure_again(run, protocol)
                 wrong = differing(stored, numbers) if stored is not None else []
@@ -84,6 +91,8 @@ class Evaluate:
                 rows.append(([escape(run.job.title), protocol.name, mark], numbers))
         print_whole(console, _table("measured again", ["run", "protocol", "same"], rows))
         _print_reasons(console, reasons)
+        if finished:
+            console.print(f"{counted(len(finished), 'run')} finished, whose episodes were played before")
         if added:
             console.print(f"{added} measured for the first time, kept in the runs' folders evaluations/")
         for reason in lost:
@@ -149,6 +158,29 @@ def _open(names: tuple[str, ...]) -> list[Run]:
             complain(f"note: {left} of {asked} runs in '{directory}' are not finished, and are left out")
     if not runs:
         raise InputError(f"there is no finished run in {listed(names)}")
+    return runs
+
+
+def _finish_played(names: tuple[str, ...], console: Console) -> list[Run]:
+    """Measure the episodes that are kept in run directories and comparisons and are not measured yet."""
+    from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
+    from activestructure_gym.evaluation.archive.directory_lock import hold
+    from activestructure_gym.evaluation.archive.played import is_played
+    from activestructure_gym.evaluation.running.measuring import measure_played
+
+    runs: list[Run] = []
+    for directory in map(Path, names):
+        record = read_record(directory)
+        jobs = [] if record is None else jobs_of(record, directory)
+        places = [run_directory(directory, job) for job in jobs] if record is not None else [directory]
+        places = [place for place in places if is_played(place)]
+        if not places:
+            continue
+        with nullcontext() if record is None else hold(directory, shared=True):
+            for place in places:
+                with console.status(escape(f"measuring the episode played in {place.name}")):
+                    run = measure_played(place)
+                runs += [run] if run is not None else []
     return runs
 
 

@@ -48,8 +48,8 @@ def play_again(
 def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     """The environment of ``run`` at its start; raises what `play_again` does."""
     from activestructure_gym.envs import ReconstructionEnv
-    from activestructure_gym.evaluation.running.episode import load_job_scene
     from activestructure_gym.evaluation.running.following import follower_of
+    from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
     job, stored = run.job, run.config["configuration"]

@@ -18,8 +18,9 @@ import numpy as np
 from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.claims import failures
-from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs
+from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
+from activestructure_gym.evaluation.archive.played import is_played
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.style import COLOURS
@@ -281,5 +282,6 @@ def source_of(
         job = Job.from_dict(content)
         if job.hash not in finished:
             reasons = ((damaged or {}).get(job.title), elsewhere.get(job.name), said.get(job.title))
-            missing[job.title] = next(filter(None, reasons), "not run to its end")
+            kept = "; its episode was played and is kept, to be measured" * is_played(run_directory(directory, job))
+            missing[job.title] = next(filter(None, reasons), "not run to its end") + kept
     return Source(directory, record.get("command", ""), record.get("workers"), missing)

@@ -28,8 +28,9 @@ from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.engines.base import LOGS
-from activestructure_gym.evaluation.running.episode import Progress, scene_as_recorded
+from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.following import PASSIVE, Given
+from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.schedule import Terms, schedule_of

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
-import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, InputWarning, shown
-from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory, split_spec
+from activestructure_gym.errors import InputError, shown
+from activestructure_gym.evaluation.archive import played, store
+from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
 from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.own_code import first_sum_of, own_code
-from activestructure_gym.evaluation.archive.picture_record import picture_arrays
+from activestructure_gym.evaluation.archive.picture_record import plan_arrays
 from activestructure_gym.evaluation.machine import hardware as machine
-from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
+from activestructure_gym.evaluation.running.measuring import measure
+from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
 from activestructure_gym.planes.record import graph_arrays, graph_summary
 
 if TYPE_CHECKING:
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
     from activestructure_gym.scenes import Scene
 
-SCENE_FOLDERS = "ASG_SCENES"  # variable: where files are looked for that have moved since a record was made
 CHECKPOINTS = 20  # points of the convergence curve, besides the first
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve, besides the first: each renders every held-out view
 CHECKPOINT_SAMPLES = 10_000  # surface points its C.R. is taken on: standard error below 0.5 %
@@ -70,6 +67,8 @@ class Progress:
 def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | None = None) -> store.Run:
     """Run ``job`` and write ``directory``, whole or not at all; returns what was written.
 
+    The episode is kept before it is measured. Where one is kept already, it is not played again.
+
     A pure function of the job: no global state, no clock in any result but ``timing.json``. Raises `InputError` where
     the job cannot be run at all.
     """
@@ -79,122 +78,46 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
     tell(Progress("loading"))
     own = own_code(job, first_sum_of)  # before it is imported, as it may be edited while it plays
     began = time.perf_counter()
-    scene = load_job_scene(job)
-    known = ground_truth_of(scene)
+    known = ground_truth_of(load_job_scene(job))
     truth = job.protocol.truth(known)
-    others = [get_protocol(name) for name in job.also]
+    for name in job.also:
+        get_protocol(name).truth(known)
+    place = played.played_episode(directory, job, first_sum_of)
+    if place is None:
+        _play(job, directory, known, truth, own, time.perf_counter() - began, tell)
+        if store.is_done(directory, job):  # another process was faster
+            return store.read_run(directory)
+        place = directory
+    episode = played.read_episode(place)
+    frames, budget = episode["metrics"]["frames"], episode["frame_budget"]
+    tell(Progress("measuring", frames, budget, episode["curve"][-1]["completion_ratio"]))
+    run = measure(job, place, directory, known, truth)
+    tell(Progress("done", frames, budget, run.metrics["metrics"]["completion_ratio"]))
+    return run
+
+
+def _play(
+    job: Job,
+    directory: Path,
+    known: GroundTruth,
+    truth: Truth,
+    own: dict[str, str],
+    loading: float,  # seconds that it took so far
+    tell: Callable[[Progress], None],
+) -> None:
+    """Play the episode of ``job``, and keep it in ``directory``, whole or not at all."""
+    began = time.perf_counter()
     policy, env = build(job, known)
-    seconds = {"loading": time.perf_counter() - began}
+    loading += time.perf_counter() - began
     try:
         episode = _Episode(job, env, policy, truth, tell)
         episode.run()
-        reconstruction = env.reconstruction
-        tell(Progress("measuring", reconstruction.frames, reconstruction.frame_budget, episode.last_ratio))
         began = time.perf_counter()
-        path = CameraPath.from_arrays(_path_arrays(reconstruction))
-        metrics = job.protocol.evaluate(reconstruction.mapper.map, truth, path)
-        episode.end_curve(metrics)
-        planned, reasons = planning_scores(episode.curve, reconstruction.frame_budget)
-        metrics |= planned | {"planning_notes": reasons} | episode_metrics(scene, reconstruction, episode)
-        with store.whole_directory(directory) as part:
-            reconstruction.mapper.map.save_npz(part / "map.npz")
-            _write_ply(reconstruction, part)
-            _write_record(part, job, scene, env, metrics, episode, own)
-            for other in others:
-                numbers = other.evaluate(reconstruction.mapper.map, other.truth(known), path)
-                store.write_evaluation(part, other.parameters(), scene.content_hash, numbers)
-            _write_pictures(part, job, truth, reconstruction, metrics)
-            seconds |= episode.seconds() | {"evaluation": episode.evaluation_seconds + time.perf_counter() - began}
-            timing = {
-                "seconds": seconds,
-                "total": episode.total_seconds,
-                "decisions": episode.decision_seconds,
-                "hardware": machine.hardware(),
-            }
-            store.write_json(part / "timing.json", timing)
-            _draw_pictures(part)
-            # Last: a directory without it is not a result.
-            store.finish(part, job)
+        with played.written_episode(directory, job) as part:
+            _write_episode(part, job, known.scene, env, episode, own, loading)
+            _write_files(part, env.reconstruction)
     finally:
         env.close()
-    tell(Progress("done", reconstruction.frames, reconstruction.frame_budget, metrics["completion_ratio"]))
-    return store.read_run(directory)
-
-
-def load_job_scene(job: Job) -> Scene:
-    """The job's scene; raises `InputError` if its file is not the one the job was made for."""
-    return scene_as_recorded(job.scene, job.scene_hash)
-
-
-def scene_as_recorded(spec: str, content_hash: str) -> Scene:
-    """The scene of a record, known by its content; an empty hash is that of any.
-
-    A record may name a mesh without the axis that was up then. Where the file turned to that axis is the scene of the
-    record to the last bit, it is used, and said. So is a file of the same name and content in the working directory or
-    a folder of ``ASG_SCENES``, where the record's own is not there. Raises `InputError` for every other content.
-    """
-    from activestructure_gym.scenes import load_scene
-    from activestructure_gym.scenes.loaders.upright import UP_AXES
-
-    if not content_hash:
-        return load_scene(spec)
-    try:
-        scene = _quietly(load_scene, spec)
-        refusal = InputError(
-            f"scene '{spec}' has changed since this run was planned: expected content {content_hash[:12]}, found "
-            f"{scene.content_hash[:12]}; start a new comparison"
-        )
-        if scene.content_hash == content_hash:
-            return scene
-    except InputError as error:
-        refusal = error
-    for up in UP_AXES:
-        try:
-            turned = _quietly(load_scene, spec, up=up)
-        except InputError:  # no mesh file
-            break
-        if turned.content_hash == content_hash:
-            told = f"scene '{spec}': this record was made with {up} up, and is gone on with so; name it with up={up}"
-            warnings.warn(told, InputWarning, stacklevel=2)
-            return turned
-    for other in _moved_specs(spec):
-        with suppress(InputError):
-            found = scene_as_recorded(other, content_hash)
-            warnings.warn(f"scene '{spec}' is not there: '{other}' has its content", InputWarning, stacklevel=2)
-            return found
-    if _is_gone(spec):
-        raise InputError(
-            f"{refusal}; a file that has moved is found by its name in the working directory and in the folders of "
-            f"{SCENE_FOLDERS}, if its content is the same"
-        )
-    raise refusal
-
-
-def _moved_specs(spec: str) -> list[str]:
-    """Specs of files called as the one of ``spec``, which is not there, in the folders where they are looked for."""
-    kind, path, options = split_spec(spec)
-    if not _is_gone(spec):
-        return []
-    folders = [os.getcwd(), *filter(None, os.environ.get(SCENE_FOLDERS, "").split(os.pathsep))]
-    places = [Path(os.path.expanduser(folder)) / Path(path).name for folder in folders]
-    return [
-        (f"{kind}:" if kind else "") + str(place) + (f"?{options}" if options else "")
-        for place in places
-        if place.exists()
-    ]
-
-
-def _is_gone(spec: str) -> bool:
-    """Whether a spec names a file or folder by its whole path, and nothing is there."""
-    path = split_spec(spec)[1]
-    return os.path.isabs(path) and not os.path.exists(path)
-
-
-def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
-    """``load(spec)`` without its `InputWarning`s: they were given when the scene was chosen."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", InputWarning)
-        return load(spec, **options)
 
 
 def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
@@ -370,12 +293,6 @@ class _Episode:
         self.evaluation_seconds += time.perf_counter() - began
         return scores
 
-    def end_curve(self, metrics: dict[str, Any]) -> None:
-        """Replace the numbers of the curve's last point by those of the finished map, so that both are equal."""
-        found = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
-        for point in (self.curve[-1], self.steps[-1]["checkpoint"] if self.steps else {}):
-            point |= found
-
 
 def _following(frames: int, spacing: int) -> int:
     """The next multiple of the spacing, which is at least 1."""
@@ -387,24 +304,16 @@ def _is_logged(name: str, value: Any) -> bool:
     return name != "action_mask" and isinstance(value, bool | int | float | np.generic)
 
 
-def _write_ply(reconstruction: Reconstruction, part: Path) -> None:
-    from activestructure_gym.mapping.ply import write_ply
-
-    write_ply(reconstruction.mapper.map, part / "map.ply")
-
-
-def _write_record(
+def _write_episode(
     part: Path,
     job: Job,
     scene: Scene,
     env: ReconstructionEnv,
-    metrics: dict[str, Any],
     episode: _Episode,
     own: dict[str, str],
+    loading: float,
 ) -> None:
-    """Configuration, numbers, decisions and path."""
-    reconstruction = env.reconstruction
-    extent = scene.bounds[1] - scene.bounds[0]
+    """Configuration, decisions, curve and clocks."""
     config = {
         "format": store.FORMAT_VERSION,
         "job": job.as_dict(),
@@ -416,27 +325,44 @@ def _write_record(
             "source": scene.source,
             "notes": scene.notes,
             "triangles": len(scene.mesh.faces),
-            "extent_m": extent,
+            "extent_m": scene.bounds[1] - scene.bounds[0],
         },
         "configuration": dataclasses.asdict(env.config),
         "versions": machine.versions(),
         **({OWN_CODE: own} if own else {}),
     }
-    results = {
-        "format": store.FORMAT_VERSION,
-        "protocol": job.protocol.parameters(),
-        "scene": scene.content_hash,
-        "metrics": metrics,
+    content = {
+        "metrics": episode_metrics(scene, env.reconstruction, episode),
+        "frame_budget": env.reconstruction.frame_budget,
         "curve": episode.curve,
+        "clock": {
+            "seconds": {"loading": loading} | episode.seconds(),
+            "evaluation": episode.evaluation_seconds,
+            "total": episode.total_seconds,
+            "decisions": episode.decision_seconds,
+            "hardware": machine.hardware(),
+        },
     }
-    store.write_json(part / "config.json", config)
-    store.write_json(part / store.METRICS, results)
-    with open(part / "steps.jsonl", "w", encoding="utf-8") as file:
+    store.write_json(part / store.CONFIG, config)
+    store.write_json(part / played.EPISODE, content)
+    with open(part / store.STEPS, "w", encoding="utf-8") as file:
         file.writelines(store.json_line(step) for step in episode.steps)
-    with open(part / "trajectory.npz", "wb") as file:
+
+
+def _write_files(part: Path, reconstruction: Reconstruction) -> None:
+    """Map, path, planes and plan."""
+    from activestructure_gym.mapping.ply import write_ply
+
+    reconstruction.mapper.map.save_npz(part / store.MAP)
+    write_ply(reconstruction.mapper.map, part / "map.ply")
+    with open(part / store.TRAJECTORY, "wb") as file:
         np.savez(file, **_path_arrays(reconstruction))  # type: ignore[arg-type]
-    with open(part / "graph.npz", "wb") as file:
-        np.savez_compressed(file, **graph_arrays(reconstruction.planes))  # type: ignore[arg-type]
+    for name, arrays in (
+        (store.GRAPH, graph_arrays(reconstruction.planes)),
+        (played.PLAN, plan_arrays(reconstruction)),
+    ):
+        with open(part / name, "wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
@@ -451,18 +377,3 @@ def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:
         "image_size": np.array([camera.width, camera.height], dtype=np.int64),
         "max_range": np.array(reconstruction.config.sensor.max_range, dtype=np.float64),
     }
-
-
-def _write_pictures(
-    part: Path, job: Job, truth: Truth, reconstruction: Reconstruction, metrics: dict[str, Any]
-) -> None:
-    """The arrays that pictures are drawn from."""
-    arrays = picture_arrays(job.protocol, truth, reconstruction, [view["psnr"] for view in metrics["views"]])
-    with open(part / "pictures.npz", "wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-
-
-def _draw_pictures(part: Path) -> None:
-    from activestructure_gym.evaluation.report.run_pictures import draw_run
-
-    draw_run(part)

@@ -38,7 +38,7 @@ def protocols_of(run: Run, names: Sequence[str] = ()) -> list[tuple[EvaluationPr
 
 def measure_again(run: Run, protocol: EvaluationProtocol) -> dict[str, Any]:
     """The protocol's numbers from ``map.npz`` and ``trajectory.npz`` alone, in JSON's types."""
-    from activestructure_gym.evaluation.running.episode import load_job_scene
+    from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
     # Nobody plays here: of what the job names only the scene is loaded.

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from activestructure_gym.evaluation.running import episode
+from activestructure_gym.evaluation.running import measuring
 
 
 @pytest.fixture(scope="package", autouse=True)
 def undrawn() -> Iterator[None]:
     """Jobs in this process draw no pictures, which is four fifths of a small job; tests of pictures draw their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(episode, "_draw_pictures", lambda part: None)
+        patch.setattr(measuring, "_draw_pictures", lambda part: None)
         yield

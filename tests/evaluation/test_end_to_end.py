@@ -12,7 +12,7 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES
 from activestructure_gym.evaluation.protocols import ActiveGamerProtocol, StandardProtocol
-from activestructure_gym.evaluation.running import episode
+from activestructure_gym.evaluation.running import episode, recorded_scene
 from activestructure_gym.mapping import GaussianMap
 
 CRASHING = """
@@ -239,16 +239,16 @@ def test_a_scene_that_changed_is_not_taken_for_the_old_one(runs):
     from activestructure_gym.errors import InputError
 
     with pytest.raises(InputError, match="has changed"):
-        episode.load_job_scene(replace(runs[0].job, scene="box?seed=9"))
+        recorded_scene.load_job_scene(replace(runs[0].job, scene="box?seed=9"))
 
 
-def test_a_failing_job_leaves_nothing(runs, tmp_path, monkeypatch):
+def test_a_job_that_fails_before_its_episode_is_kept_leaves_nothing(runs, tmp_path, monkeypatch):
     from dataclasses import replace
 
     def full_disk(*arguments):
         raise OSError("No space left on device")
 
-    monkeypatch.setattr(episode, "_write_pictures", full_disk)
+    monkeypatch.setattr(episode, "_write_files", full_disk)
     job = replace(runs[0].job, frame_budget=3)
     with pytest.raises(OSError, match="No space left"):
         episode.run_job(job, tmp_path / "jobs" / job.name)

@@ -15,7 +15,7 @@ from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.running.comparison import Comparison
-from activestructure_gym.evaluation.running.episode import load_job_scene, scene_as_recorded
+from activestructure_gym.evaluation.running.recorded_scene import load_job_scene, scene_as_recorded
 from activestructure_gym.scenes import load_scene
 
 WHY = "floor and ceiling lie 2.45 m apart along z, the shortest side"

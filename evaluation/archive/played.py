@@ -1,0 +1,104 @@
+"""Episodes that were played and are not measured yet: kept in the place of their run, which is not a finished one.
+
+Besides files of the later run (`store`), such a directory holds::
+
+    .played          the job's hash, and the SHA-256 of every file that measuring reads, in the form of sha256sum
+    episode.json     the curve, the clocks, and what is counted while an episode is played
+    plan.npz         the volume's plan and the map from above; see `picture_record.plan_arrays`
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import run_files, schema, store
+from activestructure_gym.evaluation.archive.brought import changed_schedule
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.own_code import changed_code
+
+EPISODE, PLAN = "episode.json", "plan.npz"
+_READ = (store.CONFIG, store.STEPS, store.TRAJECTORY, store.GRAPH, store.MAP, EPISODE, PLAN)
+_OWN = (store.PLAYED, EPISODE, PLAN)  # which a finished run has not
+
+_CHECK: schema.Check = schema.table(
+    {
+        "metrics": schema.table(others=schema.scalar), "frame_budget": schema.number(1, whole=True),
+        "curve": run_files.CURVE,
+        "clock": schema.table({
+            "total": schema.number(0), "evaluation": schema.number(0), "seconds": schema.table(others=schema.number(0)),
+            "decisions": schema.each(schema.number(0)), "hardware": schema.table(others=schema.scalar),
+        }),
+    }
+)  # fmt: skip
+
+
+@contextmanager
+def written_episode(directory: Path, job: Job) -> Iterator[Path]:
+    """Give a folder to write a played episode into, which takes the place of the run when the block ends."""
+    with store.whole_directory(directory) as part:
+        yield part
+        store.write_mark(part, store.PLAYED, job, _READ)
+
+
+def played_episode(
+    directory: Path, job: Job | None = None, sums: Callable[[str], str | None] | None = None
+) -> Path | None:
+    """Return where a played episode of a run's directory is whole, None where there is none.
+
+    ``job`` is the one that must have been played, by the code of which ``sums`` are the sums now; any if not given.
+    """
+    for place in (directory, store.aside_of(directory)):
+        mark, digests = store.mark_and_sums(place, store.PLAYED)
+        if not mark or (job is not None and mark != job.hash) or set(digests) != set(_READ):
+            continue
+        with suppress(InputError, OSError, ValueError):
+            if any(store.sum_of(place / name) != digest for name, digest in digests.items()):
+                continue
+            if job is not None and sums is not None:
+                if changed_code(place, job, sums) or changed_schedule(place, job):
+                    continue
+            return place
+    return None
+
+
+def is_played(directory: Path) -> bool:
+    """Return whether a run's directory says that it holds an episode to be measured, and no finished run."""
+    places = (directory, store.aside_of(directory))
+    return not (directory / store.DONE).exists() and any((place / store.PLAYED).is_file() for place in places)
+
+
+def job_of(place: Path) -> Job:
+    """Return the job that an episode was played for."""
+    config = store.read_json(place / store.CONFIG, run_files.CONFIG)
+    return Job.from_dict(config["job"])
+
+
+def read_episode(place: Path) -> dict[str, Any]:
+    """Return the content of `EPISODE`."""
+    content: dict[str, Any] = store.read_json(place / EPISODE, _CHECK)
+    return content
+
+
+def read_plan(place: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of `PLAN`."""
+    from activestructure_gym.npz import read_npz
+
+    return read_npz(place / PLAN)
+
+
+def bring_files(place: Path, part: Path) -> None:
+    """Put the files of a played episode that its run keeps into another folder of the same file system."""
+    for file in sorted(place.iterdir()):
+        if file.name not in (*_OWN, store.STEPS):
+            try:
+                os.link(file, part / file.name)
+            except OSError:  # a file system without links
+                shutil.copy2(file, part / file.name)

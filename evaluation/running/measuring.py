@@ -1,0 +1,119 @@
+"""From a played episode to a finished run: its map is measured, and its pictures are drawn, from its files alone.
+
+The episode keeps its place until the run takes it, so whatever ends measuring, the episode can be measured again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from activestructure_gym.evaluation.archive import played, run_files, store
+from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
+from activestructure_gym.evaluation.archive.picture_record import picture_arrays
+from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
+from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
+from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
+from activestructure_gym.npz import read_npz
+
+if TYPE_CHECKING:
+    from activestructure_gym.evaluation.protocols import Truth
+    from activestructure_gym.ground_truth import GroundTruth
+
+
+def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: Truth) -> store.Run:
+    """Measure the episode in ``place``, and write the run in ``directory``, whole or not at all."""
+    from activestructure_gym.mapping import GaussianMap
+
+    began = time.perf_counter()
+    episode = played.read_episode(place)
+    arrays = read_npz(place / store.TRAJECTORY)
+    run_files.check_trajectory(arrays)
+    path, gaussians = CameraPath.from_arrays(arrays), GaussianMap.load_npz(place / store.MAP)
+    metrics = job.protocol.evaluate(gaussians, truth, path)
+    # The curve ends with the numbers of the finished map.
+    last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
+    episode["curve"][-1] |= last
+    planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])
+    metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
+    with store.whole_directory(directory) as part:
+        played.bring_files(place, part)
+        _write_numbers(part, job, known, metrics, episode["curve"])
+        _write_steps(place / store.STEPS, part / store.STEPS, last)
+        for other in map(get_protocol, job.also):
+            numbers = other.evaluate(gaussians, other.truth(known), path)
+            store.write_evaluation(part, other.parameters(), known.scene.content_hash, numbers)
+        views = [view["psnr"] for view in metrics["views"]]
+        pictures = picture_arrays(job.protocol, truth, gaussians, played.read_plan(place), views)
+        with open(part / store.PICTURES, "wb") as file:
+            np.savez_compressed(file, **pictures)  # type: ignore[arg-type]
+        _write_clocks(part, episode["clock"], time.perf_counter() - began)
+        _draw_pictures(part)
+        # Last: a directory without it is not a result.
+        store.finish(part, job)
+    return store.read_run(directory)
+
+
+def measure_played(directory: Path) -> store.Run | None:
+    """Measure the episode that was played for a run's directory; None where there is none.
+
+    Raises `InputError` where the scene is not there or another one, and where the job names code that is not trusted.
+    """
+    from activestructure_gym.ground_truth import ground_truth_of
+
+    place = played.played_episode(directory)
+    if place is None:
+        return None
+    job = played.job_of(place)
+    # Nobody plays here: of what the job names only the scene is loaded.
+    refuse_code([replace(job, policy="random", overrides=())], place / store.CONFIG)
+    known = ground_truth_of(load_job_scene(job))
+    return measure(job, place, directory, known, job.protocol.truth(known))
+
+
+def _write_numbers(
+    part: Path, job: Job, known: GroundTruth, metrics: Mapping[str, Any], curve: list[dict[str, Any]]
+) -> None:
+    results = {
+        "format": store.FORMAT_VERSION,
+        "protocol": job.protocol.parameters(),
+        "scene": known.scene.content_hash,
+        "metrics": metrics,
+        "curve": curve,
+    }
+    store.write_json(part / store.METRICS, results)
+
+
+def _write_steps(source: Path, target: Path, last: Mapping[str, Any]) -> None:
+    """Copy the log of decisions; the checkpoint of the last one gets the numbers of the finished map."""
+    with open(source, encoding="utf-8") as lines, open(target, "w", encoding="utf-8") as file:
+        before = ""
+        for line in lines:
+            file.write(before)
+            before = line
+        if before:
+            step = json.loads(before)
+            step["checkpoint"] |= last
+            file.write(store.json_line(step))
+
+
+def _write_clocks(part: Path, clock: Mapping[str, Any], seconds: float) -> None:
+    timing = {
+        "seconds": clock["seconds"] | {"evaluation": clock["evaluation"] + seconds},
+        "total": clock["total"],
+        "decisions": clock["decisions"],
+        "hardware": clock["hardware"],
+    }
+    store.write_json(part / "timing.json", timing)
+
+
+def _draw_pictures(part: Path) -> None:
+    from activestructure_gym.evaluation.report.run_pictures import draw_run
+
+    draw_run(part)

@@ -1,0 +1,94 @@
+"""The scene of a record, which is known by its content, wherever its file is now."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.evaluation.archive.jobs import Job, split_spec
+
+if TYPE_CHECKING:
+    from activestructure_gym.scenes import Scene
+
+SCENE_FOLDERS = "ASG_SCENES"  # variable: where files are looked for that have moved since a record was made
+
+
+def load_job_scene(job: Job) -> Scene:
+    """The job's scene; raises `InputError` if its file is not the one the job was made for."""
+    return scene_as_recorded(job.scene, job.scene_hash)
+
+
+def scene_as_recorded(spec: str, content_hash: str) -> Scene:
+    """The scene of a record, known by its content; an empty hash is that of any.
+
+    A record may name a mesh without the axis that was up then. Where the file turned to that axis is the scene of the
+    record to the last bit, it is used, and said. So is a file of the same name and content in the working directory or
+    a folder of ``ASG_SCENES``, where the record's own is not there. Raises `InputError` for every other content.
+    """
+    from activestructure_gym.scenes import load_scene
+    from activestructure_gym.scenes.loaders.upright import UP_AXES
+
+    if not content_hash:
+        return load_scene(spec)
+    try:
+        scene = _quietly(load_scene, spec)
+        refusal = InputError(
+            f"scene '{spec}' has changed since this run was planned: expected content {content_hash[:12]}, found "
+            f"{scene.content_hash[:12]}; start a new comparison"
+        )
+        if scene.content_hash == content_hash:
+            return scene
+    except InputError as error:
+        refusal = error
+    for up in UP_AXES:
+        try:
+            turned = _quietly(load_scene, spec, up=up)
+        except InputError:  # no mesh file
+            break
+        if turned.content_hash == content_hash:
+            told = f"scene '{spec}': this record was made with {up} up, and is gone on with so; name it with up={up}"
+            warnings.warn(told, InputWarning, stacklevel=2)
+            return turned
+    for other in _moved_specs(spec):
+        with suppress(InputError):
+            found = scene_as_recorded(other, content_hash)
+            warnings.warn(f"scene '{spec}' is not there: '{other}' has its content", InputWarning, stacklevel=2)
+            return found
+    if _is_gone(spec):
+        raise InputError(
+            f"{refusal}; a file that has moved is found by its name in the working directory and in the folders of "
+            f"{SCENE_FOLDERS}, if its content is the same"
+        )
+    raise refusal
+
+
+def _moved_specs(spec: str) -> list[str]:
+    """Specs of files called as the one of ``spec``, which is not there, in the folders where they are looked for."""
+    kind, path, options = split_spec(spec)
+    if not _is_gone(spec):
+        return []
+    folders = [os.getcwd(), *filter(None, os.environ.get(SCENE_FOLDERS, "").split(os.pathsep))]
+    places = [Path(os.path.expanduser(folder)) / Path(path).name for folder in folders]
+    return [
+        (f"{kind}:" if kind else "") + str(place) + (f"?{options}" if options else "")
+        for place in places
+        if place.exists()
+    ]
+
+
+def _is_gone(spec: str) -> bool:
+    """Whether a spec names a file or folder by its whole path, and nothing is there."""
+    path = split_spec(spec)[1]
+    return os.path.isabs(path) and not os.path.exists(path)
+
+
+def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
+    """``load(spec)`` without its `InputWarning`s: they were given when the scene was chosen."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)
+        return load(spec, **options)

@@ -1,0 +1,158 @@
+"""A played episode is kept until it is measured, whatever ends measuring."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive import played, store
+from activestructure_gym.evaluation.archive.comparison import open_comparison, run_directory
+from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.cli.evaluate import Evaluate
+from activestructure_gym.evaluation.protocols import StandardProtocol
+from activestructure_gym.evaluation.running import episode, measuring
+from activestructure_gym.evaluation.running.comparison import run_comparison
+from activestructure_gym.evaluation.running.one_call import Silence
+from activestructure_gym.scenes import load_scene
+
+CLOCKS = ("timing.json", store.DONE)  # which holds the sum of the other
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    protocol = StandardProtocol(views=2, view_width=64, view_height=36, surface_samples=1000, tsdf_voxel_m=0.06)
+    scene_hash = load_scene("box").content_hash
+    return Job("box", "random", 0, scene_hash=scene_hash, preset="fast", frame_budget=12, protocol=protocol)
+
+
+@pytest.fixture(scope="module")
+def finished(job, tmp_path_factory) -> Path:
+    """The run, not interrupted."""
+    directory = tmp_path_factory.mktemp("finished") / "run"
+    episode.run_job(job, directory)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def interrupted(job, finished, tmp_path_factory) -> Path:
+    """The same run, of which measuring has failed."""
+    directory = tmp_path_factory.mktemp("interrupted") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measuring, "_draw_pictures", _disk_is_full)
+        with pytest.raises(OSError, match="No space left"):
+            episode.run_job(job, directory)
+    return directory
+
+
+@pytest.fixture
+def kept(interrupted, tmp_path) -> Path:
+    return Path(shutil.copytree(interrupted, tmp_path / "kept"))
+
+
+def _disk_is_full(part: Path) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def _never_again(*given: object) -> None:
+    raise AssertionError("it was played again")
+
+
+def _check_equal(one: Path, other: Path) -> None:
+    files = sorted(path.relative_to(one) for path in one.rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(other) for path in other.rglob("*") if path.is_file())
+    for file in files:
+        assert file.name in CLOCKS or (one / file).read_bytes() == (other / file).read_bytes(), file
+    clocks = [json.loads((place / "timing.json").read_text()) for place in (one, other)]
+    assert clocks[0].keys() == clocks[1].keys() and clocks[0]["seconds"].keys() == clocks[1]["seconds"].keys()
+
+
+def test_what_was_played_is_kept_and_is_no_finished_run(kept, job):
+    names = {path.name for path in kept.iterdir()}
+    assert {"config.json", "steps.jsonl", "trajectory.npz", "map.npz", "map.ply", "graph.npz"} <= names
+    assert store.DONE not in names and not store.is_done(kept, job) and played.is_played(kept)
+    with pytest.raises(InputError, match="was played and is not measured; `asg evaluate .*` measures it"):
+        store.read_run(kept)
+    assert sorted(path.name for path in kept.parent.iterdir()) == [kept.name]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, SystemExit, InputError])
+def test_whatever_ends_measuring_the_episode_stays_and_is_not_played_again(error, kept, finished, job, monkeypatch):
+    monkeypatch.setattr(episode, "_play", _never_again)
+    with monkeypatch.context() as patch:
+        patch.setattr(StandardProtocol, "evaluate", lambda *given: (_ for _ in ()).throw(error("now")))
+        with pytest.raises(error):
+            episode.run_job(job, kept)
+    assert played.is_played(kept)
+    run = episode.run_job(job, kept)
+    assert run.job == job and not played.is_played(kept)
+    _check_equal(finished, kept)
+
+
+def test_an_episode_is_found_where_a_kill_left_it_between_two_names(kept, finished, job, monkeypatch):
+    monkeypatch.setattr(episode, "_play", _never_again)
+    kept.rename(store.aside_of(kept))
+    assert played.is_played(kept)
+    episode.run_job(job, kept)
+    _check_equal(finished, kept)
+    assert not store.aside_of(kept).exists()
+
+
+@pytest.mark.parametrize("name", ["map.npz", "episode.json", "steps.jsonl", "plan.npz", ".played"])
+def test_a_damaged_episode_is_played_again(name, kept, finished, job):
+    content = bytearray((kept / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (kept / name).write_bytes(content)
+    assert played.played_episode(kept, job) is None
+    if name == "map.npz":
+        episode.run_job(job, kept)
+        _check_equal(finished, kept)
+
+
+def test_an_episode_of_another_job_or_of_other_code_does_not_count(kept, job):
+    assert played.played_episode(kept, job) == kept
+    assert played.played_episode(kept, replace(job, seed=1)) is None
+    own = replace(job, policy="mine:Mine")
+    (kept / store.PLAYED).write_text((kept / store.PLAYED).read_text().replace(job.hash, own.hash))
+    assert played.played_episode(kept, own, lambda module: None) == kept
+    assert played.played_episode(kept, own, lambda module: "ab") == kept  # of which the run has no sum
+    config = json.loads((kept / "config.json").read_text()) | {"own_code": {"policy mine:Mine": "cd"}}
+    (kept / "config.json").write_text(json.dumps(config))
+    store.write_mark(kept, store.PLAYED, own, played._READ)
+    assert played.played_episode(kept, own, lambda module: "cd") == kept
+    assert played.played_episode(kept, own, lambda module: "ab") is None
+
+
+def test_a_process_that_was_slower_leaves_the_finished_run_alone(finished, job, tmp_path):
+    place = Path(shutil.copytree(finished, tmp_path / "run"))
+    mark = (place / store.DONE).read_bytes()
+    with played.written_episode(place, job) as part:
+        (part / "config.json").write_text("{}")
+    assert (place / store.DONE).read_bytes() == mark and not (place / store.PLAYED).exists()
+
+
+def test_evaluate_measures_an_episode_and_finishes_its_run(kept, finished, capsys, monkeypatch):
+    monkeypatch.setattr(episode, "_play", _never_again)
+    assert Evaluate(runs=(str(kept),)).run() == 0
+    assert "1 run finished" in capsys.readouterr().out
+    _check_equal(finished, kept)
+
+
+def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path, monkeypatch):
+    for way in ("resume", "evaluate"):
+        directory = tmp_path / way
+        directory.mkdir()
+        with monkeypatch.context() as patch:
+            patch.setattr(measuring, "_draw_pictures", _disk_is_full)
+            result = run_comparison([job], directory, Silence(), engine="inline")
+        assert [outcome.job for outcome in result.failed] == [job] and not result.runs
+        assert open_comparison(directory) == []
+        with monkeypatch.context() as patch:
+            patch.setattr(episode, "_play", _never_again)
+            if way == "resume":
+                assert len(run_comparison([job], directory, Silence(), engine="inline", resume=True).runs) == 1
+            else:
+                assert Evaluate(runs=(str(directory),)).run() == 0
+        _check_equal(finished, run_directory(directory, job))

@@ -27,30 +27,30 @@ HELP = """usage: asg COMMAND [OPTIONS]
 
 ActiveStructure Gym: planners for active 3D reconstruction, compared.
 
-  asg compare    run policies on scenes under one budget; ends with a table, curves and pictures
-  asg score      follow a given trajectory of any system, map on the way and measure the map
-  asg policies   list the policies known by name, or describe one
-  asg scenes     list the scenes known by name, or check one
-  asg features   list the features of a candidate view that a policy can ask for
-  asg config     print the configuration of an episode, and what a preset or --set changes
-  asg doctor     say what works here, what does not, and which package is missing
-  asg bench      measure the speed of the sensor, the rasteriser, the evaluation
-  asg train      train a learned policy (bc, rank, ppo), or score policies on layouts nobody was trained on
-  asg evaluate   measure finished runs again, from their stored maps alone, or anybody's map
-  asg verify     play finished runs again and compare them with what they stored, byte for byte
-  asg leaderboard  one page of runs from anybody, self-reported until they were verified here
-  asg export     write a run's map as 3D Gaussian splatting PLY, .splat or SplaTAM's params.npz
-  asg report     write the report of finished runs: one page, and tables for papers
-  asg replay     write a run, or two side by side, as one page to watch: the map as it grows
-  asg watch      play an episode in a browser while it happens; pause it, or say where to go
-  asg cache      show what is kept on disk between runs, or remove it
-  asg completion print a script that lets bash, zsh or fish complete all of this
+  asg compare      run policies on scenes under one budget
+  asg score        follow the trajectory of any system, and measure the map
+  asg policies     list the policies, or describe one
+  asg scenes       list the scenes, or check one
+  asg features     list the features of a view that a policy can ask for
+  asg config       print the configuration of an episode
+  asg doctor       print what works here, and which package is missing
+  asg bench        measure the speed of the sensor, the rasteriser, the map
+  asg train        train a learned policy (bc, rank, ppo), or score policies
+  asg evaluate     measure finished runs again from their maps, or any map
+  asg verify       play finished runs again, and compare them byte for byte
+  asg leaderboard  write a page of runs by anyone, verified or not
+  asg export       write a run's map as PLY, .splat or SplaTAM's params.npz
+  asg report       write the report of finished runs, and tables for papers
+  asg replay       write a run, or two, as a page that shows the map grow
+  asg watch        play an episode in a browser, and choose views yourself
+  asg cache        show what is kept on disk between runs, or remove it
+  asg completion   print a script that completes all of this in a shell
 
   asg COMMAND --help    the options of a command
   asg --version
 
-Begin with `asg compare`: random against activestructure in a furnished room, in about a
-minute, with nothing to download."""
+Begin with `asg compare`: random against activestructure in a furnished room,
+in about a minute, with nothing to download."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from activestructure_gym.evaluation.cli.closing import print_next
 from activestructure_gym.evaluation.cli.output import make_console
 from activestructure_gym.evaluation.cli.train.live import Live
 from activestructure_gym.streams import complain, escape
@@ -47,7 +48,7 @@ def learn(config: TrainingConfig, directory: Path, *, data: str | None, workers:
         f"{config.units} {_unit(config)}, {time.monotonic() - began:.0f} s"
         + ("" if best is None else f"; best validation: coverage {100 * best:.1f} %")
     )
-    console.print(f"Compare it: [bold]asg compare --policies learned:{escape(str(directory))},pixel_only[/]")
+    print_next(console, [["asg", "compare", "--policies", f"learned:{directory},pixel_only"]])
     return 0 if validated else 1
 
 

@@ -136,7 +136,7 @@ def untried(monkeypatch):
 @pytest.mark.parametrize(
     "words",
     [
-        ["policies"], ["policies", "naruto"], ["policies", "activeinr?uncertainty=proxy"], ["features"],
+        ["--help"], ["policies"], ["policies", "naruto"], ["policies", "activeinr?uncertainty=proxy"], ["features"],
         ["features", "naruto_look", "hole_area"], ["scenes"], ["scenes", "box"], ["config"], ["config", "fast"],
         ["config", "paper", "planes"], ["doctor"], ["cache"],
     ],

@@ -166,6 +166,16 @@ def _damaged_lines(rng: np.random.Generator, content: bytes) -> bytes:
     return b"\n".join(lines) + b"\n"
 
 
+_DTYPES = ("f2", "f8", "c16", "i1", "u8", "U5", "?", ">f4", "M8[s]", "V4")
+_WIDTHS = {"f": ("f2", "f4", "f8", ">f4", ">f8"), "i": ("i1", "i2", "i4", "i8", ">i8"), "u": ("u1", "u2", "u4", "u8")}
+
+
+def _other_width(rng: np.random.Generator, dtype: np.dtype[Any]) -> str:
+    """The same kind of number in other bytes, now and then the same ones."""
+    kind = dtype.kind if rng.random() < 0.7 else str(rng.choice(sorted(_WIDTHS)))
+    return str(rng.choice(_WIDTHS.get(kind, _DTYPES)))
+
+
 def damaged_npz(rng: np.random.Generator, content: bytes) -> bytes:
     """One array of it has another shape, kind or content, is gone, or lies about its size."""
     with np.load(io.BytesIO(content)) as file:
@@ -184,7 +194,10 @@ def damaged_npz(rng: np.random.Generator, content: bytes) -> bytes:
         lambda: array[: len(array) // 2] if array.ndim else array[None],
         lambda: np.concatenate([array, array]) if array.ndim else np.zeros((0,)),
         lambda: np.swapaxes(array, 0, -1) if array.ndim else array,
-        lambda: array.astype(str(rng.choice(["f2", "f8", "c16", "i1", "u8", "U5", "?", ">f4", "M8[s]", "V4"]))),
+        lambda: array.astype(str(rng.choice(_DTYPES))),
+        lambda: array.astype(_other_width(rng, array.dtype)),
+        lambda: array[:-1] if array.ndim else array[None],
+        lambda: np.concatenate([array, array[-1:]]) if array.ndim else np.zeros((0,)),
         lambda: np.array(None, object),
         lambda: spoilt.reshape(array.shape).astype(array.dtype, casting="unsafe"),
         lambda: spoilt.reshape(array.shape),

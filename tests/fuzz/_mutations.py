@@ -72,8 +72,10 @@ def damaged_json(rng: np.random.Generator, text: bytes) -> bytes:
     tree = json.loads(text)
     for _ in range(int(rng.integers(1, 4))):
         holder, key = _place(rng, tree)
-        kind = rng.integers(8)
-        if kind < 4:
+        kind = rng.integers(9)
+        if kind == 8:
+            _other_length(rng, tree)
+        elif kind < 4:
             holder[key] = _VALUES[rng.integers(len(_VALUES))]
         elif kind == 4:
             del holder[key]
@@ -85,6 +87,19 @@ def damaged_json(rng: np.random.Generator, text: bytes) -> bytes:
         else:
             holder[key] = {"x": holder[key]}
     return json.dumps(tree).encode()
+
+
+def _other_length(rng: np.random.Generator, tree: Any) -> None:
+    """One entry more or less in some list of the tree."""
+    lists, stack = [], [tree]
+    while stack:
+        holder = stack.pop()
+        lists += [holder] if isinstance(holder, list) and holder else []
+        stack += [value for value in (holder.values() if isinstance(holder, dict) else holder)
+                  if isinstance(value, dict | list)]  # fmt: skip
+    if lists:
+        chosen = lists[rng.integers(len(lists))]
+        chosen.append(chosen[-1]) if rng.random() < 0.5 else chosen.pop()
 
 
 def _place(rng: np.random.Generator, tree: Any) -> tuple[Any, Any]:

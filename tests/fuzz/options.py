@@ -199,4 +199,5 @@ _WORK = (
     f"{_PACKAGE}.evaluation.cli.doctor.Doctor.run",
     f"{_PACKAGE}.evaluation.running.remeasure.measure_file",
     f"{_PACKAGE}.evaluation.cli.cache._clear",
+    f"{_PACKAGE}.evaluation.cli.watch.play",
 )

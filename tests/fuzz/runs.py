@@ -16,7 +16,9 @@ from tests.fuzz._archives import asg, comparison, content_of, damage, evil_modul
 
 CI_CASES = 10
 
-_COMMANDS = ("report", "report in place", "resume", "evaluate", "evaluate one", "export")
+_COMMANDS = (
+    "report", "report in place", "resume", "evaluate", "evaluate one", "export", "replay", "leaderboard", "score",
+)  # fmt: skip
 
 
 def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
@@ -33,7 +35,7 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
         own += [f"{run}/evaluations/activegamer.json", "compare.json", "compare.json"]
         damaged = sorted({str(name) for name in rng.choice(own, int(rng.integers(1, 3)))})
         for name in damaged:
-            before = files.get(name, files[f"{run}/metrics.json"])
+            before = files.get(name, comparison()[f"{run}/metrics.json"])
             after = damage(rng, name, before, files)
             files.pop(name, None)
             if after is not None:
@@ -85,6 +87,12 @@ def _check(folder: Path, command: str, run: str, damaged: list[str], mark: Path)
             _report(folder / ("report" if command == "report" else "all"))
         elif command.startswith("evaluate"):
             asg("evaluate", f"all/{run}" if command == "evaluate one" else "all")
+        elif command == "replay":
+            asg("replay", f"all/{run}", "--out", "replay.html")
+        elif command == "leaderboard":
+            asg("leaderboard", "all", "--out", "leaderboard.html")
+        elif command == "score":
+            _score(run)
         else:
             asg("export", f"all/{run}", "--out", "map.ply")
     except InputError:
@@ -94,6 +102,14 @@ def _check(folder: Path, command: str, run: str, damaged: list[str], mark: Path)
     finally:
         if mark.exists():
             raise AssertionError("code that a file names was run")
+
+
+def _score(run: str) -> None:
+    """Follow the run's path, as far as it is checked; the run that would be made of it is not."""
+    from activestructure_gym.evaluation.running.following import Given
+
+    given = Given.of(f"trajectory:all/{run}/trajectory.npz")
+    _ = given.spec, given.frames
 
 
 def _report(out: Path) -> None:

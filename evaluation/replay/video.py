@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cv2
 
-from activestructure_gym.errors import InputError, InputWarning
+from activestructure_gym.errors import FullDisk, InputError, InputWarning
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.replay.recording import follow, playing
 from activestructure_gym.viewer.recorder import after_keyframes
@@ -24,6 +24,15 @@ def check_video(path: Path) -> str:
     if path.suffix.lower() not in CODECS:
         raise InputError(f"a video ends in {' or '.join(CODECS)}, got '{path.name}'")
     return CODECS[path.suffix.lower()]
+
+
+def is_whole(path: Path, pictures: int) -> bool:
+    """Return whether a file is a video of so many pictures; one that a full disk cut off is not."""
+    film = cv2.VideoCapture(str(path))
+    try:
+        return sum(1 for _ in iter(film.grab, False)) == pictures  # its head may promise more than there is
+    finally:
+        film.release()
 
 
 def write_video(
@@ -61,6 +70,8 @@ def write_video(
                 warnings.warn(f"the video of {run.job.title}: {differs}", InputWarning, stacklevel=2)
             add(_LAST)
             writer.release()
+            if not is_whole(part, pictures):  # OpenCV reports no error
+                raise FullDisk(f"'{path}' cannot be written whole: is there room on its disk?")
             part.replace(path)
         finally:
             writer.release()

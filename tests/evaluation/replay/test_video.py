@@ -51,3 +51,24 @@ def test_what_cannot_be_a_video_is_said(
         assert main(["replay", *words]) == 2
         assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending, codec", [("mp4", "mp4v"), ("webm", "VP80")])
+def test_a_video_that_was_cut_off_is_found(tmp_path: Path, ending: str, codec: str) -> None:
+    path, rng = tmp_path / f"film.{ending}", np.random.default_rng(0)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, (64, 48))
+    for _ in range(30):
+        writer.write(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    writer.release()
+    assert video.is_whole(path, 30) and not video.is_whole(path, 60)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert not video.is_whole(path, 30)
+
+
+def test_a_video_without_room_takes_no_name(
+    finished: list[Run], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "_LAST", 1)
+    monkeypatch.setattr(video, "is_whole", lambda path, pictures: False)
+    assert main(["replay", str(finished[0].directory), "--video", str(tmp_path / "run.mp4")]) == 1
+    assert "cannot be written whole" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -12,8 +12,9 @@ _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORDS = (b"0", b"-1", b"-0.0", b"1", b"3", b"255", b"65536", b"2147483647", b"4294967295", b"-2147483649",
           b"9223372036854775807", b"18446744073709551616", b"1e308", b"-1e308", b"1e-320", b"1e999", b"nan", b"NaN",
           b"-inf", b"Infinity", b"0x10", b"1,5", b"x", b"", b"null", b"[]", b"9" * 5000, b"0" * 300 + b"1",
-          b"\xff\xfe", b"\x00", b"<a>", b"&amp;", b"\n")  # fmt: skip
+          b"\xff\xfe", b"\x00", b"<a>", b"&amp;", b"\n", b"\x1b[1A\x07\r")  # fmt: skip
 _VALUES: tuple[Any, ...] = (
+    "\x1b[2K\x1b[1A\x1b]0;x\x07\r\x9b8m\u202e",  # moves a terminal's cursor, names its window, turns text around
     0, -1, 1, 2, 7, 2**31 - 1, 2**31, 2**32, 2**63, -(2**63), 10**30, 1e308, -1e308, 1e-320, 0.5, float("nan"),
     float("inf"), "", "x", "0", "a\nb", "../..", "/dev/zero", "x" * 3000, None, True, False, [], {}, [[]], [0] * 50,
     [None], {"a": 1}, [1e308, 1e308, 1e308], "data:;base64,####", "data:,", 4, 5, 6, 5120, 5126,

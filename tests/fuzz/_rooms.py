@@ -133,6 +133,42 @@ def gltf_room(picture: bytes | None = None, uri: str | None = None) -> Gltf:
     return gltf
 
 
+def placed_room() -> Gltf:
+    """The room with all that a glTF can say of where a mesh is and of what is transparent."""
+    gltf = gltf_room(encoded("PNG"))
+    weights = np.zeros((8, 4), np.float32)
+    weights[:, 0] = 1.0
+    skinned, moved = (dict(gltf.header["meshes"][k]["primitives"][0]["attributes"]) for k in (0, 1))
+    skinned |= {"JOINTS_0": gltf.accessor(np.zeros((8, 4), np.uint8)), "WEIGHTS_0": gltf.accessor(weights)}
+    inverse = gltf.accessor(np.eye(4, dtype=np.float32).reshape(1, 16))
+    gltf.header["accessors"][inverse] |= {"type": "MAT4", "count": 1}
+    indices = gltf.header["meshes"][0]["primitives"][0]["indices"]
+    target = {"POSITION": gltf.accessor(np.full((8, 3), 0.2, np.float32))}
+    places = {
+        "TRANSLATION": gltf.accessor(np.array([[0, 0, 0], [1, 1, 0]], np.float32)),
+        "ROTATION": gltf.accessor(np.array([[0, 0, 0, 32767], [0, 0, 23170, 23170]], np.int16), normalized=True),
+        "SCALE": gltf.accessor(np.full((2, 3), 0.5, np.float32)),
+    }
+    gltf.header["meshes"] += [
+        {"primitives": [{"attributes": skinned, "indices": indices, "material": 2}]},
+        {"primitives": [{"attributes": moved, "indices": indices, "targets": [target]}], "weights": [0.5]},
+    ]
+    texture = {"index": 0, "texCoord": 0}
+    gltf.header["materials"] += [{"alphaMode": "BLEND", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.4]}}]
+    gltf.header["materials"][1] |= {"alphaMode": "MASK", "alphaCutoff": 0.4}
+    gltf.header["materials"][1]["pbrMetallicRoughness"] = {"baseColorTexture": texture}
+    gltf.header["skins"] = [{"joints": [4], "inverseBindMatrices": inverse}]
+    gltf.header["nodes"] += [
+        {"mesh": 2, "skin": 0},
+        {"translation": [0.1, 0.0, 0.0]},
+        {"mesh": 3, "weights": [1.0], "extensions": {"EXT_mesh_gpu_instancing": {"attributes": places}}},
+        {"mesh": 1, "extensions": {"KHR_node_visibility": {"visible": False}}},
+    ]
+    gltf.header["scenes"] = [{"nodes": [0, 3, 4, 5, 6]}]
+    gltf.header["extensionsUsed"] = ["EXT_mesh_gpu_instancing", "KHR_node_visibility", "KHR_texture_transform"]
+    return gltf
+
+
 def _rows(array: np.ndarray) -> list[str]:
     return [" ".join(f"{value:g}" for value in row) for row in array]
 
@@ -145,6 +181,16 @@ def obj_text(faces: str = "") -> str:
 
 
 MTL = "newmtl paper\nKd 1 1 1\nmap_Kd paper.png\nnewmtl red\nKd 0.8 0.2 0.2\nNs 10\nd 1.0\n"
+
+PLACED_MTL = """newmtl paper
+Kd 1 1 1
+map_Kd -s 2 2 1 -o 0.5 0 0 -clamp on -mm 0 1 paper.png
+map_d -imfchan l -s 3 paper.png
+newmtl red
+Kd 0.8 0.2 0.2
+Tr 0.4
+d -halo 0.7
+"""
 
 
 def ply_text(kind: str = "ascii") -> bytes:
@@ -226,15 +272,31 @@ def dae_text(**parts: str) -> str:
     return DAE.format(**{**given, **parts})
 
 
+def placed_dae() -> str:
+    """The room with wrap modes, Maya's placement, what is transparent, and nodes of every kind of transform."""
+    clear = '<transparent opaque="A_ONE"><color>1 1 1 0.7</color></transparent>'
+    clear += "<transparency><float>0.9</float></transparency>"
+    maya = "<repeatU>2</repeatU><offsetV>0.5</offsetV><rotateUV>30</rotateUV>"
+    maya = f'<extra><technique profile="MAYA">{maya}</technique></extra>'
+    text = dae_text(nodes="<node><skew>30 0 1 0 1 0 0</skew><lookat>0 0 1 1 0 1 0 0 1</lookat></node>")
+    text = text.replace("</source></sampler2D>", "</source><wrap_s>MIRROR</wrap_s><wrap_t>CLAMP</wrap_t></sampler2D>")
+    text = text.replace('texcoord="uv"/>', f'texcoord="uv">{maya}</texture>')
+    bound = '<bind_vertex_input semantic="uv" input_semantic="TEXCOORD" input_set="0"/>'
+    text = text.replace('target="#m1"/>', f'target="#m1">{bound}</instance_material>')
+    return text.replace("0.8 0.2 0.2 1</color></diffuse>", f"0.8 0.2 0.2 1</color></diffuse>{clear}")
+
+
 @lru_cache(maxsize=1)
 def rooms() -> dict[str, dict[str, bytes]]:
     """Files by name of each kind of room; the first is the one to load."""
     glb, gltf = gltf_room(), gltf_room(uri="paper%20roll.jpg")
     gltf.header["buffers"] = [{"byteLength": len(gltf.data), "uri": "room.bin"}]
     webp = gltf_room(encoded("WEBP"))
+    placed = placed_room()
     paper = {"paper.png": encoded("PNG")}
     return {
         "glb": {"room.glb": glb_bytes(glb.header | {"buffers": [{"byteLength": len(glb.data)}]}, glb.data)},
+        "placed": {"room.glb": glb_bytes(placed.header | {"buffers": [{"byteLength": len(placed.data)}]}, placed.data)},
         "webp": {"room.glb": glb_bytes(webp.header | {"buffers": [{"byteLength": len(webp.data)}]}, webp.data)},
         "gltf": {
             "room.gltf": json.dumps(gltf.header, indent=1).encode(),
@@ -242,11 +304,13 @@ def rooms() -> dict[str, dict[str, bytes]]:
             "paper roll.jpg": encoded("JPEG", progressive=True),
         },
         "obj": {"room.obj": obj_text().encode(), "room.mtl": MTL.encode(), **paper},
+        "obj-placed": {"room.obj": obj_text().encode(), "room.mtl": PLACED_MTL.encode(), **paper},
         "ply": {"room.ply": ply_text()},
         "ply-binary": {"room.ply": ply_text("binary_little_endian")},
         "stl": {"room.stl": stl_text()},
         "stl-binary": {"room.stl": stl_binary()},
         "dae": {"room.dae": dae_text().encode(), **paper},
+        "dae-placed": {"room.dae": placed_dae().encode(), **paper},
     }
 
 

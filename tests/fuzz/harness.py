@@ -32,6 +32,8 @@ _REPOSITORY = str(Path(__file__).resolve().parents[2])
 _ROUGH = re.compile(
     r"\b(?:[A-Z]\w+Error|NoneType|object has no attribute|not subscriptable|index out of range|positional argument)\b"
 )
+# What would move a terminal's cursor, colour it or turn its text around; a line may end.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,8 @@ def _serve(connection: Connection, kind: str, seed: int, root: str, keep: bool, 
             text = printed.read(1 << 20).decode(errors="replace")
             if verdict != "failed" and "Traceback (most recent call last)" in text:
                 verdict, message = "failed", f"printed a traceback: {text.strip().splitlines()[-1][:500]}"
+            if verdict != "failed" and _CONTROL.search(text):
+                verdict, message = "failed", f"printed control characters: {text[:500]!r}"
             if verdict != "failed" and growth > megabytes:
                 verdict, message = "failed", f"takes over {megabytes:.0f} MB"
             os.chdir(root)
@@ -223,6 +227,8 @@ def _tried(read: Callable[[], object]) -> tuple[str, str]:
         message = str(error)
         if not message.strip() or len(message.splitlines()) != 1:
             return "failed", f"refused in {len(message.splitlines())} lines: {message[:500]!r}"
+        if _CONTROL.search(message):
+            return "failed", f"refused with control characters: {message[:500]!r}"
         if len(message) > _LONGEST_MESSAGE:
             return "failed", f"refused in {len(message)} characters: {message[:500]!r}"
         return "refused", message

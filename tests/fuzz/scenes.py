@@ -24,7 +24,8 @@ def case(rng: np.random.Generator, folder: Path) -> Callable[[], object]:
         files[spoilt] = _damaged(rng, spoilt, kind, files[spoilt])
     for name, data in files.items():
         (folder / name).write_bytes(data)
-    return lambda: load(folder / main)
+    options = {"up": "z"} if kind == "placed" else {}
+    return lambda: load(folder / main, **options)
 
 
 def _damaged(rng: np.random.Generator, name: str, kind: str, data: bytes) -> bytes:

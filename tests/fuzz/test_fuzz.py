@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.fuzz.harness import _tried, generator, kind_module, kinds, run
+from tests.fuzz.harness import _CONTROL, _tried, generator, kind_module, kinds, run
 
 
 @pytest.mark.parametrize("rest", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -39,6 +39,7 @@ def test_what_is_a_failure():
     assert _tried(lambda: None)[0] == "used"
     assert raises(InputError("give a mesh")) == "refused"
     assert raises(InputError("two\nlines")) == raises(InputError("")) == "failed"
+    assert _CONTROL.search("a\x1b[1A") and _CONTROL.search("\u202e") and not _CONTROL.search("a line\tand another\n")
     assert raises(InputError("long " * 1000)) == "failed"
     assert raises(SystemExit(2)) == "refused" and raises(SystemExit(3)) == "failed"
     assert raises(KeyError("x")) == raises(MemoryError()) == raises(RecursionError()) == "failed"

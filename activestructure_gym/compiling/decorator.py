@@ -67,7 +67,7 @@ def _uncompiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def check_compiling() -> None:
     """Raise `InputError` where the environment forbids numba to compile."""
-    if config.DISABLE_JIT:
+    if getattr(config, "DISABLE_JIT", 0):
         raise InputError(
             "NUMBA_DISABLE_JIT is set, and the kernels cannot run as Python: they need atomic instructions. Unset it"
         )

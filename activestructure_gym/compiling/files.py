@@ -153,7 +153,7 @@ def _fields(kind: Any) -> str:
 
 def _folders(place: Path) -> list[Path]:
     """The folder of a kernel's files and those above it up to ``NUMBA_CACHE_DIR``, where that is set."""
-    above, root = [place, *place.parents], Path(numba.config.CACHE_DIR or place)
+    above, root = [place, *place.parents], Path(getattr(numba.config, "CACHE_DIR", "") or place)
     return above[: above.index(root) + 1] if root in above else [place]
 
 

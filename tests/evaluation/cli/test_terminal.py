@@ -90,7 +90,7 @@ def numbers_of(k: int) -> dict[str, float | None]:
     random = np.random.default_rng(k)
     shares = {key: 100 * random.random() for key in ("observed", "completion_ratio", "tsdf_completion_ratio")}
     frames = {"frames_to_80": 123.0 + k, "frames_to_85": 241.0 if k % 2 else None, "frames_to_90": None}
-    metres = {"metres": 100 * random.random(), "seconds": 1000 * random.random(), "psnr": 20 + 15 * random.random()}
+    metres = {"metres": random.integers(400) / 4, "seconds": 1000 * random.random(), "psnr": 20 + 15 * random.random()}
     return shares | frames | metres | {"frames_to_95": None, "observed_area": 100 * random.random()}
 
 

@@ -45,6 +45,8 @@ def recorded_legs(arrays: Mapping[str, np.ndarray]) -> list[Leg]:
     if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "iu" or rounds.dtype.kind not in "iu":
         raise ValueError(f"legs must be whole numbers [D, 3], got {table.dtype} {table.shape}")
     table = table.astype(np.int64)  # unsigned ones would become fractions below
+    if keyframes.ndim != 1 or keyframes.dtype.kind not in "iu" or (keyframes < 0).any():
+        raise ValueError(f"keyframes must be whole numbers [K] from 0 on, got {keyframes.dtype} {keyframes.shape}")
     if rounds.shape != keyframes.shape or (rounds < 0).any() or (rounds > 1000).any():
         raise ValueError(f"keyframe_rounds must have a number from 0 to 1000 for each of {len(keyframes)} keyframes")
     before = np.vstack([[[1, 1, 0]], table])[:-1]

@@ -23,10 +23,10 @@ from activestructure_gym.evaluation.archive import run_files, schema, store
 from activestructure_gym.evaluation.archive.brought import changed_schedule
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.own_code import changed_code
+from activestructure_gym.npz import read_npz
 
 EPISODE, PLAN = "episode.json", "plan.npz"
 _READ = (store.CONFIG, store.STEPS, store.TRAJECTORY, store.GRAPH, store.MAP, EPISODE, PLAN)
-_OWN = (store.PLAYED, EPISODE, PLAN)  # which a finished run has not
 
 _CHECK: schema.Check = schema.table(
     {
@@ -89,16 +89,40 @@ def read_episode(place: Path) -> dict[str, Any]:
 
 def read_plan(place: Path) -> dict[str, np.ndarray]:
     """Return the arrays of `PLAN`."""
-    from activestructure_gym.npz import read_npz
+    return _arrays(place / PLAN, run_files.check_plan)
 
-    return read_npz(place / PLAN)
+
+def read_path(place: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of `store.TRAJECTORY`."""
+    return _arrays(place / store.TRAJECTORY, run_files.check_trajectory)
+
+
+def _arrays(file: Path, check: Callable[[dict[str, np.ndarray]], None]) -> dict[str, np.ndarray]:
+    try:
+        arrays = read_npz(file)
+        check(arrays)
+    except (OSError, ValueError) as error:
+        raise damaged(file, error) from error
+    return arrays
+
+
+def damaged(file: Path, reason: Exception) -> InputError:
+    """The `InputError` about a file of a played episode."""
+    return InputError(f"'{file}' is damaged: {reason}; delete '{file.parent}', and its episode is played again")
 
 
 def bring_files(place: Path, part: Path) -> None:
-    """Put the files of a played episode that its run keeps into another folder of the same file system."""
-    for file in sorted(place.iterdir()):
-        if file.name not in (*_OWN, store.STEPS):
-            try:
-                os.link(file, part / file.name)
-            except OSError:  # a file system without links
-                shutil.copy2(file, part / file.name)
+    """Put the files of a played episode that its run keeps into another folder of the same file system.
+
+    And no others: they would be written later, wherever links in ``place`` lead.
+    """
+    for name in (store.CONFIG, store.TRAJECTORY, store.GRAPH, store.MAP, store.PLY):
+        file = place / name
+        if not file.is_file():
+            continue
+        try:
+            if file.is_symlink():
+                raise OSError("a link to elsewhere is copied")
+            os.link(file, part / name)
+        except OSError:  # a file system without links, too
+            shutil.copy2(file, part / name)

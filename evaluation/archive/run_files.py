@@ -145,16 +145,18 @@ TRAJECTORY = {
 }
 _LEGS = {"keyframe_rounds": Array("i8", ("K",), low=0, high=1000), "legs": Array("i8", ("D", 3), low=0)}
 _RANGE = {"max_range": Array("f8", (), low=0, high=_FARTHEST)}  # of the sensor, metres; not every path says it
-_PICTURES = {
-    "rendered": Array("u1", ("views", "height", "width", 3), high=255, least=1),
-    "true": Array("u1", ("views", "height", "width", 3), high=255, least=1),
-    "psnr": Array("f8", ("views",), least=1),
+_PLAN = {
     "plan_state": Array("u1", ("columns", "rows"), high=2, least=1),
     "plan_corner": _places(2),
     "plan_extent": Array("f8", (2,), low=1e-3, high=_FARTHEST),
     "above_rgb": Array("u1", ("h", "w", 3), high=255, least=1),
     "above_alpha": Array("u1", ("h", "w"), high=255, least=1),
 }
+_PICTURES = {
+    "rendered": Array("u1", ("views", "height", "width", 3), high=255, least=1),
+    "true": Array("u1", ("views", "height", "width", 3), high=255, least=1),
+    "psnr": Array("f8", ("views",), least=1),
+} | _PLAN
 _GRAPH = {
     "ids": Array("i8", ("planes",)),
     "normals": Array("f8", ("planes", 3), low=-2, high=2),
@@ -204,6 +206,16 @@ def check_pictures(arrays: Mapping[str, np.ndarray]) -> None:
     sizes = check_arrays(arrays, _PICTURES)
     if sizes["views"] > _MOST_PICTURES:
         raise Mismatch(f"it holds {sizes['views']} views, at most {_MOST_PICTURES} are read")
+    _check_cells(arrays)
+
+
+def check_plan(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `Mismatch` unless the plan's arrays agree."""
+    check_arrays(arrays, _PLAN)
+    _check_cells(arrays)
+
+
+def _check_cells(arrays: Mapping[str, np.ndarray]) -> None:
     cells = arrays["plan_extent"] / arrays["plan_state"].shape  # metres
     if abs(cells[0] - cells[1]) > 1e-6 * cells.max():
         raise Mismatch("plan_state and plan_extent do not fit together: its cells are no squares")
@@ -249,6 +261,7 @@ __all__ = [
     "anything",
     "check_graph",
     "check_pictures",
+    "check_plan",
     "check_steps",
     "check_trajectory",
 ]

@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from activestructure_gym.evaluation.archive import played, run_files, store
+from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
-from activestructure_gym.npz import read_npz
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import Truth
@@ -33,9 +32,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
 
     began = time.perf_counter()
     episode = played.read_episode(place)
-    arrays = read_npz(place / store.TRAJECTORY)
-    run_files.check_trajectory(arrays)
-    path, gaussians = CameraPath.from_arrays(arrays), GaussianMap.load_npz(place / store.MAP)
+    path, gaussians = CameraPath.from_arrays(played.read_path(place)), GaussianMap.load_npz(place / store.MAP)
     metrics = job.protocol.evaluate(gaussians, truth, path)
     # The curve ends with the numbers of the finished map.
     last = {name: metrics[name] for name in CURVE_MEASURES if metrics.get(name) is not None}
@@ -98,8 +95,11 @@ def _write_steps(source: Path, target: Path, last: Mapping[str, Any]) -> None:
             file.write(before)
             before = line
         if before:
-            step = json.loads(before)
-            step["checkpoint"] |= last
+            try:
+                step = json.loads(before)
+                step["checkpoint"] |= last
+            except (ValueError, TypeError, KeyError) as error:
+                raise played.damaged(source, error) from error
             file.write(store.json_line(step))
 
 

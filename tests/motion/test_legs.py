@@ -52,6 +52,9 @@ def test_the_legs_of_a_run_are_read_back() -> None:
         ("legs", np.array([[7, 5, 0]]), "a frame be paid for each"),
         ("legs", np.zeros((2, 3)), r"whole numbers \[D, 3\]"),
         ("keyframe_rounds", np.array([1, 1]), "each of 3 keyframes"),
+        ("keyframes", np.array([0, 2, -1]), r"whole numbers \[K\] from 0 on"),
+        ("keyframes", np.array([0.0, 2.0, 6.0]), r"whole numbers \[K\] from 0 on"),
+        ("keyframes", np.array([True, False, True]), r"whole numbers \[K\] from 0 on"),
         ("keyframe_rounds", np.array([1, 1, 10**6]), "from 0 to 1000"),
     ],
 )

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
@@ -156,3 +157,32 @@ def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path,
             else:
                 assert Evaluate(runs=(str(directory),)).run() == 0
         _check_equal(finished, run_directory(directory, job))
+
+
+def test_nothing_is_written_where_links_in_a_played_episode_lead(kept, finished, tmp_path):
+    theirs = tmp_path / "theirs"
+    theirs.write_text("not ours")
+    for name in (store.PICTURES, store.METRICS, "views.png", "timing.json", store.EVALUATIONS, store.DONE):
+        (kept / name).symlink_to(theirs)
+    (kept / store.DONE).unlink()
+    measuring.measure_played(kept)
+    _check_equal(kept, finished)
+    assert theirs.read_text() == "not ours"
+
+
+def _sealed(place: Path, job: Job, name: str, **changes: np.ndarray) -> Path:
+    with np.load(place / name) as file:
+        arrays = dict(file) | changes
+    np.savez(place / name, **arrays)
+    store.write_mark(place, store.PLAYED, job, played._READ)
+    return place
+
+
+@pytest.mark.parametrize(
+    ("name", "array"), [(played.PLAN, "plan_state"), (played.PLAN, "above_rgb"), (store.TRAJECTORY, "keyframes")]
+)
+def test_arrays_of_another_width_are_damage(kept, job, name, array):
+    with np.load(kept / name) as file:
+        wider = file[array].astype("u2")
+    with pytest.raises(InputError, match=f"{name}' is damaged: {array}: expected .* its episode is played again"):
+        measuring.measure_played(_sealed(kept, job, name, **{array: wider}))

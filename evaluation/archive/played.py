@@ -77,7 +77,7 @@ def is_played(directory: Path) -> bool:
 
 def job_of(place: Path) -> Job:
     """Return the job that an episode was played for."""
-    config = store.read_json(place / store.CONFIG, run_files.CONFIG)
+    config = store.read_json(place / store.CONFIG, run_files.check_config)
     return Job.from_dict(config["job"])
 
 

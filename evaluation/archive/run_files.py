@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from activestructure_gym.evaluation.archive.jobs import is_trajectory
 from activestructure_gym.evaluation.archive.schema import (
     Array,
     Check,
@@ -65,7 +66,12 @@ CONFIG: Check = table(
                 "width": number(1, _WIDEST_IMAGE, whole=True), "height": number(1, _WIDEST_IMAGE, whole=True),
                 "depth_noise": anything,
             }),
-        }, {"motion": table({}, {"max_step_m": _size, "max_turn_deg": _size})}),
+        }, {
+            "motion": table({}, {"max_step_m": _size, "max_turn_deg": _size, "candidate_clearance": _size}),
+            "views": table({}, {"max_candidates": number(1, whole=True), "stages": each(each(text), least=1)}),
+            "mapper": table({}, {"name": text, "iterations": _count}), "gains": each(text),
+            "keyframe_every": number(1, whole=True),
+        }),
         "versions": table(dict.fromkeys(("activestructure-gym", "python", "numpy", "numba", "embreex"), text),
                           others=text),
     },
@@ -238,6 +244,24 @@ def check_graph(arrays: Mapping[str, np.ndarray]) -> None:
         raise Mismatch("patch_starts, patch_shapes and patch_bits do not fit together")
 
 
+# Fields of the configuration that a report reads of runs on native terms, and of those that follow a trajectory.
+_NATIVE = ("views.stages", "views.max_candidates", "keyframe_every", "mapper.name", "mapper.iterations",
+           "motion.candidate_clearance")  # fmt: skip
+_FOLLOWING = ("mapper.name",)
+
+
+def check_config(content: Any, place: str) -> None:
+    """Raise `Mismatch` unless ``config.json`` holds what it must, and what its terms and its policy need besides."""
+    CONFIG(content, place)
+    job, configuration = content["job"], content["configuration"]
+    wanted = _NATIVE if job.get("terms") == "native" else ()
+    wanted += _FOLLOWING if is_trajectory(job["policy"]) else ()
+    for field in wanted:
+        room, _, name = field.rpartition(".")
+        if name not in (configuration.get(room, {}) if room else configuration):
+            raise Mismatch(f"configuration lacks {field}")
+
+
 def check_steps(steps: list[Any]) -> None:
     """Raise `Mismatch` unless every decision's entries are valid and frames never fall."""
     if len(steps) > _MOST_POSES:
@@ -259,6 +283,7 @@ __all__ = [
     "TIMING",
     "TRAJECTORY",
     "anything",
+    "check_config",
     "check_graph",
     "check_pictures",
     "check_plan",

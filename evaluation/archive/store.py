@@ -301,7 +301,8 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
     """As `read_run`, for a directory whose files are whole but that is not marked as finished."""
     mark, sums = mark_and_sums(directory)
     found = {}
-    for name, check in (("config", run_files.CONFIG), ("metrics", run_files.METRICS), ("timing", run_files.TIMING)):
+    checks = {"config": run_files.check_config, "metrics": run_files.METRICS, "timing": run_files.TIMING}
+    for name, check in checks.items():
         # The format first: another one may have other names.
         content = found[name] = _read(directory, f"{name}.json", sums, schema.read_checked_json)
         version = content.get("format", FORMAT_VERSION) if isinstance(content, dict) else FORMAT_VERSION

@@ -53,6 +53,8 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     from activestructure_gym.ground_truth import ground_truth_of
 
     job, stored = run.job, run.config["configuration"]
+    if "gains" not in stored or "max_candidates" not in stored.get("views", {}):
+        raise InputError(f"'{run.directory / CONFIG}' lacks gains or views.max_candidates: no replay without")
     if not trusted:  # a policy is made on native terms alone, to learn what it brings
         refuse_code([job if job.terms == "native" else replace(job, policy="random")], run.directory / CONFIG)
     truth = ground_truth_of(load_job_scene(job))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from activestructure_gym.config import ReconstructionConfig
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, store
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -173,6 +175,16 @@ def test_there_are_as_many_steps_as_the_other_files_say(written: Path, tmp_path:
     lines = (written / store.STEPS).read_bytes().splitlines(keepends=True)
     with pytest.raises(InputError, match="decisions: "):
         read(changed(written, tmp_path / "run", store.STEPS, b"".join(change(lines))))
+
+
+@pytest.mark.parametrize("changes", [{"terms": "native"}, {"policy": "trajectory:sweep"}])
+def test_what_a_report_reads_of_a_configuration_must_be_in_it(written: Path, changes: dict[str, str]) -> None:
+    content = json.loads((written / store.CONFIG).read_text())
+    run_files.check_config(content, "")
+    with pytest.raises(Mismatch, match="configuration lacks "):
+        run_files.check_config({**content, "job": content["job"] | changes}, "")
+    whole = json.loads(json.dumps(store.plain(dataclasses.asdict(ReconstructionConfig()))))
+    run_files.check_config({**content, "job": content["job"] | changes, "configuration": whole}, "")
 
 
 @pytest.mark.parametrize("name", [store.PICTURES, store.METRICS, store.STEPS])

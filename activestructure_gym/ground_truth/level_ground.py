@@ -25,7 +25,8 @@ class Ground:
     below: np.ndarray  # [R] float64 metres: z of the surface below the run, -inf = none
     above: np.ndarray  # [R] float64 metres: z of the surface above the run, inf = none
     area: np.ndarray  # [R] float64 m2 of level ground below the run that a camera is carried over
-    ceiling_behind: np.ndarray  # [R] bool: the surface above is level and is seen from behind
+    floor_behind: np.ndarray  # [R] bool: the surface below is level and is seen from behind
+    ceiling_behind: np.ndarray  # [R] bool: likewise the surface above
 
     @cached_property
     def level_area(self) -> float:
@@ -63,6 +64,11 @@ class Ground:
         return self.floor is not None and float((np.abs(self.below - self.floor) < 0.15).mean()) > 0.97
 
     @property
+    def floor_behind_share(self) -> float:
+        """Share of the level ground that is seen from behind, 0..1."""
+        return float(self.area[self.floor_behind].sum() / max(self.level_area, 1e-9))
+
+    @property
     def ceiling_behind_share(self) -> float:
         """Share of the level ground whose ceiling is seen from behind, 0..1."""
         return float(self.area[self.ceiling_behind].sum() / max(self.level_area, 1e-9))
@@ -92,7 +98,8 @@ def ground_of(
         below=below,
         above=above,
         area=share * (np.abs(down_z) >= _LEVEL) * grid.voxel_size**2,
-        ceiling_behind=up_z >= _LEVEL,  # its normal points up, away from the region
+        floor_behind=down_z <= -_LEVEL,  # its normal points down, away from the region
+        ceiling_behind=up_z >= _LEVEL,
     )
 
 

@@ -7,9 +7,9 @@ body fits. The rest of the scene's box that has ground below is open to the sky;
 The largest enclosed region is used, unless another one has more level ground. Open ground is used where there is no
 enclosed region, or where the largest
 
-- is the inside of a body: its surfaces are seen from behind;
+- is the inside of a body: its surfaces are seen from behind, the floor too, unless the space is empty;
 - is a void below the ground: empty, or with the back of the ground as its ceiling;
-- is a part of a larger place: most of its edge at the camera's height is open ground;
+- is a part of a larger place: much of its edge at the camera's height is open ground;
 - is too small for a room.
 """
 
@@ -35,7 +35,7 @@ ROOM_GROUND = 4.0  # m2 of level ground; regions with less that are open, or the
 _FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # shares of the sight from a region that make it the inside of a body, or not
 _MORE_GROUND = 1.1  # as much level ground another enclosed region must have to be used instead of the largest
 _BELOW_GROUND = 0.8  # share of a region's ceiling that is the back of ground, from which on it lies below it
-_OPEN_EDGE = 0.5  # share of a region's edge that is open, from which on it is a part of another
+_OPEN_EDGE = 0.4  # share of a region's edge that is open, from which on it is a part of another
 _NEAR = 2  # voxels: a point so close to a region, and seen from it, belongs to it
 
 
@@ -76,17 +76,15 @@ class Region:
         """Share of the sight from the region that meets surfaces from their front, 0..1."""
         return front_share(self.grid, np.argwhere(self.inside) + [side.start for side in self.box])
 
-    def holds(self, point: np.ndarray) -> bool:  # [3] metres
-        """Whether a point is in the region, or so close that the region's next voxel sees it."""
-        grid, at = self.grid, self.grid.voxel_of(point)
-        low = np.maximum(at - _NEAR, 0)
-        near = np.argwhere(self.voxels[tuple(slice(a, b) for a, b in zip(low, np.maximum(at + _NEAR + 1, 0)))]) + low
-        if not len(near):
-            return False
-        if (near == at).all(axis=1).any():
-            return True
-        centers = grid.centers(near)
-        return bool((~grid.scene.raycaster.occluded(np.asarray(point), centers)).any())
+    def holds(self, point: np.ndarray, near: int = 0) -> bool:  # [3] metres
+        """Whether a point is in the region, or seen from one of its voxels that is at most ``near`` voxels away."""
+        low = self.grid.voxel_of(point) - near
+        high = np.maximum(low + 2 * near + 1, 0)
+        low = np.maximum(low, 0)
+        around = np.argwhere(self.voxels[tuple(slice(a, b) for a, b in zip(low, high))]) + low
+        if not near or not len(around):
+            return bool(len(around))
+        return bool((~self.grid.scene.raycaster.occluded(np.asarray(point), self.grid.centers(around))).any())
 
 
 class Regions:
@@ -151,27 +149,26 @@ class Regions:
         if np.count_nonzero(free & (grid.share < self.threshold)) * grid.voxel_size**3 < MIN_VOLUME:
             return []
         found = _connected(grid, free, grid.clearance(free), enclosed=False)
-        return [one for one in found if self.level_area(one) >= ROOM_GROUND and not self._is_body(one)]
+        return [one for one in found if self.level_area(one) >= ROOM_GROUND]
 
     @cached_property
     def places(self) -> list[Region]:
         """The regions that can be chosen: with level ground, and apart from each other."""
-        found = [*self.open_air]
-        if self.enclosed:
-            default = self.default
-            found += [
-                region
-                for region in self.enclosed
-                if region is default
-                or self.level_area(region) >= (ROOM_GROUND if self._is_body(region) else LISTED_GROUND)
-                # What open ground leads into is a part of that.
-                and (default.enclosed or np.mean(default.voxels[region.box][region.inside]) < 0.5)
-            ]
+        found = [region for region in self.open_air if not self._is_behind(region)]
+        for region in self.enclosed:
+            area, around = self.level_area(region), [one for one in self.open_air if _covers(one, region)]
+            # What open ground leads into is a part of that.
+            if region is self.default or (
+                area >= (ROOM_GROUND if self._is_body(region) else LISTED_GROUND)
+                and not any(one is self.default or self._is_part(region) for one in around)
+            ):
+                found.append(region)
         return sorted(found, key=lambda region: -self.level_area(region))
 
     def at(self, point: np.ndarray) -> Region | None:  # [3] metres
-        """Return the place that holds a point, an enclosed one first."""
-        return next((one for one in sorted(self.places, key=lambda one: not one.enclosed) if one.holds(point)), None)
+        """Return the place that holds a point, an enclosed one first, or else the one whose next voxel sees it."""
+        order = sorted(self.places, key=lambda one: not one.enclosed)
+        return next((one for near in (0, _NEAR) for one in order if one.holds(point, near)), None)
 
     def number(self, region: Region) -> int:
         """Return the number by which a place is listed, from 1."""
@@ -226,21 +223,41 @@ class Regions:
         return self.level_area(region) < ROOM_GROUND or self._is_body(region) or self._open_edge(region) > _OPEN_EDGE
 
     def _is_body(self, region: Region) -> bool:
-        return region.front_share < _FROM_BEHIND
+        ground = region.ground
+        return region.front_share < _FROM_BEHIND and (ground.floor_behind_share >= 0.5 or ground.is_bare)
+
+    def _is_part(self, region: Region) -> bool:
+        return self._open_edge(region) > _OPEN_EDGE
 
     def _may_be_below(self, region: Region) -> bool:
-        """Whether the ceiling is the back of a ground, or cannot be told from one in an empty space."""
+        """Whether the ceiling is the back of a ground, or may be one because the space is empty."""
         ground = region.ground
-        return ground.ceiling_behind_share >= _BELOW_GROUND or (region.front_share < _FROM_FRONT and ground.is_bare)
+        return ground.covered_share >= _BELOW_GROUND and (
+            ground.ceiling_behind_share >= _BELOW_GROUND or (region.front_share < _FROM_FRONT and ground.is_bare)
+        )
 
     def _lies_below(self, region: Region, other: Region) -> bool:
-        """Whether a region is a void below the ground of another, which has things on it."""
+        """Whether a region is a void below the ground of another."""
+        two_empty_storeys = self.ground(other).is_bare and region.ground.ceiling_behind_share < _BELOW_GROUND
+        return self._may_be_below(region) and not two_empty_storeys and self._is_over(other, region)
+
+    def _is_over(self, other: Region, region: Region) -> bool:
+        """Whether at least half of the other region's ground lies above a region."""
         ground = self.ground(other)
-        if not self._may_be_below(region) or ground.is_bare:
-            return False
         lowest = self.grid.origin[2] + region.box[2].start * self.grid.voxel_size
-        above = region.voxels.any(axis=2)[tuple(ground.columns.T)] & (ground.below > lowest)
+        covered = np.asarray(region.voxels.any(axis=2))
+        above = covered[tuple(ground.columns.T)] & (ground.below > lowest)
         return bool(ground.area[above].sum() >= 0.5 * ground.level_area)
+
+    def _is_behind(self, other: Region) -> bool:
+        """Whether an open region is what is behind the walls of the default: all surfaces show it their backs."""
+        default = self.default
+        return (
+            default.enclosed
+            and default.front_share >= _FROM_FRONT
+            and other.front_share < _FROM_BEHIND
+            and not self._is_over(other, default)
+        )
 
     def _open_edge(self, region: Region) -> float:
         """Share of a region's edge at the camera's height beyond which open ground goes on."""
@@ -257,11 +274,18 @@ class Regions:
     def _replaces(self, other: Region, largest: Region) -> bool:
         """Whether open ground is preferred to the largest enclosed region, which may be no room."""
         area, given_up = self.level_area(other), self.level_area(largest)
-        if self._lies_below(largest, other) or (self._is_body(largest) and other.front_share >= _FROM_FRONT):
+        if self._is_body(largest) and other.front_share >= _FROM_FRONT:
+            return area >= 0.1 * given_up
+        if self._lies_below(largest, other):
             return area >= 0.5 * given_up
-        if not self._is_no_room(largest):
-            return False
-        return area >= (2.0 if self._open_edge(largest) > _OPEN_EDGE else 4.0) * given_up
+        if self._is_part(largest):
+            return area >= 2.0 * given_up and _covers(other, largest)
+        return self._is_no_room(largest) and area >= 4.0 * given_up
+
+
+def _covers(region: Region, part: Region) -> bool:
+    """Whether at least half of a part is in a region."""
+    return bool(np.mean(region.voxels[part.box][part.inside]) >= 0.5)
 
 
 def in_text(point: np.ndarray | tuple[float, ...]) -> str:
@@ -293,7 +317,7 @@ def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarr
     boxes = ndimage.find_objects(labels)
     # Back to the walls: what the body covers when its centre is in the core.
     steps = max(1, round(BODY_CLEARANCE / grid.voxel_size))
-    found = []
+    found: list[Region] = []
     for index in order:
         if found and sizes[index] * grid.voxel_size**3 < 0.05 * MIN_VOLUME:
             break

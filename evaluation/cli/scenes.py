@@ -143,7 +143,8 @@ def _region(known: GroundTruth, region: Region, notify: Any) -> dict[str, Any]:
         share = known.observable_surface.area_share
     else:
         notify(f"finding what can be seen from region {number} of {len(regions.places)}")
-        other = replace(known.scene, inside=tuple(float(value) for value in name.split(",")))
+        x, y, z = (float(value) for value in name.split(","))
+        other = replace(known.scene, inside=(x, y, z))
         share = observable_surface_of(other, free_space_in(region), _SAMPLES).area_share
     return {
         "number": number,

@@ -173,6 +173,26 @@ def test_ground_around_solid_blocks_is_used_and_not_the_inside_of_a_block(make_s
     assert ((starts[:, 2] > 1.1) & (starts[:, 2] < 1.6)).all()  # on the street
 
 
+def test_a_yard_is_used_as_a_whole_and_not_a_strip_along_its_wall(make_scene, join):
+    scene = make_scene(*join(level(-3, 12, -3, 12, 0.0), *walls((0, 0, 0), (9, 9, 2.2))), name="yard")
+    regions = Regions(scene)
+    assert regions.level_area(regions.used) > 0.8 * 9 * 9
+    assert regions.at(np.array([4.5, 4.5, 1.4])) is regions.used is regions.at(np.array([0.4, 4.5, 1.0]))
+    around = regions.at(np.array([-1.5, -1.5, 1.4]))
+    assert around is not None and around is not regions.used
+
+
+@pytest.mark.parametrize("wall", [0, 2])
+def test_a_house_with_an_open_front_on_open_ground_is_used_inside(make_scene, make_box, join, wall):
+    sides = walls((0, 0, 0), (5, 4, 2.6))
+    del sides[wall]
+    bed = make_box((1, 1, 0), (2, 3, 0.5))
+    scene = make_scene(*join(level(-3, 8, -3, 7, 0.0), *sides, level(0, 5, 0, 4, 2.6), bed), name="open front")
+    regions = Regions(scene)
+    assert regions.used.enclosed and regions.level_area(regions.used) == pytest.approx(20, rel=0.2)
+    assert [region.enclosed for region in regions.places] == [False, True]
+
+
 def test_an_outdoor_scan_with_holes_in_its_ground_is_used(make_scene, make_box, join):
     land = hills()
     middle = land[0][land[1]].mean(axis=1)

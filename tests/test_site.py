@@ -316,6 +316,12 @@ def test_the_workflow_publishes_with_the_least_rights() -> None:
     assert any("docs/build" in script for script in scripts) and os.access(DOCS / "build", os.X_OK)
 
 
+def test_every_page_has_its_place_in_the_navigation() -> None:
+    listed = re.findall(r"^((?:guide|notebook)/\w+)$", (DOCS / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
+    pages = [path for folder in ("guide", "notebook") for path in (DOCS / folder).glob("*.md")]
+    assert sorted(listed) == sorted(path.relative_to(DOCS).with_suffix("").as_posix() for path in pages)
+
+
 ALONE = """
 import importlib.abc, sys
 

@@ -15,15 +15,13 @@ from activestructure_gym.features import column_names
 from activestructure_gym.mapping import MAPPERS, MapperConfig
 from activestructure_gym.motion import SAMPLING_DIP, MotionConfig
 from activestructure_gym.planes import PlaneGraphConfig
-from activestructure_gym.ranges import check_ranges
+from activestructure_gym.ranges import MOST_FRAMES, check_ranges
 from activestructure_gym.sensors import SensorConfig
 from activestructure_gym.sources import make_stages
 from activestructure_gym.views import ViewConfig
 from activestructure_gym.volume import VolumeConfig
 
 T = TypeVar("T")
-
-MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept
 
 
 @dataclass(frozen=True)

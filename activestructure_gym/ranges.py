@@ -11,6 +11,8 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown
 
+MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept, and a run with as many can be read
+
 
 def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> None:
     """Refuse numbers of a dataclass outside of their ranges, by field; also every entry of a tuple of numbers.

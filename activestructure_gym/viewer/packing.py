@@ -16,7 +16,8 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 from activestructure_gym.viewer.recorder import Film, Moment
 
 _TYPES = {"uint8": "u1", "uint16": "u2", "int8": "i1", "float32": "f4", "int32": "i4"}
-_STEPS = 65535  # of a position along each side of the box around all Gaussians
+_STEPS = 65535  # of a position along each side of the box around all Gaussians; of frames where they are fewer
+_MOST_GAUSSIANS = 4_000_000  # of a page; of more, an even choice
 _LEAST_LOG, _LOG_STEP = -9.0, 0.05  # of a standard deviation: 0.1 mm to 40 m in steps of 5 %
 
 
@@ -42,23 +43,26 @@ def film_parts(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    live = film.gaussians
+    every = -(-film.gaussians.shape[1] // _MOST_GAUSSIANS) or 1
+    live, born, died = film.gaussians[:, ::every], film.born[::every], film.died[::every]
     means = live[MEAN].T.astype(np.float64)
     low = means.min(axis=0) if len(means) else np.zeros(3)
     side = np.maximum(means.max(axis=0) - low if len(means) else np.ones(3), 1e-3)
     length = np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-12)
-    if film.moments and film.moments[-1].frame > _STEPS:
-        raise ValueError(f"an episode of {film.moments[-1].frame} frames is too long to be watched")
+    short = not film.moments or film.moments[-1].frame < _STEPS
+    frames = np.uint16 if short else np.int32
+    last = np.iinfo(frames).max  # died with this one: stayed
     arrays = {
         "means": np.round((means - low) / side * _STEPS).astype(np.uint16),
         "scales": np.clip(np.round((live[LOG_SCALE].T - _LEAST_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
         "rotations": np.round(live[QUATERNION].T / length[:, None] * 127).astype(np.int8),
         "colours": np.clip(np.round(live[COLOR].T * 255), 0, 255).astype(np.uint8),
         "opacities": np.round(255 / (1 + np.exp(-live[OPACITY_LOGIT].astype(np.float64)))).astype(np.uint8),
-        "born": np.minimum(film.born, _STEPS).astype(np.uint16),
-        "died": np.minimum(film.died, _STEPS).astype(np.uint16),
+        "born": np.minimum(born, last).astype(frames),
+        "died": np.minimum(died, last).astype(frames),
     }
-    return arrays, {"low": low.tolist(), "side": side.tolist(), "log": [_LEAST_LOG, _LOG_STEP]}
+    told = {"low": low.tolist(), "side": side.tolist(), "log": [_LEAST_LOG, _LOG_STEP]}
+    return arrays, told | {"stayed": int(last), "every": every}
 
 
 def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarray]:
@@ -81,7 +85,7 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
         "planes": np.concatenate([np.zeros((0, 12)), *(m.planes.reshape(-1, 12) for m in moments)]).astype(np.float32),
         "structural": np.concatenate([np.zeros(0, np.uint8), *(m.structural for m in moments)]).astype(np.uint8),
         "centroids": np.concatenate([three, *(m.centroids.reshape(-1, 3) for m in moments)]).astype(np.float32),
-        "tree": np.concatenate([np.zeros((0, 2)), *(m.tree.reshape(-1, 2) for m in moments)]).astype(np.uint16),
+        "tree": np.concatenate([np.zeros((0, 2)), *(m.tree.reshape(-1, 2) for m in moments)]).astype(np.int32),
         "images": np.frombuffer(b"".join(part for m in moments for part in (m.true, m.rendered)), np.uint8),
     }
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _JPEG_QUALITY = 82
 _FIELDS = 14  # rows of the map's parameters
-MOST_FRAMES = 65_535  # a frame is 16 bits in what a page is sent
 _CELL = 0.05  # metres: where a map that is made anew has been so near before, nothing is new
 
 
@@ -39,6 +38,13 @@ class Moment:
     centroids: np.ndarray  # [P, 3] metres
     true: bytes  # JPEG of the last keyframe
     rendered: bytes  # JPEG of the map from its pose
+    decision: int = 0  # number of the decision, from 0 on
+
+    @property
+    def size(self) -> int:
+        """Bytes, about, in what a page is sent."""
+        arrays = self.candidates.size + self.planes.size + self.centroids.size + self.tree.size
+        return len(self.true) + len(self.rendered) + 4 * arrays
 
 
 @dataclass(frozen=True)
@@ -114,18 +120,17 @@ def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
 class Recorder:
     """Keeps an episode that has begun; it changes nothing of it.
 
-    Raises `InputError` for a mapper without Gaussians, and for more frames than a page can tell apart.
+    ``most_bytes`` bounds the moments that are kept, evenly chosen, by what a page is sent; without it all are.
+
+    Raises `InputError` for a mapper without Gaussians.
     """
 
-    def __init__(self, episode: Reconstruction) -> None:
+    def __init__(self, episode: Reconstruction, *, most_bytes: int | None = None) -> None:
         if not hasattr(episode.mapper, "map"):
             raise InputError("the map of this mapper is not made of Gaussians: there is nothing to watch it grow by")
-        if episode.frame_budget > MOST_FRAMES:
-            raise InputError(
-                f"a page tells at most {MOST_FRAMES:,} frames apart, and this episode may have "
-                f"{episode.frame_budget:,}; lower its frame_budget"
-            )
         self.moments: list[Moment] = []
+        self._most_bytes, self._bytes = most_bytes, 0
+        self._noted, self.every = 0, 1  # moments so far, of which one of so many is kept
         self._episode, self._lives = episode, _Lives()
         self._poses = episode.trajectory  # of this episode, whatever begins after it
         self._lock = threading.Lock()  # films are asked for while the episode is played
@@ -136,12 +141,19 @@ class Recorder:
         with self._lock:
             self._lives.note(self._episode.mapper.map, self._episode.frames)
 
-    def note(self, row: int = -1) -> Moment:
-        """Keep what there is to see now, and the row that is chosen next if it is known."""
+    def note(self, row: int = -1, *, end: bool = False) -> None:
+        """Keep what there is to see now, and the row that is chosen next if it is known; the end is kept always."""
         with self._lock:
             self._lives.note(self._episode.mapper.map, self._episode.frames)
-            self.moments.append(moment_of(self._episode, row))
-        return self.moments[-1]
+            number, self._noted = self._noted, self._noted + 1
+            if end or number % self.every == 0:
+                self.moments.append(replace(moment_of(self._episode, row), decision=number))
+                self._bytes += self.moments[-1].size
+            while self._most_bytes is not None and self._bytes > self._most_bytes and len(self.moments) > 2:
+                self.every *= 2
+                *before, last = self.moments
+                self.moments = [moment for moment in before if moment.decision % self.every == 0] + [last]
+                self._bytes = sum(moment.size for moment in self.moments)
 
     def choose(self, row: int) -> None:
         """The row that was chosen at the last moment."""

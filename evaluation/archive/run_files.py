@@ -22,12 +22,13 @@ from activestructure_gym.evaluation.archive.schema import (
     text,
 )
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, LATE, LEVELS
+from activestructure_gym.ranges import MOST_FRAMES
 
 _FARTHEST = 1e6  # metres
 _WIDEST_IMAGE = 16384  # pixels
 _MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
-_MOST_POSES, _MOST_PICTURES = 200_000, 64
-_MOST_PLANES, _MOST_MARKS = 20_000, 500_000
+_MOST_PICTURES = 64
+_MOST_PLANES, _MOST_MARKS = 100_000, 5_000_000
 _RIGID = 1e-3  # how far a rotation matrix may be from one
 _UNIT = 1e-2  # how far a normal's length may be from 1
 
@@ -191,8 +192,8 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
     legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # of later runs, and of no other path
     sizes = check_arrays(arrays, TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
-    if sizes["T"] > _MOST_POSES:
-        raise Mismatch(f"it holds {sizes['T']} poses, at most {_MOST_POSES} are read")
+    if sizes["T"] > MOST_FRAMES:
+        raise Mismatch(f"it holds {sizes['T']} poses, at most {MOST_FRAMES} are read")
     poses = arrays["world_from_camera"]
     rotations = poses[:, :3, :3]
     off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
@@ -264,8 +265,8 @@ def check_config(content: Any, place: str) -> None:
 
 def check_steps(steps: list[Any]) -> None:
     """Raise `Mismatch` unless every decision's entries are valid and frames never fall."""
-    if len(steps) > _MOST_POSES:
-        raise Mismatch(f"it holds {len(steps)} decisions, at most {_MOST_POSES} are read")
+    if len(steps) > MOST_FRAMES:
+        raise Mismatch(f"it holds {len(steps)} decisions, at most {MOST_FRAMES} are read")
     for number_, step in enumerate(steps, start=1):
         STEP(step, f"line {number_}")
     frames = [step["frames"] for step in steps]

@@ -48,6 +48,7 @@ from activestructure_gym.evaluation.archive.old_names import current_name
 from activestructure_gym.evaluation.archive.parts import part_of, refuse_links, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
+from activestructure_gym.ranges import MOST_FRAMES
 
 if TYPE_CHECKING:
     from activestructure_gym.mapping import GaussianMap
@@ -69,7 +70,7 @@ PLY = "map.ply"
 # What is read again; the pictures and the PLY can be drawn and exported anew, and may be deleted.
 _READ_AGAIN = (CONFIG, METRICS, "timing.json", STEPS, TRAJECTORY, GRAPH, PICTURES, MAP)
 REPLAY = "replay.html"  # the page to watch a run on, where one was made
-_LARGEST_LOG = 256 << 20  # bytes of steps.jsonl
+_LARGEST_LOG = 4096 * MOST_FRAMES  # bytes of steps.jsonl: a decision takes 1 to 3 kB, and a frame at least
 
 
 @dataclass(frozen=True)

@@ -13,17 +13,23 @@ from activestructure_gym.viewer import film_parts, packed
 def pack(recording: Recording) -> str:
     """Base64 of the deflated bytes of `activestructure_gym.viewer.packing`."""
     arrays, told = film_parts(recording)
-    return base64.b64encode(zlib.compress(packed(arrays, told | _facts(recording)), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(packed(arrays, told | _facts(recording, told["every"])), 9)).decode("ascii")
 
 
-def _facts(recording: Recording) -> dict[str, Any]:
+def _facts(recording: Recording, every: int) -> dict[str, Any]:
     run = recording.run
     curve = [
         {name: point.get(name) for name in ("frames", "completion_ratio", "observed", "psnr")}
         for point in run.metrics["curve"]
     ]
+    shown = [moment.decision for moment in recording.moments if moment.decision < len(run.steps)]
     steps = [
-        {"phase": (step.get("trace") or {}).get("phase"), "metres": round(step["metres"], 2)} for step in run.steps
+        {
+            "number": first + 1,
+            "phase": (run.steps[first].get("trace") or {}).get("phase"),
+            "metres": round(run.steps[following - 1]["metres"], 2),  # until the next one that is shown
+        }
+        for first, following in zip(shown, [*shown[1:], len(run.steps)])
     ]
     gains = run.config["configuration"]["gains"]
     return {
@@ -32,5 +38,13 @@ def _facts(recording: Recording) -> dict[str, Any]:
         "worth": gains[0] if gains else "",
         "curve": curve,
         "steps": steps,
-        "differs": recording.differs,
+        "decisions": len(run.steps),
+        "differs": "; ".join(filter(None, [recording.differs, *_left_out(recording, len(shown), every)])),
     }
+
+
+def _left_out(recording: Recording, shown: int, every: int) -> list[str]:
+    """What a page of tolerable size does not show, in words."""
+    decisions, gaussians = len(recording.run.steps), recording.gaussians.shape[1]
+    texts = [f"{shown:,} of {decisions:,} decisions are shown"] if shown < decisions and not recording.differs else []
+    return texts + [f"one of {every} of the {gaussians:,} Gaussians is shown"] * (every > 1)

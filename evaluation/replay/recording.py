@@ -19,6 +19,8 @@ from activestructure_gym.viewer import Film, Recorder
 if TYPE_CHECKING:
     from activestructure_gym.envs import ReconstructionEnv
 
+_MOST_BYTES = 150 << 20  # of the moments of a replay: browsers read texts of up to 500 MB
+
 
 @dataclass(frozen=True)
 class Recording(Film):
@@ -37,9 +39,9 @@ def play_again(
     the run's files name code and are not ``trusted``; see `registry.refuse_code`.
     """
     with playing(run, trusted=trusted) as env:
-        recorder = Recorder(env.reconstruction)
+        recorder = Recorder(env.reconstruction, most_bytes=_MOST_BYTES)
         differs = follow(run, env, recorder.note, tell)
-        recorder.note()
+        recorder.note(end=True)
         film = recorder.film()
     return Recording(**{field.name: getattr(film, field.name) for field in fields(film)}, run=run, differs=differs)
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from activestructure_gym.errors import InputError
 from activestructure_gym.mapping.gaussian_map import GaussianMap
-from activestructure_gym.viewer.recorder import Recorder, _Lives, plane_rectangles
+from activestructure_gym.viewer.recorder import Moment, Recorder, _Lives, plane_rectangles
 
 
 def test_the_rectangle_of_a_plane_lies_as_its_surface_does() -> None:
@@ -62,7 +62,22 @@ def test_a_map_that_is_made_anew_as_a_whole_is_kept_once_and_grows_by_place() ->
     np.testing.assert_array_equal(parameters[0], np.arange(59))
 
 
-def test_more_frames_than_a_page_can_tell_apart_are_refused() -> None:
-    episode = SimpleNamespace(mapper=SimpleNamespace(map=GaussianMap()), frame_budget=65_536)
-    with pytest.raises(InputError, match="at most 65,535 frames .* may have 65,536; lower its frame_budget"):
-        Recorder(episode)  # type: ignore[arg-type]
+def test_the_moments_of_a_long_episode_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Moment(
+        1, 1, 0, np.zeros((10, 6)), np.zeros(10), np.zeros((0, 4, 3)), np.zeros(0, bool), np.zeros((0, 2), int),
+        np.zeros((0, 3)), bytes(500), bytes(260),
+    )  # fmt: skip
+    monkeypatch.setattr("activestructure_gym.viewer.recorder.moment_of", lambda episode, row: replace(made, row=row))
+    mapper = SimpleNamespace(map=GaussianMap(), observe=None)
+    episode = SimpleNamespace(mapper=mapper, frame_budget=70_000, frames=1, trajectory=[])
+    kept = {}
+    for most in (None, 20_000):
+        recorder = Recorder(episode, most_bytes=most)  # type: ignore[arg-type]
+        for row in range(999):
+            recorder.note(row)
+        recorder.note(end=True)
+        kept[most] = [(moment.decision, moment.row) for moment in recorder.moments]
+    assert kept[None] == [(n, n) for n in range(999)] + [(999, -1)]
+    numbers = [number for number, _ in kept[20_000]]
+    assert 10 <= len(numbers) <= 20 and numbers[0] == 0 and kept[20_000][-1] == (999, -1)
+    assert sum(number % 64 != 0 for number in numbers) <= 7 and numbers == sorted(set(numbers))

@@ -178,7 +178,7 @@ class Run {
       if (place.src !== link) place.src = link;
     }
     const rows = [["frame", `${Math.min(Math.round(frame), this.end)} of ${this.told.budget}`],
-      ["decision", this.told.episode ? now + 1 : now < this.told.steps.length ? `${now + 1} of ${this.told.steps.length}` : "ended"]];
+      ["decision", this.told.episode ? now + 1 : step ? `${step.number} of ${this.told.decisions}` : "ended"]];
     if (step && step.phase) rows.push(["phase", step.phase]);
     rows.push(["Gaussians", this.scene.aliveAt(Math.round(frame)).toLocaleString("en")], ["planes", this.arrays.plane_starts[now + 1] - this.arrays.plane_starts[now]],
       ["candidates", this.arrays.rows[now] < 0 && !this.told.chooses ? "–" : this.arrays.candidate_starts[now + 1] - this.arrays.candidate_starts[now]], ["way so far", `${this.told.episode ? step.metres : before ? before.metres : 0} m`]);

@@ -119,7 +119,7 @@ class SceneView {
     this.buffers = this.upload();
     this.maps = [1, SKIPPED].map((step) => this.every(step));
     this.kept = null; // what the kept picture shows: camera and frame
-    this.deaths = Array.from(died).filter((frame) => frame < 65535).sort((a, b) => a - b);
+    this.deaths = Array.from(died).filter((frame) => frame < this.recording.stayed).sort((a, b) => a - b);
   }
 
   program(vertex, fragment) {
@@ -143,10 +143,11 @@ class SceneView {
 
   upload() {
     const gl = this.gl, a = this.recording.arrays;
-    const life = new Uint16Array(2 * this.count);
+    // Two bytes a frame where they suffice, else numbers that are exact up to 16 million.
+    const short = a.born instanceof Uint16Array, life = new (short ? Uint16Array : Float32Array)(2 * this.count);
     for (let i = 0; i < this.count; i++) { life[2 * i] = a.born[i]; life[2 * i + 1] = a.died[i]; }
     return [[a.means, 3, gl.UNSIGNED_SHORT, true], [a.scales, 3, gl.UNSIGNED_BYTE, false],
-      [a.rotations, 4, gl.BYTE, true], [a.colours, 3, gl.UNSIGNED_BYTE, true], [life, 2, gl.UNSIGNED_SHORT, false]].map(([data, size, kind, whole]) => {
+      [a.rotations, 4, gl.BYTE, true], [a.colours, 3, gl.UNSIGNED_BYTE, true], [life, 2, short ? gl.UNSIGNED_SHORT : gl.FLOAT, false]].map(([data, size, kind, whole]) => {
       const buffer = gl.createBuffer();
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);

@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from activestructure_gym.evaluation.replay import Recording
 from activestructure_gym.evaluation.replay.packing import pack
@@ -55,3 +57,44 @@ def test_every_moment_finds_its_own_again(recordings: list[Recording]) -> None:
         assert arrays["images"][starts[1] : starts[2]].tobytes() == moment.rendered
     shades = arrays["worth"][: len(recording.moments[0].candidates)]
     assert shades.max() == 254 and shades.argmax() == recording.moments[0].worth.argmax()
+
+
+@pytest.mark.parametrize("last", [65_534, 65_535, 70_000])
+def test_frames_of_a_long_episode_are_told_apart(recordings: list[Recording], last: int) -> None:
+    recording = recordings[0]
+    moments = [*recording.moments[:-1], replace(recording.moments[-1], frame=last)]
+    born, died = recording.born.copy(), recording.died.copy()
+    born[-1], died[0] = last, last
+    told, arrays = unpacked(pack(replace(recording, moments=moments, born=born, died=died)))
+    assert arrays["frames"][-1] == arrays["born"][-1] == arrays["died"][0] == last < told["stayed"]
+    assert (arrays["died"][1:] == told["stayed"]).sum() == (died[1:] > last).sum()
+
+
+def test_rows_of_many_planes_are_told_apart(recordings: list[Recording]) -> None:
+    moments = [*recordings[0].moments]
+    moments[1] = replace(moments[1], tree=np.array([[3, 70_000]]))
+    _, arrays = unpacked(pack(replace(recordings[0], moments=moments)))
+    assert [3, 70_000] in arrays["tree"].tolist()
+
+
+def test_a_page_shows_an_even_choice_of_what_is_too_much(
+    recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from activestructure_gym.viewer import packing
+
+    recording = recordings[0]
+    monkeypatch.setattr(packing, "_MOST_GAUSSIANS", len(recording.born) // 3)
+    decisions = len(recording.run.steps)
+    shown = [moment for moment in recording.moments if moment.decision % 2 == 0 or moment.decision == decisions]
+    told, arrays = unpacked(pack(replace(recording, moments=shown, differs="")))
+    np.testing.assert_array_equal(arrays["born"], recording.born[:: told["every"]])
+    assert 2 * len(arrays["born"]) <= len(recording.born) and told["decisions"] == decisions
+    assert [step["number"] for step in told["steps"]] == list(range(1, decisions + 1, 2))
+    metres = [step["metres"] for step in recording.run.steps]
+    assert [step["metres"] for step in told["steps"]] == [
+        round(metres[min(n + 1, decisions - 1)], 2) for n in range(0, decisions, 2)
+    ]
+    assert told["differs"] == (
+        f"{len(told['steps'])} of {decisions} decisions are shown; one of {told['every']} of the "
+        f"{len(recording.born):,} Gaussians is shown"
+    )

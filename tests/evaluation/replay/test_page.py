@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,33 @@ def test_it_plays_scrubs_and_turns_without_an_error(page: Page, recordings: list
     assert (np.abs(whole.astype(int) - without) > 20).mean() > 0.01
     page.value("document.getElementById('eye').value = 'agent', player.dirty = true")
     page.until("player.dirty === false")
+    assert page.errors == []
+
+
+@needs_browser
+def test_a_long_episode_is_drawn_as_a_short_one(page: Page, recordings: list[Recording], tmp_path: Path) -> None:
+    """Frames of more than 16 bits: who is there at a moment does not depend on how many frames were paid before."""
+    one, pictures = recordings[0], []
+    moments = [replace(moment, frame=2000 * moment.frame) for moment in one.moments]
+    stayed = np.iinfo(np.int32).max
+    died = np.where(one.died == stayed, stayed, np.minimum(one.died, 10**6) * 2000).astype(np.int32)
+    died[::50] = moments[-2].frame
+    long = replace(one, moments=moments, born=2000 * one.born, died=died)
+    short_died = one.died.copy()
+    short_died[::50] = one.moments[-2].frame
+    for recording in (replace(one, died=short_died), long):
+        assert (recording.moments[-1].frame > 65_535) == (recording is long)
+        write_replay([recording], tmp_path / "replay.html")
+        page.open((tmp_path / "replay.html").as_uri())
+        page.until("window.player && player.drawn > 0")
+        for moment in (recording.moments[1], recording.moments[-1]):
+            page.value(f"player.to({moment.frame}); 1")
+            page.until("player.dirty === false")
+            pictures.append((page.value(f"player.runs[0].scene.aliveAt({moment.frame})"), page.picture()[:, :700]))
+    for (alive, shown), (alive_long, shown_long) in zip(pictures[:2], pictures[2:]):
+        assert alive == alive_long > 0
+        assert (np.abs(shown.astype(int) - shown_long) > 20).mean() < 0.01
+    assert pictures[1][0] == len(one.born) - int((short_died <= one.moments[-1].frame).sum())
     assert page.errors == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +31,8 @@ _TERMS = {
 }
 FACTORS = {"travel": ("#009E73", "-"), "discount": ("#CC79A7", "--"), "suppressed": ("#E69F00", "-.")}
 SETTLED = "settled"  # the band of what is decided once nothing is left for the last phase to do
+_MOST_DRAWN = 2000  # decisions of an episode; of more, an even choice: the picture has fewer pixels
+_MOST_NUMBERED = 40  # changes of phase that are numbered and explained
 _SHORT = 0.16  # share of the axis below which a phase's name is cut to its first word
 
 
@@ -60,6 +63,12 @@ def bands(steps: Steps) -> list[Band]:
     return found
 
 
+def drawn_steps(steps: Steps) -> Steps:
+    """Return the decisions that are drawn: all, or an even choice of them with the last one."""
+    every = -(-len(steps) // _MOST_DRAWN) or 1
+    return [*steps[: len(steps) - 1 : every], *steps[-1:]]
+
+
 def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where a decision has no such number
     """The numbers behind every chosen view: the trace's ``chosen``, or those of a trace without one."""
     traces = [step.get("trace") or {} for step in steps]
@@ -88,6 +97,8 @@ def _plot(episodes: Sequence[tuple[str, Steps]], path: Path, title: str, gains: 
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+    found = [bands(steps) for _, steps in episodes]
+    episodes = [(label, drawn_steps(steps)) for label, steps in episodes]
     panels = [_panels(steps, gains) for _, steps in episodes]
     heights = [height for own in panels for _, height in own]
     figure = Figure(
@@ -97,13 +108,14 @@ def _plot(episodes: Sequence[tuple[str, Steps]], path: Path, title: str, gains: 
     everything = tuple(axes)
     end = max((step["frames"] for _, steps in episodes for step in steps), default=1)
     notes: list[str] = []
-    for (label, steps), own in zip(episodes, panels):
+    for (label, steps), own, phases in zip(episodes, panels, found):
         block, axes = axes[: len(own)], axes[len(own) :]
         for axis, (draw, _) in zip(block, own):
             draw(axis, steps)
             _dress(axis)
             axis.set_xlim(0, end)
-        notes += _draw_bands(block, bands(steps), end, first_number=len(notes) + 1)
+        draw_phases = _draw_bands if len(phases) <= _MOST_NUMBERED else _draw_many_bands
+        notes += draw_phases(block, phases, end, first_number=len(notes) + 1)
         if len(episodes) > 1:
             block[0].set_title(label, loc="left", fontsize=11, fontweight="bold", pad=18)
     if not gains:  # one panel per episode: comparable at a glance
@@ -224,6 +236,22 @@ def _draw_bands(block: Sequence[Axes], found: Sequence[Band], end: float, *, fir
             reason = f": {band.reason}" if band.reason else ""
             notes.append(f"({number}) frame {band.start:g}, {band.phase}{reason}")
     return notes
+
+
+def _draw_many_bands(block: Sequence[Axes], found: Sequence[Band], end: float, *, first_number: int) -> list[str]:
+    """Tint the panels, name each phase above its longest band; return a note on how often it changes."""
+    order = list(dict.fromkeys(band.phase for band in found))
+    for phase, tint in zip(order, itertools.cycle(_TINTS)):
+        own = [band for band in found if band.phase == phase]
+        for axis in block:
+            spans = [(band.start, band.end - band.start) for band in own]
+            axis.broken_barh(spans, (0, 1), transform=axis.get_xaxis_transform(), color=tint, zorder=-2, lw=0)
+        longest = max(own, key=lambda band: band.end - band.start)
+        block[0].annotate(
+            phase.split()[0], ((longest.start + longest.end) / 2, 1.0), xycoords=("data", "axes fraction"),
+            xytext=(0, 4), textcoords="offset points", ha="center", fontsize=10, fontweight="bold",
+        )  # fmt: skip
+    return [f"the phase changes {len(found) - 1:,} times; each name stands above its longest stretch"]
 
 
 def _dress(axis: Axes) -> None:

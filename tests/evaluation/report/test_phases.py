@@ -88,3 +88,17 @@ def test_a_dollar_is_a_dollar(steps, tmp_path):
         step["trace"] |= {"phase": phase, "changed": "it costs 3 $_"}
     plot_phases([("", steps)], tmp_path / "phases.png", title="$\\nothing_")
     assert (tmp_path / "phases.png").is_file()
+
+
+def test_a_long_episode_that_changes_its_phase_often_is_drawn(steps, tmp_path):
+    template = with_phases(steps)[0]
+    many = [
+        {**template, "frames": 2 + number, "trace": {**template["trace"], "phase": f"{number // 5 % 3} phase"}}
+        for number in range(70_000)
+    ]
+    assert len(bands(many)) == 14_000
+    drawn = phases.drawn_steps(many)
+    assert len(drawn) == 2001 and drawn[0] is many[0] and drawn[-1] is many[-1]
+    assert phases.drawn_steps(steps) == steps and phases.drawn_steps([]) == []
+    plot_phases([("", many)], tmp_path / "long.png", title="title")  # a layout without room warns, which is an error
+    assert all(tinted(tmp_path / "long.png", index) > 1000 for index in range(2))

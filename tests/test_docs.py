@@ -254,6 +254,26 @@ def test_readme_has_the_ladders() -> None:
     assert told in (ROOT / "README.md").read_text(), "README.md is out of date: paste what --ladders prints"
 
 
+def test_the_table_of_readme_s_pictures_is_that_of_their_runs() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
+    table = script["headline"](script["read"](script["PLACE"].with_name(script["HEADLINE_RUNS"])))
+    told = (ROOT / "docs" / "notebook" / "benchmark.md").read_text(encoding="utf-8")
+    assert table in told, "paste what --headline prints"
+
+
+@pytest.mark.parametrize("picture", ["replay.webp", "views.jpg"])
+def test_the_pictures_of_readme_are_of_the_median_cell_and_have_its_numbers(picture: str) -> None:
+    images = ROOT / "docs" / "images"
+    script = runpy.run_path(str(images / "cell.py"))
+    told = json.loads((images / picture).with_suffix(".json").read_text(encoding="utf-8"))
+    table = script["stored"]()
+    cell = script["median_cell"](table)
+    assert (told["scene"], told["seed"]) == cell
+    assert {"hole_area", "activestructure"} <= told["runs"].keys()
+    for policy, numbers in told["runs"].items():
+        assert numbers == {name: table[policy][cell][name] for name in script["NUMBERS"]}, policy
+
+
 def test_a_ladder_by_hand() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "benchmark_table.py"))
 

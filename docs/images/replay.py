@@ -1,8 +1,9 @@
-"""Make docs/images/replay.webp, the moving picture of the README: a replay of two runs, filmed in headless Chromium.
+"""Make docs/images/replay.webp, the film of README: a replay of two runs, filmed in headless Chromium.
 
-    python docs/images/replay.py RUN OTHER_RUN
+    python docs/images/replay.py runs/headline
 
-The runs are directories in a comparison's ``jobs/``. Needs Chromium and the extra ``test``.
+The runs are those of headline.csv (docs/notebook/benchmark.md), the cell that of `cell.py`. Needs Chromium and the
+extra ``test``.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import tempfile
 from pathlib import Path
 
 import cv2
+from cell import BASE, OURS, runs_of_cell, write_record
 from PIL import Image
 
-from activestructure_gym.evaluation.archive.store import read_run
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.replay import play_again, write_replay
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -25,13 +27,12 @@ WIDTH, HEIGHT, PICTURES, MS = 1300, 1060, 80, 120
 SHOWN = 860  # pixels of its width
 
 
-def main(runs: list[str]) -> None:
+def main(comparison: Path) -> None:
     """Play, film, write."""
-    if len(runs) != 2:
-        sys.exit(__doc__)
+    runs = runs_of_cell(comparison, (BASE, OURS))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         page_file = Path(folder) / "replay.html"
-        write_replay([play_again(read_run(Path(run))) for run in runs], page_file)
+        write_replay([play_again(run) for run in runs], page_file)
         with open_page(page_file.as_uri(), Path(folder), width=WIDTH, height=HEIGHT) as page:
             page.until("window.player && player.drawn > 0")
             frames = []
@@ -45,8 +46,14 @@ def main(runs: list[str]) -> None:
                 picture = Image.fromarray(shown)
                 frames.append(picture.resize((SHOWN, round(picture.height * SHOWN / picture.width)), Image.LANCZOS))
     frames[0].save(OUT, save_all=True, append_images=frames[1:], duration=MS, loop=0, quality=55, method=6)
+    write_record(runs, OUT)
     print(f"{OUT}: {len(frames)} pictures, {OUT.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    if len(sys.argv) != 2:
+        sys.exit("give the directory of the comparison: python docs/images/replay.py DIR")
+    try:
+        main(Path(sys.argv[1]))
+    except InputError as error:
+        sys.exit(f"replay.py: {error}")

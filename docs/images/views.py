@@ -1,11 +1,8 @@
-"""Makes views.jpg, README's first picture, of the report of a comparison:
+"""Make docs/images/views.jpg, the still of README, of the runs of headline.csv (docs/notebook/benchmark.md):
 
-    asg compare --scenes "room?seed=12,hotel_room.glb?up=z" --policies random,pixel_only,activestructure \\
-        --out runs/views
-    python docs/images/views.py runs/views
+    python docs/images/views.py runs/headline
 
-Nobody picks the view: it is the one that the report shows first (docs/guide/report.md). Several directories, of
-comparisons or of single runs, are read as one.
+The view is the first one of the report (docs/guide/report.md), the cell that of `cell.py`.
 """
 
 from __future__ import annotations
@@ -13,31 +10,27 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from PIL import Image
+from cell import runs_of_cell, write_record
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.report.pictures import compare_strip
-from activestructure_gym.evaluation.report.results import gather
+
+OUT = Path(__file__).with_name("views.jpg")
+POLICIES = ("random", "hole_area", "activestructure")
 
 
-def main(directories: list[Path]) -> None:
-    """The strips of all scenes, one below the other."""
-    results = gather(directories)
-    pages = []
-    for scene in results.scenes:
-        runs = results.foremost(scene)
-        title = f"{scene.partition('?')[0]}, {runs[0].metrics['metrics']['frames']} frames, seed {runs[0].job.seed}"
-        pages.append(compare_strip(runs, title=title))
-    whole = Image.new("RGB", (max(page.width for page in pages), sum(page.height for page in pages)), "white")
-    for number, page in enumerate(pages):
-        whole.paste(page, (0, sum(above.height for above in pages[:number])))
-    whole.save(Path(__file__).with_name("views.jpg"), quality=84, optimize=True, progressive=True)
+def main(comparison: Path) -> None:
+    """Draw the strip of the cell: a true view, the view in each map, each map from above."""
+    runs = runs_of_cell(comparison, POLICIES)
+    title = f"{runs[0].scene}, {runs[0].metrics['metrics']['frames']} frames, seed {runs[0].job.seed}"
+    compare_strip(runs, title=title).save(OUT, quality=84, optimize=True, progressive=True)
+    write_record(runs, OUT)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit("give the directory of a comparison: python docs/images/views.py DIR [DIR ...]")
+    if len(sys.argv) != 2:
+        sys.exit("give the directory of the comparison: python docs/images/views.py DIR")
     try:
-        main([Path(argument) for argument in sys.argv[1:]])
+        main(Path(sys.argv[1]))
     except InputError as error:
         sys.exit(f"views.py: {error}")

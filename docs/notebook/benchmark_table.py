@@ -5,6 +5,7 @@
     python docs/notebook/benchmark_table.py --pairs A:B C:D          # A over B and C over D instead
     python docs/notebook/benchmark_table.py --file ladder.csv        # of another file beside it
     python docs/notebook/benchmark_table.py --ladders                # README's: what every rung adds on every ladder
+    python docs/notebook/benchmark_table.py --headline               # means with intervals of headline.csv
 
 References, who decide by the ground truth, stand on top and are never the best. Means over scenes of means over seeds;
 differences are those of pairs with the first of ``BASELINES`` that played, on the same scene and seed, with bootstrap
@@ -21,13 +22,15 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.statistics.aggregates import mean
 from activestructure_gym.evaluation.statistics.paired import Cell, PairedDifference, paired_difference
-from activestructure_gym.evaluation.statistics.resampling import Estimate
+from activestructure_gym.evaluation.statistics.resampling import Estimate, estimate
 from activestructure_gym.policies import LADDER
 
 PLACE = Path(__file__).with_name("benchmark.csv")
@@ -45,6 +48,12 @@ SHOWN = {  # key: heading, digits, best
     "late_psnr_rate": ("late PSNR (dB / 100 frames) ↑", 3, max),
     "late_depth_rate": ("late Depth (cm / 100 frames) ↓", 3, min),
 }
+HEADLINE_RUNS = "headline.csv"
+HEADLINE = {  # the columns of its table
+    "observed": "observed (%) ↑", "observed_area": "exploration (%) ↑", "completion_ratio": "C.R. (%) ↑",
+    "tsdf_completion_ratio": "C.R. surface (%) ↑", "psnr": "PSNR (dB) ↑", "depth_l1_cm": "Depth (cm) ↓",
+    "accuracy_cm": "Acc (cm) ↓",
+}  # fmt: skip
 DIFFERENCES = {"observed_area": ("area", 1), "psnr": ("PSNR", 2)}
 OF_PAIRS = {
     "observed_area": ("area (points)", 1),
@@ -165,6 +174,19 @@ def ladders(folder: Path) -> str:
     return "\n".join([lines[0], "|---|" + "---:|" * len(columns), *lines[1:]]) + "\n"
 
 
+def headline(table: Table) -> str:
+    """Return a row per policy: means over scenes of means over seeds, with their intervals."""
+    lines = ["| policy | " + " | ".join(HEADLINE.values()) + " |", "|---|" + "---:|" * len(HEADLINE)]
+    for policy, runs in table.items():
+        cells = []
+        for key in HEADLINE:
+            scenes = sorted({scene for scene, _ in runs})
+            strata = [np.array([run[key] for (place, _), run in runs.items() if place == scene]) for scene in scenes]
+            cells.append(_told(estimate(strata), SHOWN[key][1], sign=""))
+        lines.append(f"| `{policy}` | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def _rows(place: Path) -> list[dict[str, str]]:
     if not place.exists():
         return []
@@ -207,12 +229,16 @@ def main() -> None:
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--pairs", nargs="+", metavar="A:B")
     instead.add_argument("--ladders", action="store_true")
+    instead.add_argument("--headline", action="store_true")
     options = parser.parse_args()
     place = PLACE.with_name(options.file)
     if options.runs:
         added(place, options.runs)
     if options.ladders:
         print(ladders(PLACE.parent), end="")
+        return
+    if options.headline:
+        print(headline(read(PLACE.with_name(HEADLINE_RUNS))), end="")
         return
     table = read(place)
     if not table:

@@ -109,7 +109,7 @@ def test_a_report_writes_through_no_link(comparison: Path, foreign: Path) -> Non
     (comparison / store.TABLES).symlink_to(foreign)
     with pytest.raises(InputError, match="tables' is a link"), parts.whole_files(comparison) as part:
         (part / store.TABLES).mkdir()
-        (part / store.TABLES / "overview.md").write_text("ours")
+        (part / store.TABLES / "overview.csv").write_text("ours")
     assert content_of(foreign) == {"file": KEPT.encode()}
 
 

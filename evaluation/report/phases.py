@@ -63,10 +63,15 @@ def bands(steps: Steps) -> list[Band]:
     return found
 
 
+def drawn_decisions(count: int) -> list[int]:
+    """Return the numbers of the decisions that are shown: all, or an even choice of them with the last one."""
+    every = -(-count // _MOST_DRAWN) or 1
+    return sorted({*range(0, count, every), *range(max(count - 1, 0), count)})
+
+
 def drawn_steps(steps: Steps) -> Steps:
-    """Return the decisions that are drawn: all, or an even choice of them with the last one."""
-    every = -(-len(steps) // _MOST_DRAWN) or 1
-    return [*steps[: len(steps) - 1 : every], *steps[-1:]]
+    """Return the decisions of `drawn_decisions`."""
+    return [steps[number] for number in drawn_decisions(len(steps))]
 
 
 def chosen_terms(steps: Steps) -> dict[str, np.ndarray]:  # [T] each, nan where a decision has no such number

@@ -13,7 +13,7 @@ from activestructure_gym.evaluation.report.columns import ratios_text, value_of
 from activestructure_gym.evaluation.report.history import history_chart
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table, number
-from activestructure_gym.evaluation.report.phases import bands, chosen_terms
+from activestructure_gym.evaluation.report.phases import bands, chosen_terms, drawn_decisions, drawn_steps
 from activestructure_gym.evaluation.report.run_links import run_links
 
 _DIGITS = 3
@@ -31,7 +31,7 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
     return " · ".join(parts), render(
         "trace.html.j2",
         timeline=timeline(run),
-        history=history_chart(run.steps),
+        history=history_chart(drawn_steps(run.steps)),
         table=html_table(trace_table(run), exact=False),
         job=run.key,
         directory=run.directory.name,
@@ -41,7 +41,7 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
 
 def timeline(run: Run) -> Markup | None:
     """The phases as a strip over the frames, with why each began; None for a policy without phases."""
-    found = bands(run.steps)
+    found = bands(drawn_steps(run.steps))
     if not found:
         return None
     return render(
@@ -54,7 +54,10 @@ def timeline(run: Run) -> Markup | None:
 
 
 def trace_table(run: Run) -> Table:
-    """A row per decision: cost, phase, target, the chosen view's terms, the runner-up, and what followed."""
+    """A row per decision: cost, phase, target, the chosen view's terms, the runner-up, and what followed.
+
+    Of very many decisions an even choice.
+    """
     steps, terms = run.steps, chosen_terms(run.steps)
     phased = any((step.get("trace") or {}).get("phase") for step in steps)
     second = any((step.get("trace") or {}).get("runner_up") for step in steps)
@@ -68,8 +71,9 @@ def trace_table(run: Run) -> Table:
     headings += [Heading("C.R. surface (%)"), Heading("observed (%)")] if surface else []
     headings.append(Heading("PSNR"))
     ended = run.timing.get("decisions", [])
-    rows = []
-    for k, step in enumerate(steps):
+    rows, shown = [], drawn_decisions(len(steps))
+    for k in shown:
+        step = steps[k]
         trace, view, graph = (step.get(name) or {} for name in ("trace", "view", "graph"))
         check = step.get("checkpoint") or {}
         row = [number(step.get("decision", k), 0), number(step.get("frames"), 0), number(step.get("metres"), 1)]
@@ -92,6 +96,8 @@ def trace_table(run: Run) -> Table:
         row.append(number(check.get("psnr"), 2, ""))
         rows.append(row)
     title = f"Decisions of {run.policy} on {run.scene}, seed {run.job.seed}"
+    if len(shown) < len(steps):
+        title += f" ({len(shown):,} of {len(steps):,}; all are in steps.jsonl)"
     return Table(f"trace-{run.job.name}", title, headings, rows)
 
 

@@ -30,3 +30,13 @@ def test_phases_and_why_they_changed(make_run):
     assert "<b>, seed 0" in summary
     assert "pool &amp; empty" in text and "<b>," not in text
     assert text.count('class="phase f0"') == 1 and text.count('class="phase f1"') == 1
+
+
+def test_of_very_many_decisions_an_even_choice_is_listed(make_run):
+    run = make_run()
+    run.steps[:] = [{**run.steps[k % 6], "decision": k, "frames": k + 2} for k in range(70_000)]
+    table = trace_table(run)
+    assert len(table.rows) == 2001 and table.title.endswith("(2,001 of 70,000; all are in steps.jsonl)")
+    assert [table.rows[k][0].text for k in (0, 1, -1)] == ["0", "35", "69,999"]
+    summary, text = run_trace(run)
+    assert "70000 decisions" in summary and len(text) < 3_000_000

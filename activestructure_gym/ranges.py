@@ -11,7 +11,10 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown
 
-MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept, and a run with as many can be read
+# What a run can be read with; a configuration that asks for more is refused before the first frame.
+FARTHEST = 1e6  # metres from the world's origin along each axis
+MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
+MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept
 
 
 def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> None:

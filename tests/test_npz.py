@@ -9,7 +9,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from activestructure_gym.npz import read_npz
+from activestructure_gym.npz import read_npz, write_npz
 
 
 def npy(array: np.ndarray) -> bytes:
@@ -90,3 +90,12 @@ def test_anything_else_is_refused_in_a_sentence(make, words, tmp_path):
     with pytest.raises(ValueError, match=words) as error:
         read_npz(make(tmp_path / "a.npz"))
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_what_packs_too_well_to_be_believed_is_written_as_it_is(tmp_path):
+    blank = {"pictures": np.zeros((8, 2048, 2048, 3), np.uint8), "psnr": np.ones(8)}  # of a map that shows nothing
+    write_npz(tmp_path / "blank.npz", blank)
+    found = read_npz(tmp_path / "blank.npz")
+    assert found["pictures"].shape == blank["pictures"].shape and not found["pictures"].any()
+    write_npz(tmp_path / "small.npz", {"zeros": np.zeros(10**6)})
+    assert (tmp_path / "small.npz").stat().st_size < 100_000 and len(read_npz(tmp_path / "small.npz")["zeros"]) == 10**6

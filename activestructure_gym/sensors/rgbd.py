@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.errors import InputError, shown, unknown_name
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ranges import check_ranges
+from activestructure_gym.ranges import MOST_ELONGATED, check_ranges
 from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.noise import DEPTH_NOISE, DepthNoise, drop_edges, noisy_depth, noisy_pose
 from activestructure_gym.sensors.renderer import RENDERERS, Renderer, RendererName, make_renderer
@@ -46,6 +46,11 @@ class SensorConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES, "sensor ")
+        if max(self.width, self.height) > MOST_ELONGATED * min(self.width, self.height):
+            raise InputError(
+                f"the longer side of the sensor's image must be at most {MOST_ELONGATED} times the shorter one, got "
+                f"{self.width} x {self.height} pixels"
+            )
         rays = int(self.width) * int(self.height) * int(self.supersample) ** 2
         if rays > _MOST_RAYS:
             raise InputError(

@@ -9,7 +9,7 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.geometry import invert_rigid, rotation_angle
 from activestructure_gym.geometry.frame import Frame
-from activestructure_gym.ranges import check_ranges
+from activestructure_gym.ranges import FARTHEST, check_ranges
 from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
@@ -63,7 +63,12 @@ class VolumeConfig:
 
 
 def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
-    """Voxels along x, y, z over bounds [2, 3] in metres; `InputError` where they are too many to keep."""
+    """Voxels along x, y, z over bounds [2, 3] in metres; `InputError` where they are too many, or too far away."""
+    away = float(np.abs(bounds).max())
+    if away > FARTHEST:
+        raise InputError(
+            f"the scene lies {away:,.0f} m from the origin, and at most {FARTHEST:,.0f} m are allowed: move it there"
+        )
     extent = np.asarray(bounds[1], dtype=np.float64) - bounds[0]
     cells = np.ceil(extent / voxel_size - 1e-9) + 2.0
     if cells.prod() > _MOST_VOXELS:

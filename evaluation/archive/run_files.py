@@ -22,11 +22,9 @@ from activestructure_gym.evaluation.archive.schema import (
     text,
 )
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, LATE, LEVELS
-from activestructure_gym.ranges import MOST_FRAMES
+from activestructure_gym.ranges import FARTHEST, MOST_ELONGATED, MOST_FRAMES
 
-_FARTHEST = 1e6  # metres
 _WIDEST_IMAGE = 16384  # pixels
-_MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
 _MOST_PICTURES = 64
 _MOST_PLANES, _MOST_MARKS = 100_000, 5_000_000
 _RIGID = 1e-3  # how far a rotation matrix may be from one
@@ -41,7 +39,7 @@ JOB: Check = table(
     {
         "scene": text, "policy": text, "seed": number(0, 2**63 - 1, whole=True), "scene_hash": text, "preset": text,
         "frame_budget": maybe(number(1, whole=True)), "overrides": table(),
-        "start_pose": maybe(each(number(-_FARTHEST, _FARTHEST), length=4)), "protocol": PROTOCOL,
+        "start_pose": maybe(each(number(-FARTHEST, FARTHEST), length=4)), "protocol": PROTOCOL,
         "also": each(PROTOCOL),
     },
     {"terms": text},
@@ -141,7 +139,7 @@ STEP: Check = table(
 
 def _places(*shape: int | str, least: int = 0) -> Array:
     """The `Array` of positions in the world, metres."""
-    return Array("f8", shape, low=-_FARTHEST, high=_FARTHEST, least=least)
+    return Array("f8", shape, low=-FARTHEST, high=FARTHEST, least=least)
 
 
 TRAJECTORY = {
@@ -151,11 +149,11 @@ TRAJECTORY = {
     "image_size": Array("i8", (2,), low=1, high=_WIDEST_IMAGE),
 }
 _LEGS = {"keyframe_rounds": Array("i8", ("K",), low=0, high=1000), "legs": Array("i8", ("D", 3), low=0)}
-_RANGE = {"max_range": Array("f8", (), low=0, high=_FARTHEST)}  # of the sensor, metres; not every path says it
+_RANGE = {"max_range": Array("f8", (), low=0, high=FARTHEST)}  # of the sensor, metres; not every path says it
 _PLAN = {
     "plan_state": Array("u1", ("columns", "rows"), high=2, least=1),
     "plan_corner": _places(2),
-    "plan_extent": Array("f8", (2,), low=1e-3, high=_FARTHEST),
+    "plan_extent": Array("f8", (2,), low=1e-3, high=FARTHEST),
     "above_rgb": Array("u1", ("h", "w", 3), high=255, least=1),
     "above_alpha": Array("u1", ("h", "w"), high=255, least=1),
 }
@@ -204,7 +202,7 @@ def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     if not (arrays["intrinsics"][:2] > 1e-3).all():
         raise Mismatch("intrinsics: focal lengths are above 0")
     width, height = (int(side) for side in arrays["image_size"])
-    if max(width, height) > _MOST_ELONGATED * min(width, height):
+    if max(width, height) > MOST_ELONGATED * min(width, height):
         raise Mismatch(f"image_size: {width} x {height} pixels are no camera's")
 
 

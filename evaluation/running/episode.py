@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.running.measuring import measure
 from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
+from activestructure_gym.npz import write_npz
 from activestructure_gym.planes.record import graph_arrays, graph_summary
 
 if TYPE_CHECKING:
@@ -357,12 +358,8 @@ def _write_files(part: Path, reconstruction: Reconstruction) -> None:
     write_ply(reconstruction.mapper.map, part / "map.ply")
     with open(part / store.TRAJECTORY, "wb") as file:
         np.savez(file, **_path_arrays(reconstruction))  # type: ignore[arg-type]
-    for name, arrays in (
-        (store.GRAPH, graph_arrays(reconstruction.planes)),
-        (played.PLAN, plan_arrays(reconstruction)),
-    ):
-        with open(part / name, "wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    write_npz(part / store.GRAPH, graph_arrays(reconstruction.planes))
+    write_npz(part / played.PLAN, plan_arrays(reconstruction))
 
 
 def _path_arrays(reconstruction: Reconstruction) -> dict[str, np.ndarray]:

@@ -12,14 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.jobs import Job, refuse_code
 from activestructure_gym.evaluation.archive.picture_record import picture_arrays
 from activestructure_gym.evaluation.metrics.planning import CURVE_MEASURES, planning_scores
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
+from activestructure_gym.npz import write_npz
 
 if TYPE_CHECKING:
     from activestructure_gym.evaluation.protocols import Truth
@@ -48,8 +47,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
             store.write_evaluation(part, other.parameters(), known.scene.content_hash, numbers)
         views = [view["psnr"] for view in metrics["views"]]
         pictures = picture_arrays(job.protocol, truth, gaussians, played.read_plan(place), views)
-        with open(part / store.PICTURES, "wb") as file:
-            np.savez_compressed(file, **pictures)  # type: ignore[arg-type]
+        write_npz(part / store.PICTURES, pictures)
         _write_clocks(part, episode["clock"], time.perf_counter() - began)
         _draw_pictures(part)
         # Last: a directory without it is not a result.

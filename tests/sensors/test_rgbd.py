@@ -132,3 +132,10 @@ def test_wrong_settings_are_refused_at_construction(change, message):
     with pytest.raises(InputError) as caught:
         SensorConfig(**change)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [(1600, 100), (100, 801)])
+def test_an_image_that_no_run_could_be_read_with_is_refused(size):
+    with pytest.raises(InputError, match=f"at most 8 times the shorter one, got {size[0]} x {size[1]} pixels"):
+        SensorConfig(width=size[0], height=size[1])
+    SensorConfig(width=800, height=100)

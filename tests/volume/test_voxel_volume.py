@@ -337,3 +337,9 @@ def test_unobserved_is_what_no_ray_went_through() -> None:
     for row, (state, weight, tsdf, _) in enumerate(cases):
         volume.state[row, 0, 0], volume.weight[row, 0, 0], volume.tsdf[row, 0, 0] = state, weight, tsdf
     assert volume.unobserved[: len(cases), 0, 0].tolist() == [expected for *_, expected in cases]
+
+
+def test_a_scene_that_no_run_could_be_read_of_is_refused():
+    bounds = np.array([[4_999_997.0, 0.0, 0.0], [5_000_003.0, 5.0, 3.0]])
+    with pytest.raises(InputError, match="lies 5,000,003 m from the origin, and at most 1,000,000 m are allowed"):
+        VoxelVolume(bounds)

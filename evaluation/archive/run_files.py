@@ -253,7 +253,7 @@ def check_config(content: Any, place: str) -> None:
     """Raise `Mismatch` unless ``config.json`` holds what it must, and what its terms and its policy need besides."""
     CONFIG(content, place)
     job, configuration = content["job"], content["configuration"]
-    wanted = _NATIVE if job.get("terms") == "native" else ()
+    wanted: tuple[str, ...] = _NATIVE if job.get("terms") == "native" else ()
     wanted += _FOLLOWING if is_trajectory(job["policy"]) else ()
     for field in wanted:
         room, _, name = field.rpartition(".")

@@ -134,7 +134,7 @@ def test_the_command_writes_a_page_and_says_what_it_takes(
     assert main(["replay", str(finished[0].directory.parents[1])]) == 0  # a comparison of two runs
     assert (tmp_path / "replay.html").read_text().count('class="recording"') == 2
     assert main(["replay", one, other, one]) == 2
-    assert "takes one run or two, got 3" in capsys.readouterr().err
+    assert "shows one run or two, got 3" in capsys.readouterr().err
     assert main(["replay", str(tmp_path)]) == 2
     assert "neither a finished run nor a comparison" in capsys.readouterr().err
     assert main(["replay", one, "--out", "nowhere/replay.html"]) == 2

@@ -68,3 +68,10 @@ def cast_boxes():
         return RayCaster(mesh.vertices, mesh.faces, threads=1)
 
     return make
+
+
+@pytest.fixture(autouse=True)
+def no_width(monkeypatch):
+    """Print as into a log of any width, whatever the shell that runs the tests says."""
+    for name in ("COLUMNS", "LINES", "FORCE_COLOR", "TTY_COMPATIBLE"):
+        monkeypatch.delenv(name, raising=False)

@@ -10,10 +10,3 @@ def no_lines_about_compiling(monkeypatch):
     """The lines of other tests' compiling come seconds later, from a thread."""
     monkeypatch.setattr(Log, "hear", lambda self, *told: None)
     monkeypatch.setattr(Log, "conclude", lambda self: None)
-
-
-@pytest.fixture(autouse=True)
-def no_width(monkeypatch):
-    """Print as into a log of any width, whatever the shell that runs the tests says."""
-    for name in ("COLUMNS", "LINES", "FORCE_COLOR", "TTY_COMPATIBLE"):
-        monkeypatch.delenv(name, raising=False)

@@ -14,16 +14,9 @@ True
 """
 
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym._version import __version__
-
-# A wheel holds envs/, policies/ and evaluation/ inside this package; a checkout
-# holds them beside it (package_dir in setup.cfg).  Both import by the same name.
-_package = Path(__file__).resolve().parent
-if not (_package / "envs").is_dir():
-    __path__.append(str(_package.parent))
 
 if TYPE_CHECKING:
     from activestructure_gym.config import ReconstructionConfig, configure

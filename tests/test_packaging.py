@@ -1,4 +1,4 @@
-"""All folders with code are packages, tools find them in a checkout, every module has one name, and importing it is light."""
+"""All folders with code are packages, tools find them, every module has one name, and importing it is light."""
 
 from __future__ import annotations
 

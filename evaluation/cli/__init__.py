@@ -38,7 +38,6 @@ ActiveStructure Gym: planners for active 3D reconstruction, compared.
   asg train        train a learned policy (bc, rank, ppo), or score policies
   asg evaluate     measure finished runs again from their maps, or any map
   asg verify       play finished runs again, and compare them byte for byte
-  asg leaderboard  write a page of runs by anyone, verified or not
   asg export       write a run's map as PLY, .splat or SplaTAM's params.npz
   asg report       write the report of finished runs, and tables for papers
   asg replay       write a run, or two, as a page that shows the map grow

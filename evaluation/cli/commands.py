@@ -20,7 +20,6 @@ COMMANDS = {
     "train": "train:Train",
     "evaluate": "evaluate:Evaluate",
     "verify": "verify:Verify",
-    "leaderboard": "leaderboard:Leaderboard",
     "export": "export:Export",
     "report": "report:Report",
     "replay": "replay:Replay",

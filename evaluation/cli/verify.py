@@ -10,7 +10,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli.fields import Runs, Switch
 from activestructure_gym.evaluation.cli.options import use_trust
 from activestructure_gym.evaluation.cli.output import make_console, progress_bar, short_title
-from activestructure_gym.streams import complain, escape
+from activestructure_gym.streams import escape
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -26,9 +26,8 @@ class Verify:
     """Play finished runs again and compare what they store, byte for byte.
 
     A run is identical, differs, or is damaged. It is not comparable here where other bytes came out on another
-    processor or with other versions than it names: that confirms nothing. The verdict is remembered on this machine,
-    outside the runs, and shown by `asg leaderboard`. Exit codes: 0, all runs are identical; 1, a run differs, is
-    damaged or cannot be played; 3, a run is not comparable here.
+    processor or with other versions than it names: that confirms nothing. Exit codes: 0, all runs are identical; 1, a
+    run differs, is damaged or cannot be played; 3, a run is not comparable here.
     """
 
     runs: Runs = ()
@@ -37,14 +36,13 @@ class Verify:
     """Let the runs' files name code, package.module:Name, that is run."""
 
     def run(self) -> int:
-        """Play, tell and remember; returns the exit code."""
+        """Play each run again and print its verdict; returns the exit code."""
         use_trust(self.trust_code)
         from rich.progress import Progress as Bar
         from rich.progress import TextColumn
 
         from activestructure_gym.evaluation.archive.comparison import each_run
-        from activestructure_gym.evaluation.archive.verified import REFUTED, keep
-        from activestructure_gym.evaluation.running.verifying import verify
+        from activestructure_gym.evaluation.running.verifying import REFUTED, verify
 
         if not self.runs:
             raise InputError("name the directory of a comparison or of a run to play again")
@@ -76,10 +74,6 @@ class Verify:
             mark = _MARKS.get(found.verdict, "[red]✗[/]")
             said = f"{mark} {escape(run.job.title)}: {found.verdict}"
             console.print("; ".join((said, *map(escape, found.why))))
-            try:
-                keep(run.directory, found)
-            except InputError as error:
-                complain(f"note: this is not remembered: {error}")
         asked = len(runs) + len(refused)
         if failed:
             console.print(f"[red]✗[/] {failed} of {asked} did not come out as stored")

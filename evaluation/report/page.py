@@ -60,14 +60,14 @@ def html_page(results: Results, directory: Path | None = None, published: Sequen
         "page.html.j2",
         policy=CONTENT_POLICY,
         title=title,
-        style=Markup(_colours()) + page_asset("report.css"),
+        style=Markup(_colours()) + _asset("report.css"),
         links=[(anchor, text) for anchor, text in named.items() if f' id="{anchor}"' in body],
         body=body,
-        script=page_asset("report.js"),
+        script=_asset("report.js"),
     )
 
 
-def page_asset(name: str) -> Markup:
+def _asset(name: str) -> Markup:
     """One of the page's own files, as it is."""
     return Markup((_ASSETS / name).read_text(encoding="utf-8"))
 

@@ -13,16 +13,15 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import policy_label, refuse_code
 from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
-from activestructure_gym.evaluation.archive.verified import Verification
-from activestructure_gym.evaluation.machine.hardware import code_sum, hardware
 from activestructure_gym.evaluation.metrics.planning import planning_scores
 from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.running.episode import Progress, run_job
@@ -34,9 +33,20 @@ COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GR
 # Up to which a number of one map agrees with that measured on another processor. Own choice, far above rounding:
 # agreement confirms nothing.
 _CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute
-_MOST = 5  # numbers that are named, the leaderboard's first
+_MOST = 5  # numbers that are named, the leading ones first
 _LEADING = ("tsdf_completion_ratio", "completion_ratio", "observed_area", "psnr")
 _SHOWING = ("rich", "tyro", "pillow", "matplotlib")  # packages that make no number
+
+Verdict = Literal["identical", "not comparable here", "differs", "damaged"]
+REFUTED: tuple[Verdict, ...] = ("differs", "damaged")
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Result of playing a run again."""
+
+    verdict: Verdict
+    why: tuple[str, ...] = ()  # what differs, or which processor and versions differ
 
 
 def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -> Verification:
@@ -45,7 +55,6 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
     Raises `InputError` where the job cannot be played here: its scene or policy is missing or has changed, or its
     files name code that was not trusted.
     """
-    here = {"processor": str(hardware()["processor"]), "code": code_sum()}
     try:
         run = store.open_run(run.directory, run.scene)
         store.read_all(run)
@@ -54,7 +63,7 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         if untrue := untrue_evaluations(run):
             raise InputError(f"{'; '.join(untrue)}: delete it, and `asg evaluate` measures it again")
     except InputError as error:
-        return Verification("damaged", (str(error),), **here)
+        return Verification("damaged", (str(error),))
     if run.policy != policy_label(run.job.policy):
         raise InputError(
             f"'{run.job.policy}' was another policy's name when it was made: that one is now '{run.policy}'"
@@ -65,16 +74,16 @@ def verify(run: Run, tell: Callable[[Progress], None] = lambda progress: None) -
         evaluations, missing = evaluations_again(run, again)
         others = [name for name in COMPARED if not _same(run, again, name)] + evaluations
     if not others:
-        return Verification("not comparable here" if missing else "identical", tuple(missing), **here)
+        return Verification("not comparable here" if missing else "identical", tuple(missing))
     told = f"other bytes in {', '.join(others)}"
     elsewhere = elsewhere_in(run, again) + missing
     if not elsewhere:
-        return Verification("differs", (told, *numbers_that_differ(run, again)), **here)
+        return Verification("differs", (told, *numbers_that_differ(run, again)))
     codes = [one.config["versions"].get("code") for one in (run, again)]
     wrong = [f"another {store.CONFIG} of the same code"] if store.CONFIG in others and codes[0] == codes[1] else []
     if wrong := [*wrong, *contradictions(run)]:
-        return Verification("differs", (told, *wrong), **here)
-    return Verification("not comparable here", (*elsewhere, told, *numbers_that_differ(run, again)), **here)
+        return Verification("differs", (told, *wrong))
+    return Verification("not comparable here", (*elsewhere, told, *numbers_that_differ(run, again)))
 
 
 def numbers_that_differ(run: Run, again: Run) -> list[str]:

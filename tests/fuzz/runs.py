@@ -17,7 +17,7 @@ from tests.fuzz._archives import asg, comparison, content_of, damage, evil_modul
 CI_CASES = 10
 
 _COMMANDS = (
-    "report", "report in place", "resume", "evaluate", "evaluate one", "export", "replay", "leaderboard", "score",
+    "report", "report in place", "resume", "evaluate", "evaluate one", "export", "replay", "score",
 )  # fmt: skip
 
 
@@ -89,8 +89,6 @@ def _check(folder: Path, command: str, run: str, damaged: list[str], mark: Path)
             asg("evaluate", f"all/{run}" if command == "evaluate one" else "all")
         elif command == "replay":
             asg("replay", f"all/{run}", "--out", "replay.html")
-        elif command == "leaderboard":
-            asg("leaderboard", "all", "--out", "leaderboard.html")
         elif command == "score":
             _score(run)
         else:

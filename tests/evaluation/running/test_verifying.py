@@ -14,14 +14,12 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare, read_run
-from activestructure_gym.evaluation.archive import store, verified
+from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.store import DONE, Run, write_evaluation
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.options import parse_start
 from activestructure_gym.evaluation.machine.hardware import code_sum, hardware, versions
 from activestructure_gym.evaluation.protocols import get_protocol
-from activestructure_gym.evaluation.report.leaderboard import leaderboard_page, rows_of
-from activestructure_gym.evaluation.running.verifying import evaluations_again, untrue_evaluations, verify
+from activestructure_gym.evaluation.running.verifying import Verification, evaluations_again, untrue_evaluations, verify
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +45,8 @@ def made(both: tuple[Run, Run]) -> Run:
 
 
 @pytest.fixture
-def run(made: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """A copy that may be changed, with marks of its own."""
-    monkeypatch.setenv(verified.VARIABLE, str(tmp_path / "marks"))
+def run(made: Run, tmp_path: Path) -> Run:
+    """A copy that may be changed."""
     return read_run(Path(shutil.copytree(made.directory, tmp_path / "runs" / "jobs" / made.directory.name)))
 
 
@@ -101,16 +98,11 @@ def better(data: bytes) -> bytes:
     return json.dumps(content).encode()
 
 
-def test_an_untouched_run_is_identical_and_known_from_then_on(run: Run) -> None:
-    assert verified.known(run.directory) is None
+def test_an_untouched_run_is_identical(run: Run) -> None:
     heard: list[str] = []
     found = verify(run, lambda progress: heard.append(progress.stage))
-    assert (found.verdict, found.why, found.code) == ("identical", (), code_sum()) and "exploring" in heard
-    verified.keep(run.directory, found)
-    assert verified.known(run.directory) == found
+    assert found == Verification("identical") and "exploring" in heard
     assert run.config["versions"]["code"] == code_sum()
-    # A mark inside the run would be of whoever handed it in.
-    assert not any(verified.marks_directory().name in str(file) for file in run.directory.rglob("*"))
 
 
 @pytest.mark.parametrize(
@@ -121,15 +113,12 @@ def test_one_changed_byte_is_refused_with_the_files_name(run: Run, name: str) ->
         middle = len(data) // 2
         return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
 
-    verified.keep(run.directory, verified.Verification("identical"))
     found = verify(change(run, name, turned))
     assert found.verdict == "damaged" and name in found.why[0]
 
 
 def test_numbers_that_were_forged_with_their_sums_do_not_come_out(run: Run) -> None:
-    verified.keep(run.directory, verified.Verification("identical"))
     forged = change(run, "metrics.json", better, forge=True)
-    assert verified.known(run.directory) is None  # it is another run's
     found = verify(forged)
     assert found.verdict == "differs" and "metrics.json" in found.why[0]
     assert any(why.startswith("psnr ") for why in found.why)
@@ -328,31 +317,16 @@ def test_a_file_without_a_sum_is_no_verified_one(run: Run) -> None:
     done.write_text("".join(line for line in done.read_text().splitlines(True) if "metrics.json" not in line))
     found = verify(read_run(run.directory))
     assert found.verdict == "damaged" and "no checksum of metrics.json" in found.why[0]
-    verified.keep(run.directory, verified.Verification("identical"))
-    assert verified.known(run.directory) is None
 
 
-def test_of_runs_of_one_job_the_one_that_came_out_stands_on_the_leaderboard(run: Run) -> None:
-    forged = replace(run, metrics={**run.metrics, "metrics": {**run.metrics["metrics"], "psnr": 99.0}})
-    verdicts: dict[int, verified.Verification] = {id(run): verified.Verification("identical")}
-    for runs in ([run, forged], [forged, run]):
-        (((row,), _),) = rows_of(runs, lambda one: verdicts.get(id(one)))
-        assert row.runs == (run,) and row.status == "verified"
-    verdicts = {id(forged): verified.Verification("differs")}
-    (((row,), _),) = rows_of([run, forged], lambda one: verdicts.get(id(one)))
-    assert row.runs == (forged,) and row.refuted
-
-
-def test_what_is_not_remembered_or_raises_says_so(
+def test_a_run_that_cannot_be_played_says_so(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv(verified.VARIABLE, str(tmp_path / "file" / "marks"))
     playing = "activestructure_gym.evaluation.running.verifying.verify"
-    monkeypatch.setattr(playing, lambda run, tell: verified.Verification("identical"))
+    monkeypatch.setattr(playing, lambda run, tell: Verification("identical"))
     assert main(["verify", str(run.directory)]) == 0
-    told = capsys.readouterr()
-    assert "identical" in told.out and "not remembered" in told.err and "cannot be played" not in told.out
+    assert "box · random · seed 0: identical" in capsys.readouterr().out
+    assert main(["verify"]) == 2 and main(["verify", str(tmp_path / "nothing")]) == 2
 
     def raising(run: Run, tell: Any) -> None:
         raise RuntimeError("a policy's own")
@@ -371,97 +345,3 @@ def test_code_is_not_run_for_who_hands_in_a_run(run: Run) -> None:
     store.finish(run.directory, named)
     with pytest.raises(InputError, match="names the policy .* add --trust-code"):
         verify(read_run(run.directory))
-
-
-def test_a_row_is_self_reported_until_it_was_verified_here(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    directory = str(run.directory)
-
-    def said() -> str:
-        ((rows, _),) = rows_of([run], lambda one: verified.known(one.directory))
-        return rows[0].status
-
-    assert main(["leaderboard", directory]) == 0
-    assert "self-reported" in (tmp_path / "leaderboard.html").read_text() and said() == "self-reported"
-    assert main(["verify", directory]) == 0
-    assert "box · random · seed 0: identical" in capsys.readouterr().out and said() == "verified"
-    assert main(["leaderboard", directory]) == 0
-    page = (tmp_path / "leaderboard.html").read_text()
-    for text in (run.sums["map.npz"], run.sums["metrics.json"], run.config["scene"]["content_hash"], ">verified<"):
-        assert text in page
-    assert "asg compare --scenes box --policies random --seeds 0 --preset fast --frames 12 --set" in page
-    assert "--views 1 --samples 2000" in page and "--view-source" not in page
-    change(run, "metrics.json", better)
-    assert main(["verify", directory]) == 1 and "metrics.json" in capsys.readouterr().out
-    assert main(["leaderboard", directory]) == 2 and "metrics.json" in capsys.readouterr().err
-    assert main(["verify"]) == 2 and main(["leaderboard", str(tmp_path)]) == 2
-
-
-def test_who_sees_the_ground_truth_leads_no_leaderboard(run: Run) -> None:
-    metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": 99.0}}
-    oracle = replace(run, job=replace(run.job, policy="reference:oracle"), metrics=metrics)
-    (((first, last), _),) = rows_of([oracle, run], lambda one: None)
-    assert (first.policy, last.reference) == ("random", True)
-    assert "--references oracle" in last.command and "reference:" not in last.command
-    page = leaderboard_page([oracle, run], lambda one: None, {})
-    assert "of a reference or of given poses, a row has no rank" in page
-
-
-def test_a_refuted_row_is_told_to_have_no_rank_for_that(run: Run) -> None:
-    other = replace(run, job=replace(run.job, policy="naruto"))
-    told = "nor has one of which a run came out otherwise"
-    refuted = verified.Verification("differs", ("other bytes in map.npz",))
-    assert told in leaderboard_page([run, other], lambda one: refuted if one is other else None, {})
-    assert told not in leaderboard_page([run, other], lambda one: None, {})
-
-
-def test_who_follows_given_poses_leads_no_leaderboard(run: Run) -> None:
-    metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": 99.0}}
-    given = replace(run, job=replace(run.job, policy="trajectory:sweep"), metrics=metrics)
-    (((first, last), _),) = rows_of([given, run], lambda one: None)
-    assert (first.policy, first.plans, last.plans) == ("random", True, False)
-
-
-def test_who_was_refuted_leads_no_leaderboard(run: Run) -> None:
-    metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": 99.0}}
-    forged = replace(run, job=replace(run.job, policy="hole_area"), metrics=metrics)
-    verdicts = {forged.policy: verified.Verification("differs"), run.policy: verified.Verification("identical")}
-    (((first, last), wanted),) = rows_of([forged, run], lambda one: verdicts[one.policy])
-    assert (first.policy, last.policy) == ("random", "hole_area") and wanted == 1
-    page = leaderboard_page([forged, run], lambda one: verdicts[one.policy], {})
-    assert "refuted" in page and page.index(">random<") < page.index(">hole_area<")
-
-
-def test_the_command_of_a_row_plays_its_own_jobs_to_the_last_digit(run: Run) -> None:
-    start = (0.123456789, -1.0, 1.4, 17.188733853924695)  # as a recorded pose has them
-    (((row,), _),) = rows_of([replace(run, job=replace(run.job, start_pose=start))], lambda one: None)
-    (said,) = (word for word in row.command.split() if word.startswith("--start="))
-    assert parse_start(said.removeprefix("--start=")) == start
-
-
-def test_who_played_less_is_not_ranked_and_refuted_runs_are_said(run: Run) -> None:
-    def other(policy: str, seed: int, ratio: float) -> Run:
-        metrics = {**run.metrics, "metrics": {**run.metrics["metrics"], "tsdf_completion_ratio": ratio}}
-        return replace(run, job=replace(run.job, policy=policy, seed=seed), metrics=metrics)
-
-    played = [("random", 0, 50.0), ("random", 1, 60.0), ("hole_area", 0, 70.0), ("hole_area", 1, 80.0)]
-    runs = [other(*one) for one in (*played, ("frontier", 0, 99.0))]
-    runs.append(replace(other("random", 0, 1.0), job=replace(run.job, preset="default")))
-    verdicts = {("random", 0): "identical", ("random", 1): "differs", ("hole_area", 0): "identical"}
-    verdicts["frontier", 0] = "not comparable here"
-
-    def known(one: Run) -> verified.Verification | None:
-        verdict = verdicts.get((one.job.policy, one.job.seed)) if one.job.preset == "fast" else None
-        return verified.Verification(verdict) if verdict else None  # type: ignore[arg-type]
-
-    (rows, wanted), (others, _) = rows_of(runs, known)
-    assert [row.policy for row in rows] == ["hole_area", "frontier", "random"] and wanted == 2
-    assert [row.status for row in rows] == [
-        "verified 1 of 2 runs, others self-reported", "self-reported, 1 not comparable here",
-        "refuted: 1 run came out otherwise",
-    ]  # fmt: skip
-    assert len(others) == 1
-    page = leaderboard_page(runs, known, {"/home/who/runs/<b>": "damaged"})
-    assert "<b>&lt;" not in page and "/home/who" not in page and "&lt;b&gt;" in page

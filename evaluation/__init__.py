@@ -32,9 +32,9 @@ if TYPE_CHECKING:
         StandardProtocol,
         get_protocol,
     )
+    from activestructure_gym.evaluation.running.api import compare
     from activestructure_gym.evaluation.running.comparison import Comparison, Result, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits
-    from activestructure_gym.evaluation.running.one_call import compare
     from activestructure_gym.evaluation.statistics import estimate, paired_difference, probability_of_improvement
 
 _PLACES = {
@@ -43,9 +43,9 @@ _PLACES = {
     "archive.store": ("Run", "read_run"),
     "metrics": ("SurfaceSamples", "depth_l1", "geometry_scores", "ms_ssim", "psnr", "ssim"),
     "protocols": ("PROTOCOLS", "ActiveGamerProtocol", "StandardProtocol", "get_protocol"),
+    "running.api": ("compare",),
     "running.comparison": ("Comparison", "Result", "run_comparison"),
     "running.engines": ("Limits",),
-    "running.one_call": ("compare",),
     "statistics": ("estimate", "paired_difference", "probability_of_improvement"),
 }
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}

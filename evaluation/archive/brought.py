@@ -26,8 +26,8 @@ _CHECK = schema.table({}, {"configuration": schema.anything}, others=schema.anyt
 def changed_schedule(directory: Path, job: Job) -> list[str]:
     """Fields of a finished run's configuration that its policy's schedule sets otherwise today.
 
-    Empty on shared terms, for policies that are somebody's own code (`own_code` watches that), and for runs that do not
-    say what they were played with.
+    Empty on shared terms, for policies that are plug-in code (`plugin_code` covers that), and for runs without a record
+    of their configuration.
     """
     from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.schedule import schedule_of

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import parts
+from activestructure_gym.evaluation.archive import temporary
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.machine.processes import machine_mark
 
@@ -36,8 +36,8 @@ class Claims:
     def __init__(self, directory: Path) -> None:
         self.lost_after = _lost_after()
         self._place = directory / CLAIMS
-        parts.refuse_links(directory, CLAIMS)
-        with parts.writing(self._place):
+        temporary.refuse_links(directory, CLAIMS)
+        with temporary.writing(self._place):
             self._place.mkdir(parents=True, exist_ok=True)
         # Containers may share their name and the numbers of their processes.
         self._who = f"{machine_mark()}-{os.getpid()}-{secrets.token_hex(4)}"

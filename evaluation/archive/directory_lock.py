@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.parts import refuse_links
+from activestructure_gym.evaluation.archive.temporary import refuse_links
 from activestructure_gym.evaluation.machine.processes import is_alive, machine_mark
 
 try:

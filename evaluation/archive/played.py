@@ -22,7 +22,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import run_files, schema, store
 from activestructure_gym.evaluation.archive.brought import changed_schedule
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.own_code import changed_code
+from activestructure_gym.evaluation.archive.plugin_code import changed_code
 from activestructure_gym.npz import read_npz
 
 EPISODE, PLAN = "episode.json", "plan.npz"
@@ -43,7 +43,7 @@ _CHECK: schema.Check = schema.table(
 @contextmanager
 def written_episode(directory: Path, job: Job) -> Iterator[Path]:
     """Give a folder to write a played episode into, which takes the place of the run when the block ends."""
-    with store.whole_directory(directory) as part:
+    with store.atomic_directory(directory) as part:
         yield part
         store.write_mark(part, store.PLAYED, job, _READ)
 

@@ -45,7 +45,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import agreement, run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
 from activestructure_gym.evaluation.archive.old_names import current_name
-from activestructure_gym.evaluation.archive.parts import part_of, refuse_links, writing
+from activestructure_gym.evaluation.archive.temporary import part_of, refuse_links, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
 from activestructure_gym.ranges import MOST_FRAMES
@@ -319,7 +319,7 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
 
 
 @contextmanager
-def whole_directory(directory: Path) -> Iterator[Path]:
+def atomic_directory(directory: Path) -> Iterator[Path]:
     """A temporary sibling to write into; it takes the name ``directory`` when the block ends without an error.
 
     Whatever has that name is replaced, unless it is the same job's finished result: another process was faster, and

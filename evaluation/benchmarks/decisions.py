@@ -15,7 +15,7 @@ import numpy as np
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.running.true_gains import QUALITY, TrueQuality, TrueSurface, whole_pool
+from activestructure_gym.evaluation.references.oracle_gains import QUALITY, TrueQuality, TrueSurface, whole_pool
 from activestructure_gym.evaluation.statistics import estimate
 from activestructure_gym.motion import Way
 

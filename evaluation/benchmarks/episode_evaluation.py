@@ -37,6 +37,7 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
     from activestructure_gym.evaluation.archive.jobs import Job
     from activestructure_gym.evaluation.metrics import geometry_scores
     from activestructure_gym.evaluation.metrics.geometry import streamed_scores
+    from activestructure_gym.evaluation.reproduction.remeasure import read_path
     from activestructure_gym.evaluation.running.episode import (
         CHECKPOINT_SAMPLES,
         CHECKPOINTS,
@@ -44,7 +45,6 @@ def _rows(spec: str, protocol: Any, *, frames: int, preset: Preset) -> Iterator[
         SURFACE_CHECKPOINTS,
         run_job,
     )
-    from activestructure_gym.evaluation.running.remeasure import read_path
     from activestructure_gym.mapping import GaussianMap
     from activestructure_gym.scenes import load_scene
 

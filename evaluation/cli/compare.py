@@ -260,7 +260,7 @@ def _added_to(directory: Path, options: Compare) -> Comparison | None:
 def _with_baseline(options: Compare, known: Sequence[str]) -> Compare:
     """The options with the baseline called as its jobs are; raises `InputError` where it does not take part."""
     from activestructure_gym.evaluation.archive.jobs import is_trajectory
-    from activestructure_gym.evaluation.running.following import named_trajectory
+    from activestructure_gym.evaluation.references.trajectory import named_trajectory
     from activestructure_gym.policies import canonical_policy
 
     given = options.baseline
@@ -299,7 +299,7 @@ def _typed_fields(options: Compare, begun: Comparison) -> dict[str, Any]:
     """What was typed, and nothing else, as fields of a comparison that takes their place in ``begun``."""
     from activestructure_gym.config import known_preset
     from activestructure_gym.evaluation.archive.jobs import is_trajectory
-    from activestructure_gym.evaluation.running.following import with_mappers
+    from activestructure_gym.evaluation.references.trajectory import with_mappers
 
     overrides = parse_overrides(options.set)
     if options.frames is not None and "frame_budget" in overrides:

@@ -60,7 +60,7 @@ class Evaluate:
         if self.scene or self.poses or self.out:
             raise InputError("--scene, --poses and --out belong to --map FILE; a run knows its own scene and poses")
         from activestructure_gym.evaluation.archive.store import write_evaluation
-        from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of
+        from activestructure_gym.evaluation.reproduction.remeasure import differing, measure_again, protocols_of
 
         console = make_console()
         finished = {str(run.directory) for run in _finish_played(self.runs, console)}
@@ -107,10 +107,10 @@ class Evaluate:
 
 def _evaluate_map(options: Evaluate) -> int:
     """Score a map file of any origin on a scene."""
-    from activestructure_gym.evaluation.archive.parts import writing
     from activestructure_gym.evaluation.archive.store import write_json
+    from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.protocols import get_protocol
-    from activestructure_gym.evaluation.running.remeasure import measure_file
+    from activestructure_gym.evaluation.reproduction.remeasure import measure_file
 
     if options.runs:
         raise InputError("give finished runs, or a map with --map FILE --scene SPEC, not both")

@@ -34,8 +34,8 @@ class Export:
 
     def run(self) -> int:
         """Write the file and say what is in it."""
-        from activestructure_gym.evaluation.archive.parts import writing
         from activestructure_gym.evaluation.archive.store import read_run
+        from activestructure_gym.evaluation.archive.temporary import writing
         from activestructure_gym.evaluation.protocols import CameraPath
         from activestructure_gym.mapping.ply import write_ply
         from activestructure_gym.mapping.splat_file import write_splat

@@ -80,7 +80,7 @@ def add_replays(console: Console, runs: Iterable[Run]) -> None:
 
 def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: bool = False) -> None:
     """Play ``runs`` again, write the page, and say where it is."""
-    from activestructure_gym.evaluation.archive.parts import writing
+    from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.replay import play_again, write_replay
 
     began, recordings = time.monotonic(), []
@@ -98,8 +98,8 @@ def write_page(console: Console, out: Path, runs: Sequence[Run], *, trusted: boo
 
 
 def _video(console: Console, directory: Path, out: Path) -> int:
-    from activestructure_gym.evaluation.archive.parts import writing
     from activestructure_gym.evaluation.archive.store import read_run
+    from activestructure_gym.evaluation.archive.temporary import writing
     from activestructure_gym.evaluation.replay import check_video, write_video
 
     check_video(out)

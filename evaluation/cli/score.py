@@ -88,10 +88,10 @@ def _run_of(place: str) -> Run | None:
 
 def _asked(options: Score, run: Run | None) -> tuple[Compare, Comparison]:
     """The same question in `asg compare`'s words, and the comparison."""
-    from activestructure_gym.evaluation.running.following import Given
+    from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
 
     assert options.trajectory is not None
-    given = Given(
+    given = TrajectorySpec(
         options.trajectory,
         kind=options.format,
         axes=options.axes or "",
@@ -129,7 +129,7 @@ def _changes_of(run: Run) -> dict[str, Any]:
     """What the run's configuration differs in from its preset's; what was computed for its policy alone is no part."""
     from activestructure_gym.evaluation.archive.jobs import is_reference, is_trajectory, refuse_code
     from activestructure_gym.evaluation.archive.store import CONFIG
-    from activestructure_gym.evaluation.running.following import Given
+    from activestructure_gym.evaluation.references.trajectory import TrajectorySpec
     from activestructure_gym.policies import make_policy
 
     job = run.job
@@ -140,6 +140,6 @@ def _changes_of(run: Run) -> dict[str, Any]:
         refuse_code([job], run.directory / CONFIG)
         alone = is_reference(job.policy) or is_trajectory(job.policy)
         brought = job.changes(None if alone else make_policy(job.policy))
-    if is_trajectory(job.policy) and (mapper := Given.of(job.policy).mapper):
+    if is_trajectory(job.policy) and (mapper := TrajectorySpec.of(job.policy).mapper):
         brought["mapper.name"] = mapper
     return {name: value for name, value in brought.items() if name not in ("gains", "frame_budget")}

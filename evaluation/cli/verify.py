@@ -42,7 +42,7 @@ class Verify:
         from rich.progress import TextColumn
 
         from activestructure_gym.evaluation.archive.comparison import each_run
-        from activestructure_gym.evaluation.running.verifying import REFUTED, verify
+        from activestructure_gym.evaluation.reproduction.verifying import REFUTED, verify
 
         if not self.runs:
             raise InputError("name the directory of a comparison or of a run to play again")

@@ -50,7 +50,7 @@ def play_again(
 def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     """The environment of ``run`` at its start; raises what `play_again` does."""
     from activestructure_gym.envs import ReconstructionEnv
-    from activestructure_gym.evaluation.running.following import follower_of
+    from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
     from activestructure_gym.evaluation.running.recorded_scene import load_job_scene
     from activestructure_gym.ground_truth import ground_truth_of
 
@@ -62,7 +62,7 @@ def playing(run: Run, *, trusted: bool = False) -> Iterator[ReconstructionEnv]:
     truth = ground_truth_of(load_job_scene(job))
     env: ReconstructionEnv
     if is_trajectory(job.policy):
-        env = follower_of(job, truth)[1]
+        env = trajectory_policy_and_env(job, truth)[1]
     else:
         env = ReconstructionEnv(
             scene=truth,

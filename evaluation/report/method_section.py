@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
+from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.report.html import html_table, render
 from activestructure_gym.evaluation.report.layout import Cell, Heading, Table

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from activestructure_gym.evaluation.archive import parts
+from activestructure_gym.evaluation.archive import temporary
 from activestructure_gym.evaluation.archive.jobs import slug
 from activestructure_gym.evaluation.archive.store import TABLES, Run
 from activestructure_gym.evaluation.report import verdicts
@@ -56,7 +56,7 @@ def write_results(directory: Path, results: Results, *, published: bool = False)
     Only finished runs are given, and only they are counted; everything is rebuilt from their directories. Raises
     `InputError` where those are damaged, or where ``directory`` cannot be written.
     """
-    with parts.whole_files(directory) as part:
+    with temporary.atomic_files(directory) as part:
         written = _write_into(part, results, directory, published_tables(results) if published else [])
     return [directory / file.relative_to(part) for file in written]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import parts, store
+from activestructure_gym.evaluation.archive import store, temporary
 from activestructure_gym.evaluation.archive.claims import CLAIMS
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
@@ -22,14 +22,14 @@ from activestructure_gym.evaluation.archive.jobs import (
     is_trajectory,
     refuse_code,
 )
-from activestructure_gym.evaluation.archive.own_code import first_sum_of
+from activestructure_gym.evaluation.archive.plugin_code import first_sum_of
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import StandardProtocol, get_protocol
+from activestructure_gym.evaluation.references.trajectory import PASSIVE, TrajectorySpec
 from activestructure_gym.evaluation.running.engines import Limits, Listener, Outcome, get_engine
 from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
-from activestructure_gym.evaluation.running.following import PASSIVE, Given
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
 from activestructure_gym.evaluation.running.warmup import warming_up
@@ -95,7 +95,7 @@ class Comparison:
 
     def everybody(self, policies: Sequence[str] = ()) -> list[str]:
         """Who takes part, as jobs call them: the policies (of these names, if they are known), then the references."""
-        from activestructure_gym.evaluation.running.references import reference_job
+        from activestructure_gym.evaluation.references.oracles import reference_job
 
         return [*(policies or self._check_policies()), *map(reference_job, self.references)]
 
@@ -153,7 +153,7 @@ class Comparison:
         named = []
         for spec in self.policies:
             if is_trajectory(spec):
-                given = Given.of(spec)
+                given = TrajectorySpec.of(spec)
                 configure(self.preset, given.changes(changes))
                 named.append(given.spec)
                 continue
@@ -182,7 +182,7 @@ class Comparison:
         if self.start_pose is not None:
             check_start_pose(known, as_pose(self.start_pose), config.motion.body_radius)
         for policy in filter(is_trajectory, policies):
-            given = Given.of(policy)
+            given = TrajectorySpec.of(policy)
             given.course(known, config.keyframe_every)
             if given.place == PASSIVE and self.protocol.view_source == "recorded":
                 raise InputError(
@@ -216,7 +216,7 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
     if directory.exists() and not directory.is_dir():
         raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
     if directory.is_dir():
-        parts.refuse_links(directory, LOCK, LOGS, CLAIMS, store.TABLES)
+        temporary.refuse_links(directory, LOCK, LOGS, CLAIMS, store.TABLES)
         if (directory / store.JOBS).is_symlink() and not (directory / store.JOBS).is_dir():
             raise InputError(f"'{directory / store.JOBS}' is a link that leads to no folder: mend it, or remove it")
         check_free(directory, shared=shared)
@@ -282,7 +282,7 @@ def run_comparison(
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
 
     Unfinished jobs are never counted, finished ones never repeated unless their files are damaged or their own code
-    (`archive.own_code`) has changed. Jobs of earlier
+    (`archive.plugin_code`) has changed. Jobs of earlier
     sittings stay part of the comparison. Raises `InputError` where the jobs cannot stand beside those, see
     `resuming.merged`. Call `check_output` first, and hold the directory.
 
@@ -325,7 +325,7 @@ def run_comparison(
             "another one"
         )
     everything = merged(recorded, jobs, directory)
-    parts.remove_parts(directory / store.JOBS)
+    temporary.remove_parts(directory / store.JOBS)
     for path in directory.glob(f".{store.COMPARISON}.*"):
         path.unlink(missing_ok=True)
     asked = {job.name for job in jobs}
@@ -377,7 +377,7 @@ class _Recording:
         """See `Listener`."""
         self._listener.progress(job, progress)
 
-    def again(self, job: Job, error: str) -> None:
+    def on_retry(self, job: Job, error: str) -> None:
         """See `Listener`."""
         self._listener.again(job, error)
 

@@ -14,9 +14,9 @@ import numpy as np
 from activestructure_gym.errors import InputError, shown
 from activestructure_gym.evaluation.archive import played, store
 from activestructure_gym.evaluation.archive.jobs import Job, is_reference, is_trajectory
-from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
-from activestructure_gym.evaluation.archive.own_code import first_sum_of, own_code
 from activestructure_gym.evaluation.archive.picture_record import plan_arrays
+from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
+from activestructure_gym.evaluation.archive.plugin_code import first_sum_of, plugin_code_of
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.running.measuring import measure
@@ -42,7 +42,7 @@ SURFACE_CHECKPOINTS = 4
 Stage = Literal["loading", "exploring", "measuring", "done"]
 
 
-class Decider(Protocol):
+class Actor(Protocol):
     """Who chooses: a policy, or a reference."""
 
     def reset(self, seed: int) -> None:
@@ -77,7 +77,7 @@ def run_job(job: Job, directory: Path, progress: Callable[[Progress], None] | No
 
     tell = progress or (lambda _: None)
     tell(Progress("loading"))
-    own = own_code(job, first_sum_of)  # before it is imported, as it may be edited while it plays
+    own = plugin_code_of(job, first_sum_of)  # before it is imported, as it may be edited while it plays
     began = time.perf_counter()
     known = ground_truth_of(load_job_scene(job))
     truth = job.protocol.truth(known)
@@ -121,7 +121,7 @@ def _play(
         env.close()
 
 
-def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
+def build(job: Job, known: GroundTruth) -> tuple[Actor, ReconstructionEnv]:
     """The job's policy and an env that offers the gains it asks for; or its reference, which alone gets the truth.
 
     Or who follows the job's trajectory, which decides nothing.
@@ -132,7 +132,7 @@ def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
     from activestructure_gym.policies import make_policy
 
     if is_reference(job.policy):
-        from activestructure_gym.evaluation.running.references import WHOLE_POOL, make_reference
+        from activestructure_gym.evaluation.references.oracles import WHOLE_POOL, make_reference
 
         env = ReconstructionEnv(
             scene=known,
@@ -145,9 +145,9 @@ def build(job: Job, known: GroundTruth) -> tuple[Decider, ReconstructionEnv]:
         )
         return make_reference(job.policy, env, known, job.protocol), env
     if is_trajectory(job.policy):
-        from activestructure_gym.evaluation.running.following import follower_of
+        from activestructure_gym.evaluation.references.trajectory import trajectory_policy_and_env
 
-        return follower_of(job, known)
+        return trajectory_policy_and_env(job, known)
     policy = make_policy(job.policy)
     env = ReconstructionEnv(
         scene=known,
@@ -177,9 +177,9 @@ def episode_metrics(scene: Scene, reconstruction: Reconstruction, episode: _Epis
 
 def _followed(env: ReconstructionEnv) -> dict[str, float]:
     """What is told of a trajectory that was given, nothing of any other."""
-    from activestructure_gym.evaluation.running.following import FollowingEnv, followed_metrics
+    from activestructure_gym.evaluation.references.trajectory import TrajectoryEnv, followed_metrics
 
-    return followed_metrics(env) if isinstance(env, FollowingEnv) else {}
+    return followed_metrics(env) if isinstance(env, TrajectoryEnv) else {}
 
 
 def path_collisions(scene: Scene, trajectory: np.ndarray) -> int:
@@ -195,7 +195,7 @@ class _Episode:
     """The loop of decisions, with its log, its convergence curve and its clock."""
 
     def __init__(
-        self, job: Job, env: ReconstructionEnv, policy: Decider, truth: Truth, tell: Callable[[Progress], None]
+        self, job: Job, env: ReconstructionEnv, policy: Actor, truth: Truth, tell: Callable[[Progress], None]
     ) -> None:
         self.job, self.env, self.policy, self.truth, self.tell = job, env, policy, truth, tell
         self.steps: list[dict[str, Any]] = []

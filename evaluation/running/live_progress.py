@@ -99,8 +99,8 @@ class LiveProgress:
         )
         self._update_whole()
 
-    def again(self, job: Job, error: str) -> None:
-        """See `Listener.again`."""
+    def on_retry(self, job: Job, error: str) -> None:
+        """See `Listener.on_retry`."""
         bar = self._bars.pop(job.name, None)
         if bar is not None:
             self._display.remove_task(bar.task)

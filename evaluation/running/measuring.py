@@ -38,7 +38,7 @@ def measure(job: Job, place: Path, directory: Path, known: GroundTruth, truth: T
     episode["curve"][-1] |= last
     planned, reasons = planning_scores(episode["curve"], episode["frame_budget"])
     metrics |= planned | {"planning_notes": reasons} | episode["metrics"]
-    with store.whole_directory(directory) as part:
+    with store.atomic_directory(directory) as part:
         played.bring_files(place, part)
         _write_numbers(part, job, known, metrics, episode["curve"])
         _write_steps(place / store.STEPS, part / store.STEPS, last)

@@ -15,7 +15,7 @@ from typing import Any
 
 from activestructure_gym._version import __version__
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import own_code, store
+from activestructure_gym.evaluation.archive import plugin_code, store
 from activestructure_gym.evaluation.archive.brought import changed_schedule
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
@@ -54,7 +54,7 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
     whose code is again what played it counts again. ``tell`` hears of each damaged run, and once of all that one piece
     of code concerns.
     """
-    sums = cache(own_code.sum_of)
+    sums = cache(plugin_code.sum_of)
     again, kept = Counter[str](), Counter[str]()
     for job in jobs:
         place = run_directory(directory, job)
@@ -65,7 +65,7 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
         if damage := store.damage_of(place, job):
             store.set_aside(place)
             tell(f"{job.title} counts as not finished: {damage}")
-        elif changed := [*own_code.changed_code(place, job, sums), *_changed_schedule(place, job)]:
+        elif changed := [*plugin_code.changed_code(place, job, sums), *_changed_schedule(place, job)]:
             if job.name in asked:
                 store.withdraw(place)
             (again if job.name in asked else kept)[" and ".join(changed)] += 1
@@ -76,8 +76,8 @@ def settle(jobs: Iterable[Job], asked: Collection[str], directory: Path, tell: C
 
 
 def _is_as_it_was(place: Path, job: Job, sums: Callable[[str], str | None]) -> bool:
-    if own_code.own_code(job, sums):
-        return own_code.is_as_it_was(place, job, sums)
+    if plugin_code.plugin_code_of(job, sums):
+        return plugin_code.is_as_it_was(place, job, sums)
     return job.terms == "native" and not changed_schedule(place, job)
 
 

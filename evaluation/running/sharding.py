@@ -130,7 +130,7 @@ class _Heard:
 
     def __init__(self, listener: Listener) -> None:
         self._outcomes: list[Outcome] = []
-        self.begin, self.progress, self.again = listener.begin, listener.progress, listener.again
+        self.begin, self.progress, self.on_retry = listener.begin, listener.progress, listener.on_retry
         self._listener = listener
 
     def ended(self, outcome: Outcome) -> None:

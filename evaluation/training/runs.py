@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive.parts import refuse_links, unlinked
 from activestructure_gym.evaluation.archive.schema import Mismatch, checked_json, maybe, number, table
 from activestructure_gym.evaluation.archive.store import json_line, plain, read_json, write_json
+from activestructure_gym.evaluation.archive.temporary import refuse_links, unlinked
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.training.config import TrainingConfig
 from activestructure_gym.evaluation.training.curve import learning_curve

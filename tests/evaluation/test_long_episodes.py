@@ -11,8 +11,8 @@ from activestructure_gym.evaluation.archive import run_files, store
 from activestructure_gym.evaluation.archive.schema import Mismatch
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.running.following import named_trajectory
-from activestructure_gym.evaluation.running.one_call import compare
+from activestructure_gym.evaluation.references.trajectory import named_trajectory
+from activestructure_gym.evaluation.running.api import compare
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.motion.trajectory import poses_at
 from activestructure_gym.ranges import MOST_FRAMES

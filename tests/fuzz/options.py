@@ -197,7 +197,7 @@ _WORK = (
     f"{_PACKAGE}.evaluation.cli.bench.Bench.run",
     f"{_PACKAGE}.evaluation.cli.scenes.describe",
     f"{_PACKAGE}.evaluation.cli.doctor.Doctor.run",
-    f"{_PACKAGE}.evaluation.running.remeasure.measure_file",
+    f"{_PACKAGE}.evaluation.reproduction.remeasure.measure_file",
     f"{_PACKAGE}.evaluation.cli.cache._clear",
     f"{_PACKAGE}.evaluation.cli.watch.play",
 )

@@ -106,5 +106,5 @@ def _check(folder: Path, run: str, true: Files, *, changed: bool) -> None:
 
 @contextlib.contextmanager
 def _replaced(play: Callable[..., Any]) -> Iterator[None]:
-    with mock.patch("activestructure_gym.evaluation.running.verifying.run_job", play):
+    with mock.patch("activestructure_gym.evaluation.reproduction.verifying.run_job", play):
         yield

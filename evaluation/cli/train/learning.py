@@ -58,7 +58,7 @@ def _run(
     """Train; returns the best validation, and whether there is a checkpoint to use."""
     import torch
 
-    from activestructure_gym.evaluation.archive.parts import refuse_links
+    from activestructure_gym.evaluation.archive.temporary import refuse_links
     from activestructure_gym.evaluation.training import demonstrations
     from activestructure_gym.evaluation.training.runs import BEST, TrainingRun
     from activestructure_gym.evaluation.training.spreading import one_thread

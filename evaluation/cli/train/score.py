@@ -39,7 +39,7 @@ class Score(Episodes):
 
         from activestructure_gym.config import known_preset
         from activestructure_gym.evaluation.archive.directory_lock import hold
-        from activestructure_gym.evaluation.archive.parts import writing
+        from activestructure_gym.evaluation.archive.temporary import writing
         from activestructure_gym.evaluation.training import scoring
         from activestructure_gym.evaluation.training.config import WorldConfig
         from activestructure_gym.evaluation.training.world import world_config

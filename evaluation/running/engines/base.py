@@ -50,7 +50,7 @@ class Listener(Protocol):
     def progress(self, job: Job, progress: Progress) -> None:
         """A running job got somewhere."""
 
-    def again(self, job: Job, error: str) -> None:
+    def on_retry(self, job: Job, error: str) -> None:
         """An attempt at a job was lost, and another one follows."""
 
     def ended(self, outcome: Outcome) -> None:

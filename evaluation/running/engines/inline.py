@@ -10,7 +10,7 @@ from pathlib import Path
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.comparison import run_directory
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.parts import unlinked
+from activestructure_gym.evaluation.archive.temporary import unlinked
 from activestructure_gym.evaluation.running.engines.base import LOGS, Engine, Limits, Listener, Outcome
 from activestructure_gym.evaluation.running.engines.last_words import error_words
 from activestructure_gym.evaluation.running.episode import run_job

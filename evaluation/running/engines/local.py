@@ -66,7 +66,7 @@ def run_local(
             ended = worker.finish()
             del running[name]
             if ended.lost and attempt <= limits.retries:
-                listener.again(worker.job, ended.error or "")
+                listener.on_retry(worker.job, ended.error or "")
                 waiting.insert(0, (worker.job, attempt + 1))
                 continue
             outcomes.append(Outcome(worker.job, ended.error, attempt))

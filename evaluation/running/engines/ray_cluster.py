@@ -84,7 +84,7 @@ def run_ray(
                 job, attempt = running.pop(reference)
                 ended = _result(ray, reference, job, directory)
                 if ended.lost and attempt <= limits.retries:
-                    listener.again(job, ended.error or "")
+                    listener.on_retry(job, ended.error or "")
                     waiting.insert(0, (job, attempt + 1))
                     continue
                 outcomes.append(Outcome(job, ended.error, attempt))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.evaluation.archive import parts, store
+from activestructure_gym.evaluation.archive import store, temporary
 from activestructure_gym.evaluation.archive.claims import CLAIMS, Claims
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, hold
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -49,7 +49,7 @@ def test_a_run_that_was_moved_and_is_damaged_is_made_again_in_its_place(comparis
     told: list[str] = []
     settle([ARCHIVED], {ARCHIVED.name}, comparison, told.append)
     assert "counts as not finished" in told[0] and not store.is_done(place, ARCHIVED)
-    with store.whole_directory(place) as part:
+    with store.atomic_directory(place) as part:
         for file in write_run(tmp_path / "again", ARCHIVED).iterdir():
             file.rename(part / file.name)
     assert store.damage_of(place, ARCHIVED) is None and not place.is_symlink()
@@ -66,7 +66,7 @@ def test_whatever_has_a_runs_name_is_replaced_itself(
     place.write_text("x") if kind == "file" else place.symlink_to(targets[kind])
     assert not store.is_done(place, ARCHIVED)
     settle([ARCHIVED], {ARCHIVED.name}, comparison, pytest.fail)
-    with store.whole_directory(place) as part:
+    with store.atomic_directory(place) as part:
         for file in write_run(tmp_path / "again", ARCHIVED).iterdir():
             file.rename(part / file.name)
     assert store.damage_of(place, ARCHIVED) is None and not place.is_symlink()
@@ -102,12 +102,12 @@ def test_a_comparison_with_foreign_links_is_not_gone_on_with(
 def test_a_report_writes_through_no_link(comparison: Path, foreign: Path) -> None:
     for name in ("report.html", "summary.md", "results.csv"):
         (comparison / name).symlink_to(foreign / "file")
-    with parts.whole_files(comparison) as part:
+    with temporary.atomic_files(comparison) as part:
         for name in ("report.html", "summary.md", "results.csv"):
             (part / name).write_text("ours")
     assert all((comparison / name).read_text() == "ours" for name in ("report.html", "summary.md", "results.csv"))
     (comparison / store.TABLES).symlink_to(foreign)
-    with pytest.raises(InputError, match="tables' is a link"), parts.whole_files(comparison) as part:
+    with pytest.raises(InputError, match="tables' is a link"), temporary.atomic_files(comparison) as part:
         (part / store.TABLES).mkdir()
         (part / store.TABLES / "overview.csv").write_text("ours")
     assert content_of(foreign) == {"file": KEPT.encode()}

@@ -9,7 +9,7 @@ from activestructure_gym.evaluation.archive.comparison import open_comparison
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.report.columns import value_of
 from activestructure_gym.evaluation.report.results import gather
-from activestructure_gym.evaluation.running.remeasure import differing
+from activestructure_gym.evaluation.reproduction.remeasure import differing
 from tests.evaluation.written_runs import JOB as ARCHIVED
 from tests.evaluation.written_runs import write_comparison, write_run
 
@@ -18,7 +18,7 @@ JOB = Job("box", "random", 0)
 
 def test_a_directory_appears_whole(tmp_path):
     target = tmp_path / "jobs" / "one"
-    with store.whole_directory(target) as part:
+    with store.atomic_directory(target) as part:
         (part / "file").write_text("content")
         assert not target.exists()
     assert (target / "file").read_text() == "content"
@@ -30,7 +30,7 @@ def test_after_an_error_nothing_is_left_and_the_old_stays(tmp_path, error):
     target = tmp_path / "one"
     target.mkdir()
     (target / "old").touch()
-    with pytest.raises(error), store.whole_directory(target) as part:
+    with pytest.raises(error), store.atomic_directory(target) as part:
         (part / "new").touch()
         raise error
     assert [entry.name for entry in tmp_path.iterdir()] == ["one"]
@@ -66,11 +66,11 @@ def test_what_is_no_finished_run_is_said(tmp_path):
 def test_of_two_processes_with_one_job_the_faster_one_is_kept(tmp_path):
     target = tmp_path / "one"
     for writer in ("first", "second"):
-        with store.whole_directory(target) as part:
+        with store.atomic_directory(target) as part:
             (part / "writer").write_text(writer)
             (part / store.DONE).write_text(JOB.hash)
     assert (target / "writer").read_text() == "first"
-    with store.whole_directory(target) as part:
+    with store.atomic_directory(target) as part:
         (part / "writer").write_text("another job")
         (part / store.DONE).write_text("another hash")
     assert (target / "writer").read_text() == "another job"

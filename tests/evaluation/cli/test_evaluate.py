@@ -11,7 +11,7 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import COMPARISON, DONE, JOBS
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.protocols import get_protocol
-from activestructure_gym.evaluation.running import remeasure
+from activestructure_gym.evaluation.reproduction import remeasure
 from tests.evaluation.written_runs import write_comparison
 
 GRID = [Job("room", "random", seed, scene_hash="ab" * 32) for seed in range(2)]

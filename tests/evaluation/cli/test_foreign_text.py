@@ -146,7 +146,7 @@ def test_commands_that_read_runs(hostile: Path, said: Callable[..., str], tmp_pa
 def test_what_is_said_about_a_run_that_is_played_again(
     hostile: Path, said: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from activestructure_gym.evaluation.running import verifying
+    from activestructure_gym.evaluation.reproduction import verifying
 
     run = str(next((hostile / store.JOBS).iterdir()))
     for found in (
@@ -207,7 +207,7 @@ def test_a_run_that_fails_and_doubts(said: Callable[..., str], monkeypatch: pyte
         console, job = make_console(), Job("box", "random", 0)
         with LiveProgress(console) as live:
             live.begin([job, job], 0)
-            live.again(job, BAD)
+            live.on_retry(job, BAD)
             live.ended(Outcome(job, f"RuntimeError: {BAD}"))
         with Live(console) as train:
             train.begin(BAD, 2, 0)

@@ -219,7 +219,7 @@ def test_the_progress_of_a_comparison_fits_and_keeps_numbers_with_their_units(wi
             live._display.refresh()
             live.ended(Outcome(jobs[0]))
             live.ended(Outcome(jobs[1], "RuntimeError: the way is lost, and more than a line of it " * 2))
-            live.again(jobs[2], "killed by signal 9")
+            live.on_retry(jobs[2], "killed by signal 9")
 
     lines = seen(width, act)
     assert widest(lines) <= width

@@ -13,9 +13,9 @@ import pytest
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.references.trajectory import named_trajectory
 from activestructure_gym.evaluation.replay import Recording, play_again, write_video
 from activestructure_gym.evaluation.running.episode import run_job
-from activestructure_gym.evaluation.running.following import named_trajectory
 
 
 def test_the_map_at_the_end_is_the_stored_one(finished: list[Run], recordings: list[Recording]) -> None:

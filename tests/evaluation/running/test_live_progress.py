@@ -93,7 +93,7 @@ def test_a_lost_attempt_is_told_and_counts_as_nothing_done(clock):
     live = LiveProgress(Console(file=out, width=120))
     live.begin(JOBS, 0)
     live.progress(JOBS[1], Progress("exploring", 150, 201))
-    live.again(JOBS[1], "killed by signal 9")
+    live.on_retry(JOBS[1], "killed by signal 9")
     assert "↻ room · my[policy] · seed 0  killed by signal 9; will be tried again" in out.getvalue()
     assert live._update_whole() is None  # no speed is known
 

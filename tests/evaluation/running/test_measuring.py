@@ -15,8 +15,8 @@ from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli.evaluate import Evaluate
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.running import episode, measuring
+from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import run_comparison
-from activestructure_gym.evaluation.running.one_call import Silence
 from activestructure_gym.scenes import load_scene
 
 CLOCKS = ("timing.json", store.DONE)  # which holds the sum of the other
@@ -147,13 +147,13 @@ def test_resuming_a_comparison_measures_what_was_played(finished, job, tmp_path,
         directory.mkdir()
         with monkeypatch.context() as patch:
             patch.setattr(measuring, "_draw_pictures", _disk_is_full)
-            result = run_comparison([job], directory, Silence(), engine="inline")
+            result = run_comparison([job], directory, NullListener(), engine="inline")
         assert [outcome.job for outcome in result.failed] == [job] and not result.runs
         assert open_comparison(directory) == []
         with monkeypatch.context() as patch:
             patch.setattr(episode, "_play", _never_again)
             if way == "resume":
-                assert len(run_comparison([job], directory, Silence(), engine="inline", resume=True).runs) == 1
+                assert len(run_comparison([job], directory, NullListener(), engine="inline", resume=True).runs) == 1
             else:
                 assert Evaluate(runs=(str(directory),)).run() == 0
         _check_equal(finished, run_directory(directory, job))

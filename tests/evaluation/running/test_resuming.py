@@ -32,7 +32,7 @@ class Silent:
     def progress(self, job, progress):
         pass
 
-    def again(self, job, error):
+    def on_retry(self, job, error):
         pass
 
     def ended(self, outcome):
@@ -221,7 +221,7 @@ def test_a_damaged_run_is_repeated_and_the_others_are_kept(monkeypatch, tmp_path
     def run(jobs, directory, listener, limits, *, keep_open=()):
         for job in jobs:
             done.append(job)
-            with store.whole_directory(run_directory(directory, job)) as part:
+            with store.atomic_directory(run_directory(directory, job)) as part:
                 part.rmdir()
                 write_run(part, job)
             listener.ended(Outcome(job))

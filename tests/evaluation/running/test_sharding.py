@@ -19,15 +19,15 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, open_comparison
-from activestructure_gym.evaluation.archive import own_code
+from activestructure_gym.evaluation.archive import plugin_code
 from activestructure_gym.evaluation.archive.claims import LOST_AFTER
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
+from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import Result, run_comparison
 from activestructure_gym.evaluation.running.engines import ENGINES, Engine, Limits, Outcome
 from activestructure_gym.evaluation.running.episode import run_job
-from activestructure_gym.evaluation.running.one_call import Silence
 from activestructure_gym.evaluation.running.sharding import Shard, run_shard
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -65,7 +65,7 @@ def test_two_shards_play_every_job_once_and_one_reports(tmp_path: Path, counted:
     results: dict[int, tuple[Result, bool]] = {}
 
     def play(number: int) -> None:
-        results[number] = run_shard(jobs(5), tmp_path, Silence(), Shard(number, 2), engine="counted")
+        results[number] = run_shard(jobs(5), tmp_path, NullListener(), Shard(number, 2), engine="counted")
 
     threads = [threading.Thread(target=play, args=(number,)) for number in (1, 2)]
     for thread in threads:
@@ -78,17 +78,17 @@ def test_two_shards_play_every_job_once_and_one_reports(tmp_path: Path, counted:
         assert [(one.job.seed, one.error) for one in result.failed] == [(3, "it would not")]
     assert sorted(reports for _, reports in results.values()) == [False, True]
     # What failed is left alone, until it is asked for again.
-    run_shard(jobs(5), tmp_path, Silence(), Shard(1, 1), engine="counted")
+    run_shard(jobs(5), tmp_path, NullListener(), Shard(1, 1), engine="counted")
     assert sum(counted.values()) == 5
-    run_shard(jobs(5), tmp_path, Silence(), Shard(1, 1), engine="counted", again=True)
+    run_shard(jobs(5), tmp_path, NullListener(), Shard(1, 1), engine="counted", again=True)
     assert sum(counted.values()) == 6
     # Nothing is new, and the report is there; once it is mended, somebody reports again.
-    assert not run_shard(jobs(5), tmp_path, Silence(), Shard(2, 2), engine="counted")[1]
+    assert not run_shard(jobs(5), tmp_path, NullListener(), Shard(2, 2), engine="counted")[1]
     run_job(jobs(5)[3], tmp_path / "jobs" / jobs(5)[3].name)
-    assert run_shard(jobs(5), tmp_path, Silence(), Shard(2, 2), engine="counted")[1]
+    assert run_shard(jobs(5), tmp_path, NullListener(), Shard(2, 2), engine="counted")[1]
     shutil.rmtree(tmp_path / "jobs" / jobs(5)[3].name)
     # It is a comparison like any other.
-    result = run_comparison(jobs(6), tmp_path, Silence(), engine="counted", resume=True)
+    result = run_comparison(jobs(6), tmp_path, NullListener(), engine="counted", resume=True)
     assert len(result.runs) == 5 and len(open_comparison(tmp_path)) == 5
 
 
@@ -103,8 +103,8 @@ def test_shards_play_again_what_changed_own_code_played_if_asked_to(
 
     def play(*, again: bool) -> tuple[int, bool]:
         told.clear()
-        own_code.first_sum_of.cache_clear()  # as in another process
-        _, reports = run_shard(mine, runs, Silence(), Shard(1, 1), engine="counted", again=again, tell=told.append)
+        plugin_code.first_sum_of.cache_clear()  # as in another process
+        _, reports = run_shard(mine, runs, NullListener(), Shard(1, 1), engine="counted", again=again, tell=told.append)
         return sum(counted.values()), reports
 
     assert play(again=True) == (2, True)

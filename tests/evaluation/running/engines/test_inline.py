@@ -10,7 +10,7 @@ class Silent:
     def begin(self, jobs, finished):
         pass
 
-    def again(self, job, error):
+    def on_retry(self, job, error):
         pass
 
     def ended(self, outcome):

@@ -49,7 +49,7 @@ class Recorder:
     def progress(self, job, progress):
         self.frames.append((job.policy, progress.frames))
 
-    def again(self, job, error):
+    def on_retry(self, job, error):
         self.lost.append((job.policy, error))
 
     def ended(self, outcome):

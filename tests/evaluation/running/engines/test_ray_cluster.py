@@ -61,7 +61,7 @@ class Recorder:
             kill, self.kill = self.kill, None
             kill(json.loads(mark.read_text()))
 
-    def again(self, job, error):
+    def on_retry(self, job, error):
         self.lost.append((job.policy, error))
 
     def ended(self, outcome):

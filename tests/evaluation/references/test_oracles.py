@@ -10,10 +10,10 @@ from activestructure_gym.evaluation.archive.jobs import REFERENCE, Job, is_refer
 from activestructure_gym.evaluation.cli.options import split_policies
 from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.protocols.held_out_views import posed_views
-from activestructure_gym.evaluation.running import references
+from activestructure_gym.evaluation.references import oracles
+from activestructure_gym.evaluation.references.oracles import REFERENCES, WHOLE_POOL, make_reference, reference_job
 from activestructure_gym.evaluation.running.comparison import Comparison
 from activestructure_gym.evaluation.running.episode import run_job
-from activestructure_gym.evaluation.running.references import REFERENCES, WHOLE_POOL, make_reference, reference_job
 from activestructure_gym.geometry import PinholeCamera, transform_points
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.policies import POLICIES, Policy, make_policy
@@ -78,7 +78,7 @@ def refining():
 def test_quality_takes_the_view_that_truly_mends_the_map(refining, monkeypatch, target):
     env, truth = refining
     now = env.reconstruction
-    monkeypatch.setattr(references, "_SHORTLIST", 3)
+    monkeypatch.setattr(oracles, "_SHORTLIST", 3)
     reference = make_reference(reference_job("oracle-quality"), env, truth, SMALL)
     reference.reset(0)
     # The one held-out view is the target's own, and what the map shows there has the wrong colour.

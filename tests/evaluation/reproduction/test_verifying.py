@@ -19,7 +19,12 @@ from activestructure_gym.evaluation.archive.store import DONE, Run, write_evalua
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.evaluation.machine.hardware import code_sum, hardware, versions
 from activestructure_gym.evaluation.protocols import get_protocol
-from activestructure_gym.evaluation.running.verifying import Verification, evaluations_again, untrue_evaluations, verify
+from activestructure_gym.evaluation.reproduction.verifying import (
+    Verification,
+    evaluations_again,
+    untrue_evaluations,
+    verify,
+)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +94,7 @@ def as_made(made: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def played(job: Any, directory: Path, tell: Any) -> Run:
         return replace(made, directory=Path(shutil.copytree(made.directory, directory)))
 
-    monkeypatch.setattr("activestructure_gym.evaluation.running.verifying.run_job", played)
+    monkeypatch.setattr("activestructure_gym.evaluation.reproduction.verifying.run_job", played)
 
 
 def better(data: bytes) -> bytes:
@@ -144,7 +149,7 @@ def test_numbers_of_a_further_protocol_must_come_out_too(
     found, unmeasured = evaluations_again(partial, again)
     assert not found and "LPIPS cannot be measured here" in unmeasured[0]
     # Measured later: the protocol's numbers of the map that was made again count.
-    measuring = "activestructure_gym.evaluation.running.verifying.measure_again"
+    measuring = "activestructure_gym.evaluation.reproduction.verifying.measure_again"
     monkeypatch.setattr(measuring, lambda again, protocol: numbers)
     parameters = get_protocol("activegamer").parameters()
     for one, changed in ((again, {}), (forged, {"psnr": 30.0})):
@@ -200,7 +205,7 @@ def test_an_lpips_is_confirmed_only_where_it_can_be_measured(
         shutil.copytree(run.directory, directory)
         return edited(replace(run, directory=directory), "metrics.json", with_lpips(0.25))
 
-    monkeypatch.setattr("activestructure_gym.evaluation.running.verifying.run_job", measured_here)
+    monkeypatch.setattr("activestructure_gym.evaluation.reproduction.verifying.run_job", measured_here)
     assert (verify(run).verdict, verify(run).why) == ("identical", ())
     later(0.5)
     found = verify(run)
@@ -322,7 +327,7 @@ def test_a_file_without_a_sum_is_no_verified_one(run: Run) -> None:
 def test_a_run_that_cannot_be_played_says_so(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    playing = "activestructure_gym.evaluation.running.verifying.verify"
+    playing = "activestructure_gym.evaluation.reproduction.verifying.verify"
     monkeypatch.setattr(playing, lambda run, tell: Verification("identical"))
     assert main(["verify", str(run.directory)]) == 0
     assert "box · random · seed 0: identical" in capsys.readouterr().out

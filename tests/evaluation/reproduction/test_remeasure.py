@@ -8,7 +8,7 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.protocols import StandardProtocol
-from activestructure_gym.evaluation.running.remeasure import measure_again, measure_file
+from activestructure_gym.evaluation.reproduction.remeasure import measure_again, measure_file
 from activestructure_gym.mapping.gaussian_map import GaussianMap
 from activestructure_gym.mapping.ply import write_ply
 

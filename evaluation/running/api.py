@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from activestructure_gym.config import Preset
 
 
-class Silence:
-    """A `Listener` that tells nobody."""
+class NullListener:
+    """Ignore all events of a `Listener`."""
 
     def begin(self, jobs: Sequence[Job], finished: int) -> None:
         """See `Listener`."""
@@ -30,7 +30,7 @@ class Silence:
     def progress(self, job: Job, progress: Progress) -> None:
         """See `Listener`."""
 
-    def again(self, job: Job, error: str) -> None:
+    def on_retry(self, job: Job, error: str) -> None:
         """See `Listener`."""
 
     def ended(self, outcome: Outcome) -> None:
@@ -135,7 +135,14 @@ def compare(
     jobs = comparison.prepare()
     with hold(directory) as held:
         return run_comparison(
-            jobs, directory, listener or Silence(), engine=engine, limits=limits, resume=resume, held=held, tell=_warn
+            jobs,
+            directory,
+            listener or NullListener(),
+            engine=engine,
+            limits=limits,
+            resume=resume,
+            held=held,
+            tell=_warn,
         )
 
 

@@ -20,12 +20,12 @@ from typing import Any, Literal
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import policy_label, refuse_code
-from activestructure_gym.evaluation.archive.own_code import KEY as OWN_CODE
+from activestructure_gym.evaluation.archive.plugin_code import KEY as OWN_CODE
 from activestructure_gym.evaluation.archive.store import Run
 from activestructure_gym.evaluation.metrics.planning import planning_scores
 from activestructure_gym.evaluation.protocols import protocol_from
+from activestructure_gym.evaluation.reproduction.remeasure import differing, measure_again, protocols_of, without_lpips
 from activestructure_gym.evaluation.running.episode import Progress, run_job
-from activestructure_gym.evaluation.running.remeasure import differing, measure_again, protocols_of, without_lpips
 
 # What a run stores and its job decides. The clock is not compared, nor are pictures and pages drawn from these files.
 COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GRAPH, store.PICTURES, store.MAP,

@@ -14,7 +14,7 @@ import numpy as np
 
 from activestructure_gym.errors import unknown_name
 from activestructure_gym.evaluation.archive.jobs import REFERENCE, is_reference
-from activestructure_gym.evaluation.running.true_gains import TrueQuality, TrueSurface
+from activestructure_gym.evaluation.references.oracle_gains import TrueQuality, TrueSurface
 from activestructure_gym.motion import Way
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ def part_of() -> str:
 
 
 @contextmanager
-def whole_files(directory: Path) -> Iterator[Path]:
+def atomic_files(directory: Path) -> Iterator[Path]:
     """A folder to write files into, which take their places in ``directory`` when the block ends without an error.
 
     Files of other names stay; after an error, all of them do. A place that cannot be written is an `InputError`.

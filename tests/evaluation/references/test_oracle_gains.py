@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.envs import ReconstructionEnv
-from activestructure_gym.evaluation.running.true_gains import TrueSurface, whole_pool
+from activestructure_gym.evaluation.references.oracle_gains import TrueSurface, whole_pool
 from activestructure_gym.ground_truth import ground_truth_of
 from activestructure_gym.scenes import load_scene
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from activestructure_gym.evaluation.references.sweep import SPACING_M, Layer, sweep
 from activestructure_gym.evaluation.running.episode import path_collisions
-from activestructure_gym.evaluation.running.sweep import SPACING_M, Layer, sweep
 from activestructure_gym.evaluation.trajectories.motion import motion_report
 from activestructure_gym.geometry import look_along
 from activestructure_gym.ground_truth import FreeSpace, ground_truth_of

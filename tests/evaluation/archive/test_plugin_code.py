@@ -12,7 +12,7 @@ import pytest
 from activestructure_gym import registry
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.archive.own_code import changed_code, is_as_it_was, own_code, sum_of
+from activestructure_gym.evaluation.archive.plugin_code import changed_code, is_as_it_was, plugin_code_of, sum_of
 
 
 @pytest.fixture
@@ -23,8 +23,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_what_is_registered_here_a_checkpoint_a_reference_and_a_scene_have_none():
     for policy in ("hole_area", "active_gs?travel=shared", "learned:runs/mine", "reference:oracle", "trajectory:x.npz"):
-        assert own_code(Job("my_scenes:cube", policy, 0), str) == {}
-    assert own_code(Job("room?seed=3", "random", 0, overrides=(("gains", ("pixel", "naruto_look_x")),)), str) == {}
+        assert plugin_code_of(Job("my_scenes:cube", policy, 0), str) == {}
+    assert (
+        plugin_code_of(Job("room?seed=3", "random", 0, overrides=(("gains", ("pixel", "naruto_look_x")),)), str) == {}
+    )
 
 
 def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
@@ -34,7 +36,7 @@ def test_every_own_thing_is_summed_and_none_is_imported(here: Path):
         "box", "mine_b:Mine?depth=2", 0,
         overrides=(("gains", ("pixel", "mine_c:gain")), ("views.stages", [["pool", "mine_d:views"]])),
     )  # fmt: skip
-    found = own_code(job, sum_of)
+    found = plugin_code_of(job, sum_of)
     assert list(found) == ["policy mine_b:Mine?depth=2", "feature mine_c:gain", "candidate source mine_d:views"]
     assert len(set(found.values())) == 3 and all(len(total) == 64 for total in found.values())
     assert not {"mine_b", "mine_c", "mine_d"} & sys.modules.keys()
@@ -69,9 +71,9 @@ def test_an_installed_one_is_known_by_its_entry_point_unless_ours_has_its_name(h
     (here / "installed_one.py").write_text("x = 1\n")
     points = [EntryPoint(name, "installed_one:Any", "activestructure_gym.policies") for name in ("area", "hole_area")]
     monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == points[0].group else [])
-    assert list(own_code(Job("box", "area?depth=3", 0), sum_of)) == ["policy area?depth=3"]
-    assert own_code(Job("box", "hole_area", 0), sum_of) == {}
-    assert own_code(Job("box", "activestructure_gym.policies.random:Random", 0), sum_of) == {}
+    assert list(plugin_code_of(Job("box", "area?depth=3", 0), sum_of)) == ["policy area?depth=3"]
+    assert plugin_code_of(Job("box", "hole_area", 0), sum_of) == {}
+    assert plugin_code_of(Job("box", "activestructure_gym.policies.random:Random", 0), sum_of) == {}
 
 
 def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatch):
@@ -79,7 +81,7 @@ def test_an_installed_feature_is_known_by_its_columns_too(here: Path, monkeypatc
     point = EntryPoint("two", "installed_two:two", "activestructure_gym.features")
     monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group == point.group else [])
     for name, found in (("two", 1), ("two_left_eye", 1), ("naruto_look_x", 0), ("pixel", 0), ("three_x", 0)):
-        assert len(own_code(Job("box", "random", 0, overrides=(("gains", (name,)),)), sum_of)) == found, name
+        assert len(plugin_code_of(Job("box", "random", 0, overrides=(("gains", (name,)),)), sum_of)) == found, name
 
 
 def test_what_cannot_be_found_is_left_out():
@@ -114,7 +116,7 @@ def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
     run, job = here / "run", Job("box", "mine_f:Mine", 0, overrides=(("gains", ("mine_g:gain",)),))
     run.mkdir()
     sums = {"mine_f": "a" * 64, "mine_g": "b" * 64}
-    store.write_json(run / store.CONFIG, {"own_code": own_code(job, sums.get)})
+    store.write_json(run / store.CONFIG, {"own_code": plugin_code_of(job, sums.get)})
     assert is_as_it_was(run, job, sums.get)
     assert not is_as_it_was(run, job, {"mine_f": "a" * 64}.get)
     assert not is_as_it_was(run, job, {**sums, "mine_g": "c" * 64}.get)

@@ -2,7 +2,7 @@
 
 import os
 
-from activestructure_gym.evaluation.archive import parts
+from activestructure_gym.evaluation.archive import temporary
 from activestructure_gym.evaluation.machine.processes import machine_mark
 
 
@@ -14,14 +14,14 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_n
     result = tmp_path / "one"
     for directory in (dead, living, foreign, result):
         directory.mkdir()
-    parts.remove_parts(tmp_path)
+    temporary.remove_parts(tmp_path)
     assert {entry.name for entry in tmp_path.iterdir()} == {living.name, "one"}
 
 
 def test_what_a_killed_report_left_is_removed_by_the_next(tmp_path):
     left = tmp_path / f".files-abc.part-{machine_mark()}-999999999"
     left.mkdir()
-    with parts.whole_files(tmp_path) as part:
+    with temporary.atomic_files(tmp_path) as part:
         (part / "report.html").touch()
         assert not left.exists() and part.is_dir()
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
@@ -34,7 +34,7 @@ def test_a_report_leaves_the_folders_of_others_alone(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "data.bin").touch()
     os.utime(old, (1e9, 1e9))
-    with parts.whole_files(tmp_path) as part:
+    with temporary.atomic_files(tmp_path) as part:
         (part / "report.html").touch()
     assert {entry.name for entry in tmp_path.iterdir()} == {*theirs, "report.html"}
     assert all((tmp_path / name / "data.bin").exists() for name in theirs)

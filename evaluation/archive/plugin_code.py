@@ -46,7 +46,7 @@ def sum_of(module: str) -> str | None:
 first_sum_of = cache(sum_of)  # for what this process imports, asked before it does: that stays as it was then
 
 
-def own_code(job: Job, sums: Callable[[str], str | None]) -> dict[str, str]:
+def plugin_code_of(job: Job, sums: Callable[[str], str | None]) -> dict[str, str]:
     """Sums of the own code that a job names, by what it is ("policy mine:Mine"); what is not found is left out."""
     found = {}
     for registry, name in named_in(job):
@@ -59,7 +59,7 @@ def own_code(job: Job, sums: Callable[[str], str | None]) -> dict[str, str]:
 
 def changed_code(directory: Path, job: Job, sums: Callable[[str], str | None]) -> list[str]:
     """What of a run's own code is not as it was then ("policy mine:Mine"); a sum that is missing counts as equal."""
-    now = own_code(job, sums)
+    now = plugin_code_of(job, sums)
     if not now:
         return []
     then = _sums_then(directory)
@@ -69,7 +69,7 @@ def changed_code(directory: Path, job: Job, sums: Callable[[str], str | None]) -
 def is_as_it_was(directory: Path, job: Job, sums: Callable[[str], str | None]) -> bool:
     """Whether all own code that a run has sums of is there and is what played it."""
     then = _sums_then(directory)
-    return bool(then) and then == own_code(job, sums)
+    return bool(then) and then == plugin_code_of(job, sums)
 
 
 def _sums_then(directory: Path) -> dict[str, str] | None:

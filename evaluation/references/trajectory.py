@@ -46,7 +46,7 @@ _ROOM = 1e-3  # metres that must be free around the start of a camera that has b
 
 
 @dataclass(frozen=True)
-class Given:
+class TrajectorySpec:
     """A trajectory as it is asked for."""
 
     place: str  # a file, or a folder that has one; or `SWEEP`, `PASSIVE`
@@ -58,7 +58,7 @@ class Given:
     mapper: str = ""  # recipe that maps it; the configuration's if not given
 
     @classmethod
-    def of(cls, spec: str) -> Given:
+    def of(cls, spec: str) -> TrajectorySpec:
         """What ``trajectory:FILE?axes=opengl&mapper=splatam`` asks for; raises `InputError`."""
         name, _, query = spec.removeprefix(TRAJECTORY).partition("?")
         place, at, digits = name.rpartition("@")
@@ -85,7 +85,7 @@ class Given:
             return None
         file, kind = self.file()
         poses = read_poses(file, kind)
-        return Course(poses, _legs(file, kind, poses, 1)).frames
+        return ResolvedTrajectory(poses, _legs(file, kind, poses, 1)).frames
 
     @property
     def spec(self) -> str:
@@ -123,7 +123,7 @@ class Given:
         room = {} if self.place == SWEEP else {"motion.body_radius": _ROOM}
         return {**room, **overrides, **mapper}
 
-    def course(self, truth: GroundTruth, keyframe_every: int) -> Course | None:
+    def course(self, truth: GroundTruth, keyframe_every: int) -> ResolvedTrajectory | None:
         """Its legs in a scene, None for a sweep, which depends on the start of an episode.
 
         Raises `InputError` where a camera cannot have been there.
@@ -133,7 +133,7 @@ class Given:
             fit = checked(
                 truth.free_space.clearance_at, poses, poses, "opencv", False, f"recorded' in '{truth.scene.name}"
             )
-            return Course(poses, regular_legs(poses, keyframe_every), fit.outside)
+            return ResolvedTrajectory(poses, regular_legs(poses, keyframe_every), fit.outside)
         if not self.of_file:
             return None
         file, kind = self.file()
@@ -145,11 +145,11 @@ class Given:
         name = f"{file.name}' in '{truth.scene.name}"
         clearance_at, quaternions = truth.free_space.clearance_at, kind in QUATERNIONS
         fit = checked(clearance_at, written, poses, axes, self.inverted, name, quaternions=quaternions)
-        return Course(poses, _legs(file, kind, poses, keyframe_every), fit.outside)
+        return ResolvedTrajectory(poses, _legs(file, kind, poses, keyframe_every), fit.outside)
 
 
 @dataclass(frozen=True)
-class Course:
+class ResolvedTrajectory:
     """A trajectory in a scene."""
 
     poses: np.ndarray  # [T, 4, 4] world_from_camera
@@ -164,7 +164,7 @@ class Course:
 
 def named_trajectory(spec: str) -> str:
     """The one text for ``trajectory:FILE?options``; raises `InputError`."""
-    return Given.of(spec).spec
+    return TrajectorySpec.of(spec).spec
 
 
 def with_mappers(policies: Sequence[str], mappers: Sequence[str]) -> list[str]:
@@ -180,7 +180,9 @@ def with_mappers(policies: Sequence[str], mappers: Sequence[str]) -> list[str]:
         spec
         for policy in policies
         for spec in (
-            [replace(Given.of(policy), mapper=name).spec for name in mappers] if is_trajectory(policy) else [policy]
+            [replace(TrajectorySpec.of(policy), mapper=name).spec for name in mappers]
+            if is_trajectory(policy)
+            else [policy]
         )
     ]
 
@@ -215,12 +217,12 @@ def _legs(file: Path, kind: str, poses: np.ndarray, keyframe_every: int) -> list
         raise InputError(f"'{file}' is damaged: {error}") from error
 
 
-class FollowingEnv(ReconstructionEnv):
+class TrajectoryEnv(ReconstructionEnv):
     """An environment in which every step, whatever the action, is the next leg of a trajectory."""
 
-    course: Course
+    course: ResolvedTrajectory
 
-    def __init__(self, course: Course | None, truth: GroundTruth, **options: Any) -> None:
+    def __init__(self, course: ResolvedTrajectory | None, truth: GroundTruth, **options: Any) -> None:
         given = {} if course is None else {"start_pose": course.poses[0]}
         super().__init__(**options | given, scene=truth)
         self._given, self._truth = course, truth
@@ -238,12 +240,12 @@ class FollowingEnv(ReconstructionEnv):
     def _as_start(self, value: Sequence[float] | np.ndarray) -> np.ndarray:  # [4, 4]
         return as_pose(value)  # a camera in somebody's hand rolls
 
-    def _sweep(self) -> Course:
-        from activestructure_gym.evaluation.running.sweep import sweep
+    def _sweep(self) -> ResolvedTrajectory:
+        from activestructure_gym.evaluation.references.sweep import sweep
 
         config = self.config
         poses = sweep(self._truth.free_space, self.reconstruction.pose, config.frame_budget, config.motion)
-        return Course(poses, regular_legs(poses, config.keyframe_every))
+        return ResolvedTrajectory(poses, regular_legs(poses, config.keyframe_every))
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Follow the next leg; terminates with the last one."""
@@ -255,14 +257,14 @@ class FollowingEnv(ReconstructionEnv):
         return observation, reward, self._next >= len(legs), truncated, info
 
 
-class Follower:
+class TrajectoryPolicy:
     """In place of a policy: decides nothing."""
 
     def reset(self, seed: int) -> None:
         """Nothing is drawn."""
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """Any row: `FollowingEnv` takes none."""
+        """Any row: `TrajectoryEnv` takes none."""
         return 0
 
     def trace(self) -> dict[str, Any]:
@@ -270,12 +272,12 @@ class Follower:
         return {}
 
 
-def follower_of(job: Job, known: GroundTruth) -> tuple[Follower, FollowingEnv]:
+def trajectory_policy_and_env(job: Job, known: GroundTruth) -> tuple[TrajectoryPolicy, TrajectoryEnv]:
     """Who follows the trajectory of a job, and its env."""
-    given = Given.of(job.policy)
+    given = TrajectorySpec.of(job.policy)
     changes = given.changes(dict(job.overrides))
     config = configure(job.preset, changes)
-    env = FollowingEnv(
+    env = TrajectoryEnv(
         given.course(known, config.keyframe_every),
         known,
         preset=job.preset,
@@ -285,10 +287,10 @@ def follower_of(job: Job, known: GroundTruth) -> tuple[Follower, FollowingEnv]:
         coverage_target=None,
         start_pose=job.start_pose,
     )
-    return Follower(), env
+    return TrajectoryPolicy(), env
 
 
-def followed_metrics(env: FollowingEnv) -> dict[str, float]:
+def followed_metrics(env: TrajectoryEnv) -> dict[str, float]:
     """How the trajectory moved beside the limits of planners, and how many of its poses stand in something."""
     motion, executed = env.config.motion, np.stack(env.reconstruction.trajectory)
     told = motion_report(executed, max_step_m=motion.max_step_m, max_turn_deg=motion.max_turn_deg)

@@ -14,10 +14,10 @@ from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation import StandardProtocol, compare
 from activestructure_gym.evaluation.archive.jobs import Job, is_trajectory, policy_label, refuse_code
 from activestructure_gym.evaluation.archive.store import Run
+from activestructure_gym.evaluation.references.trajectory import TrajectorySpec, named_trajectory, with_mappers
 from activestructure_gym.evaluation.report.method_text import trajectories_text
 from activestructure_gym.evaluation.report.results import gather
 from activestructure_gym.evaluation.running.comparison import Comparison
-from activestructure_gym.evaluation.running.following import Given, named_trajectory, with_mappers
 from activestructure_gym.evaluation.trajectories.formats import read_poses
 from activestructure_gym.geometry import look_along
 
@@ -94,9 +94,14 @@ def test_a_trajectory_has_one_name_and_is_known_by_its_content(played: Run, tmp_
     )
     assert policy_label(spec) == f"trajectory:way@{spec.partition('@')[2]}"
     refuse_code([Job("box", spec, 0)], "a file")
-    assert Given.of(spec).frames == 6
+    assert TrajectorySpec.of(spec).frames == 6
     exactly = named_trajectory(f"trajectory:{file}?start=1.23456789,0,1e+1,90")
-    assert exactly.endswith("?start=1.23456789,0,10,90") and Given.of(exactly).start == (1.23456789, 0.0, 10.0, 90.0)
+    assert exactly.endswith("?start=1.23456789,0,10,90") and TrajectorySpec.of(exactly).start == (
+        1.23456789,
+        0.0,
+        10.0,
+        90.0,
+    )
     write(file, flown(np.eye(4))[:3])
     with pytest.raises(InputError, match=r"way.txt' has changed: expected"):
         named_trajectory(spec)

@@ -102,8 +102,8 @@ class Compare:
     """Runs at a time; 0 is one per core."""
     shard: Annotated[str | None, option("I/N", "")] = None
     (
-        "Be the I-th of N programs that work off this comparison and share nothing but --out: all get the same "
-        "options. The jobs of one that is lost are taken over."
+        "Run every N-th job, from the I-th one on: N programs with the same options, one for each I, run the whole "
+        "comparison into --out. `asg compare --resume --out` then runs what is missing and writes the report."
     )
     timeout: float = 0.0
     """Minutes after which a run is stopped and tried again; 0 is any time."""
@@ -163,7 +163,7 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
     from activestructure_gym.evaluation.running.comparison import check_output, jobs_to_resume, run_comparison
     from activestructure_gym.evaluation.running.engines import Limits, get_engine
-    from activestructure_gym.evaluation.running.sharding import Shard, run_shard
+    from activestructure_gym.evaluation.running.sharding import Shard
 
     limits = Limits(options.workers, options.timeout, options.retries)
     get_engine(options.engine).check(limits)
@@ -193,16 +193,14 @@ def compare_with(options: Compare, comparison: Comparison | None = None) -> int:
     try:
         with hold(directory, shared=shard is not None) as held:
             given: dict[str, Any] = {
-                "engine": options.engine, "limits": limits, "command": _command_line(), "held": held,
+                "engine": options.engine, "limits": limits, "command": _command_line(), "held": held, "shard": shard,
                 "tell": lambda text: console.print(f"[yellow]{escape(text)}[/]"),
             }  # fmt: skip
             with LiveProgress(console) as live:
-                if shard is None:
-                    result = run_comparison(jobs, directory, live, resume=options.resume, **given)
-                else:
-                    result, reports = run_shard(jobs, directory, live, shard, again=options.resume, **given)
-            if shard is not None and not reports:
-                console.print(f"all of it is done; another shard reports it, or `asg report {escape(str(directory))}`")
+                result = run_comparison(jobs, directory, live, resume=options.resume, **given)
+            if shard is not None:
+                again = escape(f"asg compare --resume --out {shlex.quote(str(directory))}")
+                console.print(f"shard {shard} is done; `{again}` writes the report once all are")
                 return 1 if result.failed else 0
             seconds = time.monotonic() - began
             if options.replay:  # before the report, which links to them

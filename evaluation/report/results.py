@@ -17,7 +17,6 @@ import numpy as np
 
 from activestructure_gym.errors import InputError, counted, listed
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.claims import failures
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, readable_runs, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, ranked_among, scene_label, scene_labels
 from activestructure_gym.evaluation.archive.played import is_played
@@ -276,12 +275,12 @@ def source_of(
 ) -> Source:
     """A comparison as a source: what of its record (``compare.json``) has no run is missing, or ``damaged``."""
     finished = {run.job.hash: run.job.title for run in runs}
-    said, elsewhere = record.get("failed") or {}, failures(directory)
+    said = record.get("failed") or {}
     missing = {title: why for title, why in said.items() if title not in finished.values()}  # others finished it later
     for content in (record.get("jobs") or {}).values():
         job = Job.from_dict(content)
         if job.hash not in finished:
-            reasons = ((damaged or {}).get(job.title), elsewhere.get(job.name), said.get(job.title))
+            reasons = ((damaged or {}).get(job.title), said.get(job.title))
             kept = "; its episode was played and is kept, to be measured" * is_played(run_directory(directory, job))
             missing[job.title] = next(filter(None, reasons), "not run to its end") + kept
     return Source(directory, record.get("command", ""), record.get("workers"), missing)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store, temporary
-from activestructure_gym.evaluation.archive.claims import CLAIMS
 from activestructure_gym.evaluation.archive.comparison import finished_runs, read_record, run_directory
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, check_free
 from activestructure_gym.evaluation.archive.jobs import (
@@ -32,6 +31,7 @@ from activestructure_gym.evaluation.running.engines.base import LOGS
 from activestructure_gym.evaluation.running.episode import Progress
 from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.evaluation.running.resuming import merged, recorded_jobs, settle
+from activestructure_gym.evaluation.running.sharding import Shard
 from activestructure_gym.evaluation.running.warmup import warming_up
 from activestructure_gym.policies.schedule import Terms, schedule_of
 
@@ -216,7 +216,7 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
     if directory.exists() and not directory.is_dir():
         raise InputError(f"the output '{directory}' is a file; give a directory that is new, empty, or a comparison's")
     if directory.is_dir():
-        temporary.refuse_links(directory, LOCK, LOGS, CLAIMS, store.TABLES)
+        temporary.refuse_links(directory, LOCK, LOGS, store.TABLES)
         if (directory / store.JOBS).is_symlink() and not (directory / store.JOBS).is_dir():
             raise InputError(f"'{directory / store.JOBS}' is a link that leads to no folder: mend it, or remove it")
         check_free(directory, shared=shared)
@@ -226,8 +226,8 @@ def check_output(directory: Path, *, resume: bool, shared: bool = False) -> None
                     f"'{directory}' holds a comparison already; add --resume (in Python resume=True) to go on, or "
                     "choose another one"
                 )
-        elif (resume and (directory / store.JOBS).is_dir()) or (shared and (directory / CLAIMS).is_dir()):
-            pass  # its record is lost, its runs are not; or it is just being written
+        elif resume and (directory / store.JOBS).is_dir():
+            pass  # its record is lost, its runs are not
         elif any(not _is_ours(path) for path in directory.iterdir()):
             raise InputError(f"the output '{directory}' holds other files; give a directory that is new or empty")
     parent = directory
@@ -277,6 +277,7 @@ def run_comparison(
     resume: bool = False,
     command: str = "",  # how the comparison was asked for; kept in the archive
     held: int | None = None,  # the descriptor that `directory_lock.hold` gave for the directory
+    shard: Shard | None = None,  # which of the jobs to run; others run the rest at the same time
     tell: Callable[[str], None] = lambda _: None,  # hears of every run that is not left as it is
 ) -> Result:
     """Run those of the jobs that are not finished yet in ``directory``, and read all finished ones back.
@@ -304,6 +305,8 @@ def run_comparison(
         How the comparison was asked for; kept in the archive.
     held
         The descriptor that `directory_lock.hold` gave for the directory.
+    shard
+        Run only these of the jobs. Other programs may run the rest at the same time; hold the directory ``shared``.
     tell
         Hears of every run that is damaged, or was played by own code that has changed since, and so is played again.
 
@@ -319,21 +322,26 @@ def run_comparison(
     """
     chosen, limits = get_engine(engine), limits or Limits()
     recorded = recorded_jobs(directory)
-    if recorded and not resume:
+    if recorded and not resume and shard is None:
         raise InputError(
             f"'{directory}' holds a comparison already; add --resume (in Python resume=True) to go on, or choose "
             "another one"
         )
     everything = merged(recorded, jobs, directory)
-    temporary.remove_parts(directory / store.JOBS)
-    for path in directory.glob(f".{store.COMPARISON}.*"):
-        path.unlink(missing_ok=True)
+    if shard is None:
+        temporary.remove_parts(directory / store.JOBS)
+        for path in directory.glob(f".{store.COMPARISON}.*"):
+            path.unlink(missing_ok=True)
+    else:
+        jobs = shard.part(jobs)
     asked = {job.name for job in jobs}
-    settle(everything, asked, directory, tell)
+    settle(everything if shard is None else jobs, asked, directory, tell)
     todo = [job for job in jobs if not store.is_done(run_directory(directory, job), job)]
     slots = chosen.slots(len(todo), limits) if todo else 1
-    record = new_record(everything, read_record(directory), engine=engine, slots=slots, command=command)
-    store.write_json(directory / store.COMPARISON, record)
+    before = read_record(directory)
+    record = _new_record(everything, before, engine=engine, slots=slots, command=command)
+    if shard is None or before is None or len(before["jobs"]) < len(everything):
+        store.write_json(directory / store.COMPARISON, record)
     listener.begin(todo, len(jobs) - len(todo))
     watch = _Recording(listener, directory, record)
     if todo:
@@ -344,7 +352,7 @@ def run_comparison(
     return Result(finished_runs(directory, everything), watch.failed, len(jobs) - len(todo), len(missing))
 
 
-def new_record(
+def _new_record(
     jobs: Sequence[Job], before: Mapping[str, Any] | None, *, engine: str, slots: int, command: str
 ) -> dict[str, Any]:
     """The content of ``compare.json``; the command is the first sitting's, those of later ones stand beside it."""
@@ -366,7 +374,7 @@ class _Recording:
     """Passes everything on, and keeps in the record what failed and what took several attempts."""
 
     def __init__(self, listener: Listener, directory: Path, record: dict[str, Any]) -> None:
-        self._listener, self._directory, self._content = listener, directory, record
+        self._listener, self._directory, self._record = listener, directory, record
         self.failed: list[Outcome] = []
 
     def begin(self, jobs: Sequence[Job], finished: int) -> None:
@@ -385,11 +393,13 @@ class _Recording:
         """See `Listener`."""
         if not outcome.finished:
             self.failed.append(outcome)
-            self._content["failed"][outcome.job.title] = outcome.error
-        if outcome.attempts > 1:
-            self._content["attempts"][outcome.job.name] = outcome.attempts
         if not outcome.finished or outcome.attempts > 1:
-            store.write_json(self._directory / store.COMPARISON, self._content)
+            record = read_record(self._directory) or self._record  # another shard may have added to it
+            if not outcome.finished:
+                record.setdefault("failed", {})[outcome.job.title] = outcome.error
+            if outcome.attempts > 1:
+                record.setdefault("attempts", {})[outcome.job.name] = outcome.attempts
+            store.write_json(self._directory / store.COMPARISON, record)
         self._listener.ended(outcome)
 
 

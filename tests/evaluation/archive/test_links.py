@@ -9,7 +9,6 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store, temporary
-from activestructure_gym.evaluation.archive.claims import CLAIMS, Claims
 from activestructure_gym.evaluation.archive.directory_lock import LOCK, hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.running.comparison import check_output
@@ -81,7 +80,7 @@ def test_a_withdrawn_run_behind_a_link_stays_as_it_is(comparison: Path, tmp_path
     assert not place.exists() and (tmp_path / "elsewhere" / store.DONE).is_file()
 
 
-@pytest.mark.parametrize("name", [LOCK, LOGS, CLAIMS, store.TABLES])
+@pytest.mark.parametrize("name", [LOCK, LOGS, store.TABLES])
 @pytest.mark.parametrize("kind", ["foreign", "dangling", "loop"])
 def test_a_comparison_with_foreign_links_is_not_gone_on_with(
     comparison: Path, foreign: Path, tmp_path: Path, name: str, kind: str
@@ -93,9 +92,6 @@ def test_a_comparison_with_foreign_links_is_not_gone_on_with(
     if name == LOCK:
         with pytest.raises(InputError, match="is a link"), hold(comparison):
             pass
-    elif name == CLAIMS:
-        with pytest.raises(InputError, match="is a link"):
-            Claims(comparison)
     assert content_of(foreign) == {"file": KEPT.encode()} and not (tmp_path / "nowhere").exists()
 
 

@@ -4,7 +4,6 @@ import pytest
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
-from activestructure_gym.evaluation.archive.claims import Claims
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.protocols import protocol_from
 from activestructure_gym.evaluation.report.columns import aspects, ratios_text
@@ -108,8 +107,7 @@ def test_a_file_that_was_changed_is_another_scene(make_run):
 def test_what_failed_and_was_finished_later_is_not_missing(make_run, tmp_path):
     run, lost = make_run(), Job("room", "b", 0)
     jobs = {job.name: job.as_dict() for job in (run.job, lost)}
-    record = {"jobs": jobs, "failed": {run.job.title: "exit code 1"}}
-    Claims(tmp_path).fail(lost, "MemoryError: elsewhere")
+    record = {"jobs": jobs, "failed": {run.job.title: "exit code 1", lost.title: "MemoryError: elsewhere"}}
     assert source_of(tmp_path, record, [run]).missing == {lost.title: "MemoryError: elsewhere"}
 
 

@@ -12,11 +12,11 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Without bytecode every process that a test starts compiles every module again: half of the suite's time.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
 
 import numpy as np
 import pytest
 
+sys.dont_write_bytecode = False
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("ASG_SHARED", ROOT.parent / "shared"))
 BEGAN = time.monotonic()

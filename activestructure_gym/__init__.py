@@ -1,8 +1,8 @@
 """ActiveStructure Gym: Gymnasium environments and planners for active 3D reconstruction with Gaussian maps.
 
 Importing the package registers the environments ``ActiveStructure/Room-v0``, ``Apartment-v0``, ``Mesh-v0``,
-``Replica-v0`` and ``Matterport3D-v0``; ``gymnasium.make("activestructure_gym:ActiveStructure/Room-v0")`` does both,
-in every worker process too. Everything else is loaded when it is first used.
+``Replica-v0`` and ``Matterport3D-v0``; ``gymnasium.make("activestructure_gym:ActiveStructure/Room-v0")`` registers and
+makes one in a single call, also in worker processes. Submodules are imported on first use.
 
 >>> import activestructure_gym as asg
 >>> env, policy = asg.make_env_and_policy("hole_area", "box", preset="fast", frame_budget=20)

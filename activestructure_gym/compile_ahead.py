@@ -1,9 +1,9 @@
-"""Compile, in a second process, the kernels that an episode needs later, while the first process starts up.
+"""Compile the kernels that an episode needs later, in a second process while the first one starts up.
 
-`compiling.helper` starts it with the first kernel that has to be compiled, as ``python -P -m
-activestructure_gym.compile_ahead PARENT PART...``. It is silent, ends when all is compiled or its parent has ended, and
-leaves nothing but the files of kernels. Kernels are locked one by one, so whatever it is late with the parent compiles
-itself. ``ASG_COMPILE_AHEAD=0`` in the environment switches it off.
+`compiling.helper` starts this module with the first kernel that has to be compiled: ``python -P -m
+activestructure_gym.compile_ahead PARENT PART...``. The process prints nothing. It ends when everything is compiled or
+its parent has ended, and leaves only the kernels' cache files. Each kernel has its own lock: the parent compiles any
+kernel that this process has not reached yet. Set ``ASG_COMPILE_AHEAD=0`` in the environment to switch it off.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from activestructure_gym.compiling.decorator import name_of
 from activestructure_gym.compiling.helper import only_helper
 from activestructure_gym.compiling.locks import LOCKS
 
-_GLANCE = 0.5  # seconds between looks at the parent
+_GLANCE = 0.5  # seconds between checks that the parent runs
 
 
 def compile_map() -> None:
-    """Call the kernels of the rasteriser and the mapper, on two frames of a flat wall."""
+    """Call the kernels of the rasteriser and the mapper on two frames of a flat wall."""
     from activestructure_gym.mapping.hidden import behind_the_measured, depth_tiles
     from activestructure_gym.mapping.parts import may_be_seen
 
     mapper = map_a_wall()
     score_the_wall(mapper)
     mapper.keyframe_psnr()
-    boxes, frame = mapper.map.boxes(), mapper.keyframes[0]  # only larger maps come to it
+    boxes, frame = mapper.map.boxes(), mapper.keyframes[0]  # culling is used on larger maps only
     tiles = depth_tiles(frame.depth, frame.camera, frame.world_from_camera)
     behind_the_measured(boxes[may_be_seen(boxes, frame.camera, frame.world_from_camera)], tiles)
 
 
 def map_a_wall() -> Any:
-    """Call the kernels that a first keyframe calls; returns the mapper, whose map is a flat wall."""
+    """Call the kernels of a first keyframe; return the mapper, whose map is a flat wall."""
     from activestructure_gym.mapping import Mapper, MapperConfig
     from activestructure_gym.sensors import Frame
 
@@ -51,7 +51,7 @@ def map_a_wall() -> Any:
 
 
 def score_the_wall(mapper: Any) -> None:
-    """Call the kernels of the rasteriser that a first decision calls on top of those of a keyframe."""
+    """Call the rasteriser's kernels that a first decision uses in addition to those of a keyframe."""
     mapper.render_depth_alpha(_camera(), np.eye(4)[None])
 
 
@@ -79,7 +79,7 @@ def compile_sensing() -> None:
 
 
 def compile_motion() -> None:
-    """Call the kernels of motion, in a volume whose free space is made by hand."""
+    """Call the motion kernels in a volume with hand-made free space."""
     from activestructure_gym.motion import first_blocked, path_lengths
     from activestructure_gym.volume import VolumeConfig, VoxelVolume
 
@@ -92,7 +92,7 @@ def compile_motion() -> None:
 
 
 def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
-    """Call the kernels of RRT: plan a path around a corner, which the empty box room never needs."""
+    """Call the RRT kernels by planning around a corner; the empty box room never needs RRT."""
     from activestructure_gym.motion import plan_path
 
     corner = [[0.6, y, 1.0] for y in np.arange(0.6, 2.5, 0.2)] + [[x, 2.4, 1.0] for x in np.arange(0.8, 2.5, 0.2)]
@@ -104,7 +104,7 @@ def plan_around_a_corner(volume: Any) -> np.ndarray:  # [P, 3]
 
 
 def compile_views() -> None:
-    """Call the kernels of features and visibility that read more than pictures of the map."""
+    """Call the kernels of features and visibility that read more than rendered maps."""
     from activestructure_gym.features.hole_area import hidden_distances
     from activestructure_gym.geometry import PinholeCamera
     from activestructure_gym.views.visibility import cosines_in_sight
@@ -122,14 +122,14 @@ Calls = list[tuple[Any, tuple[Any, ...]]]  # kernels, each with the arguments of
 
 @lru_cache(1)
 def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
-    """The rasteriser's kernels of a first keyframe, in order of their calls, then of a first decision; none is run."""
+    """Return the rasteriser's kernel calls of a first keyframe, then those added by a first decision; run none."""
     from activestructure_gym.compiling.thread_team import TEAM
 
     calls = dict[Any, tuple[Any, ...]]()
 
     def note(kernel: Any, arguments: tuple[Any, ...], threads: int) -> None:
         calls.setdefault(kernel, arguments)
-        arguments[0][:] = 1 << 10  # tickets: all units of work of this tiny map count as done
+        arguments[0][:] = 1 << 10  # tickets: all work units of this tiny map count as done
 
     run, TEAM.run = TEAM.run, note  # type: ignore[method-assign]
     try:
@@ -142,7 +142,10 @@ def calls_of_the_rasteriser() -> tuple[Calls, Calls]:
 
 
 def compile_rasteriser() -> None:
-    """Compile the kernels of a first keyframe, the last one first, since the main process begins with the first one."""
+    """Compile the kernels of a first keyframe, last one first.
+
+    The main process compiles them from the first one on.
+    """
     for kernel, arguments in reversed(calls_of_the_rasteriser()[0]):
         _compile(kernel, arguments)
 
@@ -154,7 +157,7 @@ def compile_score() -> None:
 
 
 def _compile(kernel: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile a kernel, unless another process does."""
+    """Compile a kernel unless another process is compiling it."""
     from numba import typeof
 
     if not LOCKS.is_held(name_of(kernel)):
@@ -177,7 +180,7 @@ def _end_with(parent: int) -> None:
 
 
 def main(parent: int, parts: list[str]) -> None:
-    """Compile the parts in their order, unless such a helper is at work already."""
+    """Compile the parts in order, unless another helper process is running."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     with only_helper() as alone, told_to(lambda name: None):
         for part in parts if alone else ():

@@ -1,4 +1,4 @@
-"""The configuration of an episode: one frozen dataclass per room, presets by name, overrides by field."""
+"""Define the configuration of an episode: one frozen dataclass per room, named presets, overrides by field."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class ReconstructionConfig:
-    """Configuration of an episode: everything that decides it besides scene, seed and policy."""
+    """Configure an episode: everything that determines it except scene, seed and policy."""
 
     frame_budget: int = 300  # frames per episode, the first one included; the paper uses 2000
     keyframe_every: int = 5  # frames; SplaTAM's and ActiveGAMER's schedule
-    revisit_rounds: int = 4  # times the mapper's iterations where a keyframe is revisited (own choice)
-    gains: tuple[str, ...] = ("pixel",)  # features of every candidate; kept as the names of their columns
+    revisit_rounds: int = 4  # factor on the mapper's iterations at a revisited keyframe (own choice)
+    gains: tuple[str, ...] = ("pixel",)  # features computed for every candidate; stored as column names
     sensor: SensorConfig = field(default_factory=SensorConfig)  # the RGB-D camera and its noise
     mapper: MapperConfig = field(default_factory=MapperConfig)  # how the Gaussian map grows
     volume: VolumeConfig = field(default_factory=VolumeConfig)  # the voxel grid of free and occupied space
     planes: PlaneGraphConfig = field(default_factory=PlaneGraphConfig)  # the Plane Scene Graph
     motion: MotionConfig = field(default_factory=MotionConfig)  # the agent's body and its steps
-    views: ViewConfig = field(default_factory=ViewConfig)  # which candidates are offered
+    views: ViewConfig = field(default_factory=ViewConfig)  # which candidates are generated
 
     def __post_init__(self) -> None:
         _check_kind("frame_budget", self.frame_budget, int)
@@ -58,8 +58,8 @@ class ReconstructionConfig:
         if not self.motion.min_clearance > overlooked:
             raise InputError(
                 f"motion.min_clearance must be above {overlooked:.3g} m, {SAMPLING_DIP:.2f} of volume.voxel_size, got "
-                f"{self.motion.min_clearance}: as much may be lost between the samples of a path, and nothing would "
-                "ever block it; raise it, or make voxels smaller"
+                f"{self.motion.min_clearance}: the clearance may drop this much between the samples of a path, and no path would be "
+                "blocked; raise min_clearance or use smaller voxels"
             )
         object.__setattr__(self, "gains", column_names(self.gains))
         make_stages(self.views.stages, self.views.max_candidates)
@@ -67,20 +67,20 @@ class ReconstructionConfig:
 
 Preset = Literal["fast", "default", "full", "paper"]
 
-# Where 2000 frames are taken there is time for what the default's pool cannot see, under and behind things
+# 2000 frames leave time for surfaces that the default pool cannot see, such as those under and behind objects
 # (docs/notebook/exploration.md, "What the pool can see at all").
 _FINE_POOL = {"lattice_step_m": 0.25, "heights_m": (-1.0, -0.5, 0.0, 0.5, 0.8)}
 _CLOSE_BY = {"candidate_clearance": 0.2}
 
-# Overrides of the defaults above, by field.
+# Overrides of the field defaults.
 PRESETS: dict[Preset, dict[str, Any]] = {
-    # For learning and for tests: small images, few keyframes on the way, few candidates; Gaussians are seeded from the
-    # depth and stay as they are (docs/notebook/performance.md, "Learning-sized environment").
+    # For learning and tests: small images, few keyframes, few candidates. Gaussians are seeded from depth and never
+    # optimised (docs/notebook/performance.md, "Learning-sized environment").
     "fast": {
         "frame_budget": 100,
         "keyframe_every": 20,
         "sensor": {"width": 96, "height": 54, "supersample": 1},
-        # Where Gaussians stand is a matter of depth alone, so that training can leave out the colours.
+        # Seeds depend on depth alone, so training can skip rendering colour.
         "mapper": {
             "iterations": 0,
             "psnr_refresh": 0,
@@ -90,10 +90,10 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         },
         "views": {"max_candidates": 64, "max_revisits": 0, "heights_m": (0.0,), "scoring_scale": 0.25},
     },
-    # What comparisons on a CPU use.
+    # For comparisons on a CPU.
     "default": {},
-    # The paper's budget with an image that a CPU maps in minutes; candidates are scored, and Gaussians seeded, at the
-    # default's size.
+    # The paper's frame budget at an image size that a CPU maps in minutes. Candidates are scored, and Gaussians seeded,
+    # at the default's resolution.
     "full": {
         "frame_budget": 2000,
         "sensor": {"width": 320, "height": 180},
@@ -101,8 +101,8 @@ PRESETS: dict[Preset, dict[str, Any]] = {
         "views": {"scoring_scale": 0.25, **_FINE_POOL},
         "motion": _CLOSE_BY,
     },
-    # The paper's sensor, budget and iterations (Sec. 4.1). Seeds come of every pixel; the optimiser sees 300 x 170, and
-    # seeds stand no closer than that resolves (docs/notebook/performance.md, "The paper's sizes on a CPU").
+    # The paper's sensor, frame budget and iterations (Sec. 4.1). Every pixel can seed a Gaussian. The optimiser renders
+    # 300 x 170 pixels, and seeds are spaced for that size (docs/notebook/performance.md, "The paper's sizes on a CPU").
     "paper": {
         "frame_budget": 2000,
         "sensor": {"width": 1200, "height": 680, "supersample": 1},
@@ -114,7 +114,7 @@ PRESETS: dict[Preset, dict[str, Any]] = {
 
 
 def known_preset(name: str) -> Preset:
-    """The name, if it is that of a preset; raises `InputError` naming the nearest one."""
+    """Return ``name`` if it is a preset; raise `InputError` naming the nearest one otherwise."""
     for preset in PRESETS:
         if name == preset:
             return preset
@@ -122,10 +122,10 @@ def known_preset(name: str) -> Preset:
 
 
 def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = None) -> ReconstructionConfig:
-    """The preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
+    """Return a preset with some fields replaced: ``{"sensor": {"width": 96}}`` or ``{"sensor.width": 96}``.
 
-    ``{"mapper.name": "splatam"}`` starts from that recipe of `MAPPERS`; the preset's and the given fields then replace
-    the recipe's.
+    ``{"mapper.name": "splatam"}`` starts from that entry of `MAPPERS`. The preset's fields and then the given fields
+    override it.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     Raises
     ------
     InputError
-        An unknown preset or field, with the nearest known one, or a value that a field cannot have.
+        For an unknown preset or field (names the nearest one), or a value outside a field's range.
 
     Examples
     --------
@@ -152,7 +152,7 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     """
     overridden = PRESETS[known_preset(preset)]
     if overrides is not None and not isinstance(overrides, Mapping):
-        raise InputError(f"changes of a configuration are a dictionary with names as keys, got {shown(overrides)}")
+        raise InputError(f"configuration overrides must be a dictionary with field names as keys, got {shown(overrides)}")
     try:
         changes = _nested(overrides or {})
         config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), overridden)
@@ -164,7 +164,7 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
 
 
 def _recipe(changes: Any) -> MapperConfig:
-    """The mapper that the fields of a configuration's group ``mapper`` start from."""
+    """Return the mapper configuration that the fields of group ``mapper`` override."""
     name = changes.get("name", "default") if isinstance(changes, Mapping) else "default"
     if not isinstance(name, str) or name not in MAPPERS:
         raise unknown_name("mapper", str(name), MAPPERS)
@@ -172,7 +172,7 @@ def _recipe(changes: Any) -> MapperConfig:
 
 
 def replaced(config: T, overrides: Mapping[str, Any]) -> T:
-    """A copy of a (nested) frozen dataclass with the named fields replaced."""
+    """Return a copy of a (nested) frozen dataclass with the named fields replaced."""
     names = {f.name for f in dataclasses.fields(config)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(type(config))
     changes = {}
@@ -190,25 +190,25 @@ def replaced(config: T, overrides: Mapping[str, Any]) -> T:
 
 
 def _check_kind(what: str, value: Any, hint: Any) -> None:
-    """Refuse a value of another kind than the field's: most would only fail in the middle of an episode."""
+    """Raise `InputError` for a value of the wrong type, which would fail only in the middle of an episode."""
     kinds = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text", tuple: "a list"}
     kind = typing.get_origin(hint) or hint
     if dataclasses.is_dataclass(kind):
         good, expected = isinstance(value, kind), "a group of fields"  # type: ignore[arg-type]
     elif kind in (int, float):
         good = isinstance(value, numbers.Integral if kind is int else numbers.Real) and not isinstance(value, bool)
-        good = good and abs(value) < math.inf  # no number of ours may be infinite; NaN is not below it either
+        good = good and abs(value) < math.inf  # infinity and NaN are refused: neither is below math.inf in magnitude
         expected = kinds[kind]
     elif kind in kinds:
         good, expected = isinstance(value, kind), kinds[kind]
-    else:  # unions and literals are left to the config itself
+    else:  # unions and literals are checked by the dataclass itself
         return
     if not good:
         raise InputError(f"{what} must be {expected}, got {shown(value)}")
 
 
 def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """``{"sensor.width": 96}`` as ``{"sensor": {"width": 96}}``, all in dictionaries of its own."""
+    """Expand ``{"sensor.width": 96}`` to ``{"sensor": {"width": 96}}``, in new dictionaries."""
     result: dict[str, Any] = {}
     for key, value in overrides.items():
         *path, last = key.split(".")
@@ -216,13 +216,13 @@ def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
         for part in path:
             target = target.setdefault(part, {})
             if not isinstance(target, dict):
-                raise InputError(f"{shown(key)} sets a field of {part}, which is set as a whole, too; give one of both")
+                raise InputError(f"{shown(key)} sets a field of {part}, which is also set as a whole; give only one of the two")
         target[last] = _merged(target.get(last), value)
     return result
 
 
 def _merged(before: Any, value: Any) -> Any:
-    """``value``, as a copy, with the fields that only ``before`` has; the later of both counts."""
+    """Return a copy of ``value`` merged over ``before``; ``value`` overrides shared fields."""
     if not isinstance(value, Mapping):
         return value
     found = dict(before) if isinstance(before, dict) else {}

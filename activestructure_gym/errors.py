@@ -1,4 +1,4 @@
-"""The one error a user is meant to read, and the words for names, values and counts that messages share."""
+"""Define the package's error and warning for user input, and helpers that format names, values and counts."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import difflib
 import unicodedata
 from collections.abc import Iterable
 
-MOST_NAMES = 5  # that a message lists
-# The commands that list the names of a kind.
+MOST_NAMES = 5  # maximum number of names in a message
+# Commands that list the names of each kind.
 _LISTS = {
     "policy": "asg policies",
     "feature": "asg features",
     "scene": "asg scenes",
     "command": "asg --help",
 }
-LONGEST = 1500  # characters of a message
+LONGEST = 1500  # maximum length of a message, characters
 
 
 def printable(text: str) -> str:
-    """Return the text with its control characters written out (``\\x1b``); line ends stay, a tab becomes a space.
+    """Return the text with control characters escaped (``\\x1b``); line ends stay, a tab becomes a space.
 
-    Among them are the characters that change the direction of writing, and halves of surrogate pairs.
+    Bidirectional control characters and lone surrogates are escaped as well.
     """
     if text.isprintable():
         return text
@@ -28,8 +28,8 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str, longest: int = LONGEST) -> str:
-    """Return foreign text as one printable line, shortened in the middle."""
-    if len(text) > 20 * longest:  # nothing of the rest is shown
+    """Return foreign text as one printable line; the middle is cut out of a long one."""
+    if len(text) > 20 * longest:  # the rest would be cut anyway
         text = f"{text[: 10 * longest]} {text[-10 * longest :]}"
     text = printable(" ".join(text.split()))
     return text if len(text) <= longest else f"{text[: longest - 200]} ... {text[-150:]}"
@@ -40,11 +40,11 @@ def _written(character: str) -> str:
 
 
 class InputError(ValueError):
-    """User input cannot be used: an option, a file, a name, a keyword.
+    """Report user input that cannot be used: an option, a file, a name, a keyword.
 
-    The message is one clear sentence: what was expected, what came, what to do. The command line prints it
-    without a traceback and exits with 2. Whatever a file or a name puts into it, it is one printable line of at most
-    `LONGEST` characters.
+    The message is one sentence: what is wrong, what was expected, what to do. The command line prints it without a
+    traceback and exits with code 2. It is always one printable line of at most `LONGEST` characters, whatever text from
+    a file or a name it contains.
     """
 
     def __init__(self, *said: object) -> None:
@@ -52,21 +52,25 @@ class InputError(ValueError):
 
 
 class FullDisk(InputError):
-    """A file has no room: a full disk, a quota, a limit on sizes. Nothing of the input is wrong; exit code 1, not 2."""
+    """Report that a file cannot grow: a full disk, a quota, a size limit.
+
+    The input is valid; the command line exits with code 1 instead of 2.
+    """
 
 
 class UnknownKeyword(InputError, TypeError):
-    """A keyword that a function does not have: a `TypeError` as well, as Python's own, whose words it begins with.
+    """Report a keyword that a function does not have.
 
-    TorchRL and Gymnasium try keywords on every environment, and take back those that are refused in this way.
+    It is a `TypeError` too and starts with Python's own wording. TorchRL and Gymnasium try keywords on every
+    environment and drop those refused with that error.
     """
 
 
 class InputWarning(UserWarning):
-    """User input is used although something about it is doubtful, or after a choice was made for it.
+    """Warn that user input is used although it is doubtful or ambiguous.
 
-    Given through `warnings`, so that it is read wherever the input is used; the command line prints it as one line. Its
-    message is held to the same form as that of an `InputError`.
+    It is issued through `warnings`; the command line prints it as one line. The message has the form of an
+    `InputError`.
     """
 
     def __init__(self, *said: object) -> None:
@@ -76,20 +80,20 @@ class InputWarning(UserWarning):
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> InputError:
     """Return the error for a mistyped name, with the nearest name and the command that lists all of them.
 
-    For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg policies` lists the names``. A message holds
-    all names where they are few, and at most `MOST_NAMES` of many.
+    For example ``unknown policy 'frontire'; did you mean 'frontier'? `asg policies` lists the names``. At most
+    `MOST_NAMES` names are listed.
     """
     command = "asg config" if kind.startswith("field") else _LISTS.get(kind, "")
     return InputError(f"unknown {kind} {shown(name)}{_nearest(name, known, command)}")
 
 
 def unknown_keyword(function: str, name: str, known: Iterable[str]) -> UnknownKeyword:
-    """Return the error for a keyword that ``function`` does not have, with the nearest one."""
+    """Return the error for a keyword that ``function`` does not have, with the nearest valid one."""
     return UnknownKeyword(f"{function}() got an unexpected keyword argument '{name}'{_nearest(name, known)}")
 
 
 def _nearest(name: object, known: Iterable[str], command: str = "") -> str:
-    """The end of a message about an unknown name."""
+    """Return the end of a message about an unknown name: the nearest name and where to find all."""
     names = sorted(known)
     word = name if isinstance(name, str) else ""
     close = difflib.get_close_matches(word, names, n=1)
@@ -105,21 +109,21 @@ def _nearest(name: object, known: Iterable[str], command: str = "") -> str:
 
 
 def listed(names: Iterable[object], most: int = MOST_NAMES) -> str:
-    """Return the names in one line: ``a, b``, or of many the first ``most`` and how many more there are."""
+    """Return the names in one line: ``a, b``; of a long list the first ``most`` and the number of the others."""
     words = [str(name) for name in names]
     more = f" and {len(words) - most} more" if len(words) > most else ""
     return ", ".join(words[:most]) + more
 
 
 def shown(value: object) -> str:
-    """A value as text for an error message: one line, shortened where it is long."""
+    """Return the ``repr`` of a value for an error message: one line, shortened if long."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # whole numbers of thousands of digits, and whatever the objects of others raise
+    except Exception:  # integers of thousands of digits, and faulty __repr__ methods
         return f"something of the kind {type(value).__name__}"
     return text if len(text) <= 200 else f"{text[:160]}... ({len(text)} characters)"
 
 
 def counted(number: int, one: str, many: str | None = None) -> str:
-    """A number with what it counts: ``1 run``, ``2 runs``."""
+    """Return a count with its noun: ``1 run``, ``2 runs``."""
     return f"{number} {one if number == 1 else many or one + 's'}"

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Replace files atomically: a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-UNFINISHED = ".*.tmp"  # pattern of what a killed process leaves in a directory
+UNFINISHED = ".*.tmp"  # pattern of temporary files left by a killed process
 
 
 @contextmanager
 def replaced(path: str | os.PathLike[str], *, durable: bool = False) -> Iterator[IO[bytes]]:
-    """A binary file to write into that takes its name when the block ends: readers see the old content or the new.
+    """Open a temporary binary file that replaces ``path`` when the block ends; readers see the old or the new content.
 
     Parameters
     ----------
     path : str or path
-        What is replaced; its directory must exist. After an error, Ctrl-C included, it is what it was.
+        The file to replace; its directory must exist. After an error, including Ctrl-C, it is unchanged.
     durable : bool
-        Whether the content is on the disk before it has its name, so that a power cut cannot leave an empty file.
+        Whether to flush the content to disk before the rename, so that a power cut cannot leave an empty file.
 
     Raises
     ------
     OSError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")

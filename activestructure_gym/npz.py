@@ -1,7 +1,7 @@
-"""Arrays from an npz file that may be damaged or hostile.
+"""Read and write arrays in npz files; files to read may be damaged or hostile.
 
-An npz file is a zip of npy files. Both say how large they are before they are read, and either may lie: nothing is
-unpickled, and nothing is allocated that the bytes on the disk do not account for.
+An npz file is a zip of npy files. Both formats state sizes before the data, and these may be false. Nothing is
+unpickled, and no memory is allocated beyond what the bytes on disk can hold.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-LARGEST_BYTES = 1 << 30  # of all arrays of a file together, if whoever reads it says nothing else
-# Deflate packs zeros a thousand times; real arrays, of images and masks, about ten times.
-_RATIO, _SMALL = 200, 64 << 20  # times the file's size, above so many bytes
+LARGEST_BYTES = 1 << 30  # default limit on the bytes of all arrays of a file together
+# Deflate compresses zeros 1000 times; real arrays (images, masks) about 10 times.
+_RATIO, _SMALL = 200, 64 << 20  # largest believed compression ratio, for files whose arrays take more than _SMALL bytes
 _MOST_ARRAYS = 1000
 
 
 def read_npz(path: str | os.PathLike[str], largest: int = LARGEST_BYTES) -> dict[str, np.ndarray]:
-    """All arrays of the file, ``largest`` bytes together at most.
+    """Return all arrays of the file by name, ``largest`` bytes together at most.
 
-    Raises OSError where it cannot be opened, else ValueError that says what is wrong.
+    Raises OSError if the file cannot be opened, and ValueError with the reason for any other fault.
     """
-    if Path(path).exists() and not Path(path).is_file():  # a pipe or a device would never end
-        raise ValueError("it is no regular file")
+    if Path(path).exists() and not Path(path).is_file():  # reading a pipe or a device might not end
+        raise ValueError("it is not a regular file")
     with open(path, "rb") as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
                 entries = archive.infolist()
                 _check_sizes(entries, os.fstat(stream.fileno()).st_size, largest)
                 return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
-        except Exception as error:  # zipfile, zlib and the parser of npy headers raise whatever they meet
-            raise ValueError(" ".join(str(error).split())[:200] or "it is no npz file") from error
+        except Exception as error:  # zipfile, zlib and numpy's header parser raise many types
+            raise ValueError(" ".join(str(error).split())[:200] or "it is not an npz file") from error
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays packed, or as they are where they would pack better than `read_npz` believes."""
+    """Write arrays compressed, or uncompressed if they would compress beyond what `read_npz` accepts."""
     with open(path, "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     if sum(array.nbytes for array in arrays.values()) > _SMALL // 2 + _RATIO * os.path.getsize(path):
@@ -61,13 +61,13 @@ def _check_sizes(entries: list[zipfile.ZipInfo], size: int, largest: int) -> Non
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(entry) as stream:
         array = read_npy(stream, entry.filename, entry.file_size)
-        if stream.read(1):  # which checks the sum
+        if stream.read(1):  # reading to the end verifies the checksum
             raise ValueError(f"'{entry.filename}' is cut off")
     return array
 
 
 def read_npy(stream: Any, name: str, size: int) -> np.ndarray:
-    """The array whose npy file is the next ``size`` bytes of a stream. Raises whatever numpy's parser raises."""
+    """Return the array stored as npy in the next ``size`` bytes of a stream. Raises whatever numpy's parser raises."""
     start = stream.tell()
     version = npy.read_magic(stream)
     if version == (1, 0):
@@ -80,7 +80,7 @@ def read_npy(stream: Any, name: str, size: int) -> np.ndarray:
         raise ValueError(f"'{name}' holds Python objects, which are never unpickled (allow_pickle)")
     count = math.prod(shape) * dtype.itemsize
     if count != start + size - stream.tell():
-        raise ValueError(f"'{name}' does not have the size that its header says")
+        raise ValueError(f"'{name}' does not have the size given in its header")
     content = np.empty(count, np.uint8)
     if stream.readinto(memoryview(content)) != count:  # type: ignore[arg-type]
         raise ValueError(f"'{name}' is cut off")

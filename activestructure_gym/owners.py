@@ -1,8 +1,8 @@
-"""Whose cached files are used: those that nobody else than this user, root or the owner of the code can have written.
+"""Read cached files only if no other user can have written them.
 
-A cache may lie in a folder that others can write, and the names in it are predictable. Whoever can write the code that
-uses a cached file could have written that file as well, so a file is guarded as well as the code or it is not used.
-Systems without numbers of users (Windows) are left as they are.
+A cache may lie in a folder that others can write, under predictable names. A cached file is accepted only if its
+writers, besides this user and root, can also write the code that uses it. Systems without numeric user ids (Windows)
+skip the check.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import IO
 
 from activestructure_gym.errors import InputWarning
 
-_said: list[str] = []  # the warning is given once per process
+_said: list[str] = []  # non-empty once the warning was given; once per process
 
 
 def open_own(path: Path, code: str = __file__) -> IO[bytes]:
-    """Open a cached file that the file ``code`` uses for reading.
+    """Open a cached file for reading by the module ``code``.
 
-    Raises `OSError` for a file that others can have written, after one warning, and for a link or a pipe.
+    Raises `OSError`, after one warning, for a file that other users can have written, and for a link or a pipe.
     """
     file = open(path, "rb", opener=_open_no_link)
     state = os.fstat(file.fileno())
@@ -32,24 +32,24 @@ def open_own(path: Path, code: str = __file__) -> IO[bytes]:
     file.close()
     if not _said:
         _said.append(str(path))
-        text = f"'{path}' can have been written by another user: it is not used, nor are others like it"
+        text = f"'{path}' may have been written by another user: it and similar files are not used"
         warnings.warn(text, InputWarning, stacklevel=2)
-    raise PermissionError(f"'{path}' can have been written by another user")
+    raise PermissionError(f"'{path}' may have been written by another user")
 
 
 def guard(place: int | Path) -> None:
-    """Let nobody but its owner write an open file, or a folder, that this user has made."""
-    with suppress(OSError):  # another user's, or a file system without permissions
+    """Remove the write permission of group and others from an open file or a folder of this user."""
+    with suppress(OSError):  # owned by another user, or a file system without permissions
         mode = stat.S_IMODE(os.stat(place).st_mode)
         if os.name == "posix" and mode & (stat.S_IWGRP | stat.S_IWOTH):
             os.chmod(place, mode & ~(stat.S_IWGRP | stat.S_IWOTH))
 
 
 def folder_of_others(folders: Iterable[Path], code: str = __file__) -> Path | None:
-    """Return the first of the folders in which others can put something in the place of files of this user.
+    """Return the first folder in which other users can replace this user's files, or None.
 
-    Members of its group may write a folder: their files are refused one by one. So may everybody where only the owner
-    of a file can remove it, as in ``/tmp``. A folder that does not exist yet will be this user's.
+    A folder writable by its group is accepted, since files are checked one by one. So is a sticky folder such as
+    ``/tmp``, where only a file's owner can remove it. Missing folders are accepted.
     """
     for folder in folders:
         with suppress(OSError):
@@ -63,7 +63,7 @@ def _open_no_link(path: str, flags: int) -> int:
 
 
 def _is_of_others(state: os.stat_result, code: str) -> bool:
-    """Whether somebody else owns a file or folder or may write it, and owns or may write the code no less."""
+    """Return whether another user owns or may write a file or folder, without the same right to the code."""
     if os.name != "posix":
         return False
     owners, writers = {os.geteuid(), 0}, stat.S_IWGRP | stat.S_IWOTH

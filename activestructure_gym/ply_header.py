@@ -1,7 +1,7 @@
-"""Headers of PLY files, which may be damaged or hostile: parsed into data, and written.
+"""Parse and write headers of PLY files, which may be damaged or hostile.
 
 A header is lines of ASCII words from ``ply`` to ``end_header``: the format, then elements with their count, each with
-its properties ([turk1994]). What a reader makes of one that is odd, it says itself.
+its properties ([turk1994]). Readers of the data report unusual headers themselves.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ NUMPY_TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_MOST_BYTES = 1 << 20  # a file without an end_header must not be read to its end
-_MOST_DIGITS = 18  # of a count, which fits into 64 bits
+_MOST_BYTES = 1 << 20  # limit on a file without end_header
+_MOST_DIGITS = 18  # of a count; fits into 64 bits
 
 
 @dataclass(frozen=True)
 class PlyProperty:
-    """A number of each record, or a list of numbers with their count in front; types as the file names them."""
+    """Describe one number of each record, or a list of numbers preceded by its count; types as written in the file."""
 
     name: str
-    kind: str  # "float", "uchar", ...; files may name what is no key of `NUMPY_TYPES`
-    count_kind: str = ""  # the type of the count; "" where it is no list
+    kind: str  # "float", "uchar", ...; may be a type missing in `NUMPY_TYPES`
+    count_kind: str = ""  # type of a list's count; "" for a single number
 
     def __str__(self) -> str:
         return f"list {self.count_kind} {self.kind} {self.name}" if self.count_kind else f"{self.kind} {self.name}"
@@ -41,7 +41,7 @@ class PlyProperty:
 
 @dataclass(frozen=True)
 class PlyElement:
-    """A table of the file: ``count`` records of these properties."""
+    """Describe a table of the file: ``count`` records with these properties."""
 
     name: str
     count: int
@@ -50,18 +50,18 @@ class PlyElement:
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What a header says, as far as it could be read."""
+    """Hold the content of a header, as far as it could be read."""
 
-    format: str  # "ascii", `BINARY_LITTLE_ENDIAN`, ...; "" where it does not say
-    elements: tuple[PlyElement, ...]  # in the order of their data, no two of one name
-    complete: bool = True  # whether it has its end_header, behind which the data begin
-    unreadable: str = ""  # the line that is no line of a header; nothing was read behind it
+    format: str  # "ascii", `BINARY_LITTLE_ENDIAN`, ...; "" if not given
+    elements: tuple[PlyElement, ...]  # in data order; names are unique
+    complete: bool = True  # whether end_header was found; the data follow it
+    unreadable: str = ""  # first line that could not be parsed; reading stopped there
 
 
 def read_header(file: IO[bytes]) -> PlyHeader | None:
-    """The header of a file that is read from its beginning, and stands at its data then; None if it is no PLY.
+    """Parse a PLY header and leave the file at its data; return None if the file is no PLY.
 
-    At most 1 MiB is read.
+    The file must be at its beginning. At most 1 MiB is read.
     """
     if file.readline(8).strip() != MAGIC:
         return None
@@ -94,7 +94,7 @@ def read_header(file: IO[bytes]) -> PlyHeader | None:
 
 
 def header_bytes(header: PlyHeader, comments: Iterable[str] = ()) -> bytes:
-    """The header as a file begins with it; comments stand behind the format."""
+    """Return the header as bytes; comments follow the format line."""
     lines = [MAGIC.decode(), f"format {header.format} 1.0", *(f"comment {text}" for text in comments)]
     for element in header.elements:
         lines.append(f"element {element.name} {element.count}")

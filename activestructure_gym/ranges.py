@@ -1,4 +1,4 @@
-"""Ranges that numbers of a configuration must lie in, written as in mathematics: ``[0, 1)``."""
+"""Check that numbers of a configuration lie in ranges, written as in mathematics: ``[0, 1)``."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 
 from activestructure_gym.errors import InputError, shown
 
-# What a run can be read with; a configuration that asks for more is refused before the first frame.
+# Limits of a valid run; other configurations are refused before the first frame.
 FARTHEST = 1e6  # metres from the world's origin along each axis
-MOST_ELONGATED = 8  # a camera's image: its longer side over its shorter one
-MOST_FRAMES = 10**6  # of an episode: the poses of the way are kept
+MOST_ELONGATED = 8  # largest ratio of a camera image's longer to its shorter side
+MOST_FRAMES = 10**6  # per episode: all poses are kept in memory
 
 
 def check_ranges(config: Any, ranges: Mapping[str, str], label: str = "") -> None:
-    """Refuse numbers of a dataclass outside of their ranges, by field; also every entry of a tuple of numbers.
+    """Raise `InputError` for fields of a dataclass outside their ranges; for a tuple, every entry is checked.
 
-    Infinity and NaN lie in no range. Fields that may be None may be None. Raises `InputError`.
+    Infinity and NaN lie in no range. None is accepted where the field's type allows it.
     """
     kinds = _kinds(config.__class__)
     for name, text in ranges.items():
@@ -76,7 +76,7 @@ def _interval(text: str) -> _Interval:
 
 @cache
 def _kinds(kind: type) -> dict[str, tuple[bool, bool, bool]]:
-    """Per field: whether it holds whole numbers, whether several, whether it may be None."""
+    """Return for each field: whether it holds integers, whether it is a tuple, whether it may be None."""
     found = {}
     for field in dataclasses.fields(kind):
         hint = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))

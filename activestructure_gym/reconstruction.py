@@ -1,8 +1,8 @@
-"""`Reconstruction`: one episode of active reconstruction, from the first frame to the last, without Gymnasium.
+"""Run one episode of active reconstruction, from the first frame to the last, without Gymnasium.
 
-Scene -> sensor -> map, volume, planes -> candidate views -> features; then a view is chosen from outside, and the agent
-walks there (`Reconstruction.visit`). Every frame costs 1 of the budget; every fifth frame and the last of a path is a
-keyframe, which is rendered, integrated and mapped.
+Each decision runs: scene -> sensor -> map, volume, planes -> candidate views -> features. The caller then chooses a
+view, and the agent moves there (`Reconstruction.visit`). Every frame costs 1 of the budget. Every ``keyframe_every``-th
+frame and the last frame of a path are keyframes: rendered, integrated and mapped.
 """
 
 from __future__ import annotations
@@ -46,28 +46,28 @@ from activestructure_gym.volume import VoxelVolume
 
 @dataclass(frozen=True)
 class Visit:
-    """The record of one step: frames, metres and keyframes of the way to a chosen view."""
+    """Record one step: frames, metres and keyframes on the path to the chosen view."""
 
-    reached: bool  # False: unreachable, blocked on the way, or the budget ended first
-    frames: int  # frames paid
+    reached: bool  # False: unreachable, blocked on the path, or the budget ended
+    frames: int  # frames of the budget used
     metres: float
-    keyframes: tuple[Frame, ...]  # the frames that were integrated
+    keyframes: tuple[Frame, ...]  # frames that were integrated
 
 
 class Reconstruction:
-    """State of one episode. `start` begins it, `visit` moves it on; everything else is there to be read.
+    """Hold the state of one episode. `start` begins it, `visit` executes a decision; attributes are read-only.
 
     Parameters
     ----------
     config
-        Everything that decides an episode besides the scene, the seed and the policy.
+        Everything that determines an episode except scene, seed and policy.
 
     Examples
     --------
     >>> from activestructure_gym import configure, ground_truth_of, load_scene
     >>> episode = Reconstruction(configure("fast", {"frame_budget": 30}))
     >>> frame = episode.start(ground_truth_of(load_scene("box")), seed=0)
-    >>> visit = episode.visit(0)  # walk to the first candidate
+    >>> visit = episode.visit(0)  # move to the first candidate
     >>> visit.reached, episode.frames > 1
     (True, True)
     """
@@ -79,11 +79,11 @@ class Reconstruction:
     planes: PlaneSceneGraph
     pool: CandidatePool
     candidates: CandidateTable
-    gains: np.ndarray  # [n, G] one column per name in config.gains
-    visible: np.ndarray  # [n, N] bool, which planes of the graph each candidate would see
+    gains: np.ndarray  # [n, G] features; one column per name in config.gains
+    visible: np.ndarray  # [n, N] bool: planes of the graph visible from each candidate
 
     def __init__(self, config: ReconstructionConfig) -> None:
-        rasterizer(config.mapper.backend)  # which refuses what cannot run here
+        rasterizer(config.mapper.backend)  # raises if the backend cannot run here
         self.config = config
         self.scoring_camera = config.sensor.camera.resized(
             max(1, round(config.sensor.width * config.views.scoring_scale)),
@@ -94,13 +94,12 @@ class Reconstruction:
     def start(self, truth: GroundTruth, seed: int, start_pose: np.ndarray | None = None) -> Frame:
         """Begin an episode in ``truth.scene`` and return its first keyframe.
 
-        The truth gives the start pose and how much room is around it, and is not kept.
-
-        ``start_pose`` is ``world_from_camera`` [4, 4]; without one, one of the scene's own is drawn from the seed.
-        Raises `InputError` if the pose stands inside something or outside the scene.
+        The ground truth gives the start pose and the free radius around it; it is not stored. ``start_pose`` is
+        ``world_from_camera`` [4, 4]; by default one of the scene's start poses is drawn from the seed. Raises
+        `InputError` if the pose lies outside the scene or in collision.
         """
         config, scene = self.config, truth.scene
-        # One child per consumer: a policy's choices cannot shift the noise, nor the noise the paths.
+        # One random stream per consumer: a policy's choices cannot change the noise, nor the noise the planned paths.
         choice, noise, mapping, planning, pool, sources = np.random.SeedSequence(seed).spawn(6)
         if start_pose is None:
             poses = truth.free_space.start_poses
@@ -113,15 +112,15 @@ class Reconstruction:
 
         self.scene = scene
         self.sensor = RGBDSensor(scene, config.sensor, np.random.default_rng(noise))
-        # The mapper is told at least the noise its own sensor makes, none if it makes none.
+        # The mapper assumes at least the sensor's own noise scale, 0 for a sensor without noise.
         multiplier = config.sensor.noise_multiplier if config.sensor.depth_noise != "none" else 0.0
         noise_scale = max(config.mapper.depth_noise_scale, multiplier)
         told = replaced(config.mapper, {"depth_noise_scale": noise_scale})
         self.mapper = make_mapper(told, np.random.default_rng(mapping), scene.bounds)
-        # The volume's margins are made for Kinect noise; a noisier sensor widens them.
+        # The volume's margins are tuned for Kinect noise; a noisier sensor widens them.
         widened = replaced(config.volume, {"margin_growth": config.volume.margin_growth * max(1.0, multiplier)})
         self.volume = VoxelVolume(scene.bounds, widened)
-        # The plane detector is told at least the noise its own sensor makes.
+        # The plane detector assumes at least the sensor's own noise scale.
         noise_scale = max(
             config.planes.detection.depth_noise_scale,
             depth_noise_scale(config.sensor.depth_noise, config.sensor.noise_multiplier),
@@ -136,23 +135,24 @@ class Reconstruction:
         )
         self._planning_rng = np.random.default_rng(planning)
         self._sources_seed = int(sources.generate_state(1)[0])
-        self.stage = 0  # of ``views.stages``
-        self.finished = False  # whether a row was chosen that ends the episode
-        self._offered = {0}  # stages that were on since a frame was last paid
-        self._empty = set[int]()  # of those the ones that had nothing to offer
+        self.stage = 0  # index into ``views.stages``
+        self.finished = False  # whether a row that ends the episode was chosen
+        self._offered = {0}  # stages offered since the last frame was used
+        self._empty = set[int]()  # offered stages that had no candidates
         self.pose = start_pose
         self.trajectory = [start_pose]  # every executed pose
         self.keyframe_indices: list[int] = []  # into trajectory
-        self.keyframe_rounds: list[int] = []  # times the mapper's iterations, of each keyframe
-        # By the end of each decision: poses executed, frames paid, 1 where they were spent in place to optimise.
+        self.keyframe_rounds: list[int] = []  # iteration factor of each keyframe
+        # At the end of each decision: number of poses executed, frames used, 1 if they were spent optimising in place.
         self.legs: list[tuple[int, int, int]] = []
-        self.stops: list[np.ndarray] = []  # poses where the way of each decision ended
+        self.stops: list[np.ndarray] = []  # final pose of each decision
         self.frames = 0
         self.metres = 0.0
         self.decisions = 0
-        self.seconds: defaultdict[str, float] = defaultdict(float)  # wall-clock by stage; never observed
+        # wall-clock time by stage; never part of an observation
+        self.seconds: defaultdict[str, float] = defaultdict(float)
 
-        # The agent was put down there, so the place around it is known to be free, as far as it is.
+        # The start pose is collision-free, so a sphere within the start's clearance is marked as free.
         clearance = float(truth.free_space.clearance_at(start_pose[:3, 3])[0])
         self.volume.mark_free_sphere(start_pose[:3, 3], min(config.motion.start_free_radius, clearance))
         frame = self._keyframe()
@@ -162,9 +162,9 @@ class Reconstruction:
 
     @property
     def agent(self) -> Agent:
-        """Where the agent stands now, and how it would get to a view."""
+        """Return the agent's pose, budget and travel distances, for sources and features."""
         return Agent(
-            pose=self.pose.copy(),  # sources and features of others read it: what they write moves nobody
+            pose=self.pose.copy(),  # a copy: plug-in sources and features may write to it
             frames=self.frames,
             frame_budget=self.frame_budget,
             keyframe_every=self.config.keyframe_every,
@@ -176,22 +176,21 @@ class Reconstruction:
 
     @property
     def frame_budget(self) -> int:
-        """Frames the episode may use, the first one included."""
+        """Return the number of frames that the episode may use, the first one included."""
         return self.config.frame_budget
 
     @property
     def exhausted(self) -> bool:
-        """Whether the frame budget is used up."""
+        """Return whether the frame budget is used up."""
         return self.frames >= self.config.frame_budget
 
     def visit(self, index: int) -> Visit:
-        """Walk to candidate ``index`` of the current table and map on the way.
+        """Execute candidate ``index`` of the current table and map on the path to it.
 
-        A row may say something else: stay and optimise, look at a point on the way, end the episode, or offer another
-        stage, which costs no frame.
-
-        An index beyond the table, and a view to which no path is found, cost one frame and leave the agent in place;
-        the unreachable view leaves the pool. A path that newly seen space blocks ends before the obstacle.
+        Most rows are views to move to. Others optimise in place, look at a point on the path, end the episode, or
+        switch to another candidate stage, which costs no frame. An index beyond the table, and a view without a path,
+        cost one frame and leave the agent in place; the unreachable view is removed from the pool. A path that newly
+        observed obstacles block ends before the obstacle.
         """
         self.decisions += 1
         frames_before, metres_before = self.frames, self.metres
@@ -220,7 +219,7 @@ class Reconstruction:
             else:
                 reached, keyframes = self._walk(poses, revisits=bool(self.candidates.revisit[index]))
                 if not reached and not self.exhausted:
-                    # Blocked: the volume now knows better, and the same view is not tried a second time.
+                    # Blocked by an obstacle that is now in the volume: the same view is not tried again.
                     self.pool.drop(int(self.candidates.ids[index]))
             self.pool.mark_visited(self.pose)
             self.stops.append(self.pose)
@@ -231,14 +230,13 @@ class Reconstruction:
         return Visit(reached, self.frames - frames_before, self.metres - metres_before, tuple(keyframes))
 
     def _let_pass(self) -> None:
-        """One frame of the budget, if one is left (the first image may have been all of it)."""
+        """Use one frame of the budget, if one is left (the first frame may have been the last)."""
         self.frames = min(self.frames + 1, self.config.frame_budget)
 
     def follow(self, leg: Leg) -> Visit:
-        """Execute given poses in place of a decision, as far as the budget reaches, and map as the leg says.
+        """Execute given poses in place of a decision, within the budget, and map at the leg's keyframes.
 
-        Nobody asks whether the way is free, or how far apart two poses are: who makes the leg answers for that. The
-        last frame of the budget is a keyframe.
+        Neither collisions nor the distance between poses are checked. The last frame of the budget is a keyframe.
         """
         self.decisions += 1
         frames_before, metres_before, keyframes = self.frames, self.metres, list[Frame]()
@@ -275,9 +273,9 @@ class Reconstruction:
             return None if path is None else interpolate(path, self.pose, goal, motion, look_at=look_at)
 
     def _stay(self, wanted: int) -> int:
-        """Optimise over all keyframes, in place, for so many frames or as long as the budget reaches: how many it were.
+        """Optimise over all keyframes in place for up to ``wanted`` frames; return the number of frames used.
 
-        A frame has the share of the mapper's iterations that it has on a way.
+        Each frame runs ``iterations / keyframe_every`` optimiser steps, as on a path.
         """
         frames = min(wanted, self.config.frame_budget - self.frames)
         self.trajectory += [self.pose] * frames
@@ -287,7 +285,7 @@ class Reconstruction:
         return frames
 
     def _step_to(self, pose: np.ndarray) -> None:
-        pose = np.array(pose, dtype=np.float64)  # a copy: the caller may use its array again
+        pose = np.array(pose, dtype=np.float64)  # a copy: the caller may reuse its array
         step = pose[:3, 3] - self.pose[:3, 3]
         self.metres += math.sqrt(step @ step)
         self.pose = pose
@@ -295,12 +293,12 @@ class Reconstruction:
         self.frames += 1
 
     def _walk(self, poses: np.ndarray, *, revisits: bool) -> tuple[bool, list[Frame]]:
-        """Execute frames until the goal, the budget, or an obstacle; returns whether the goal was reached.
+        """Execute frames until the goal, the end of the budget or an obstacle; return whether the goal was reached.
 
-        Where the goal is a keyframe's own pose, its frame is mapped with more iterations.
+        If ``revisits``, the frame at the goal is mapped with ``revisit_rounds`` times the iterations.
         """
         keyframes: list[Frame] = []
-        index, end = 0, len(poses)  # poses[:end] is free as far as the volume knows
+        index, end = 0, len(poses)  # poses[:end] is free in the current volume
         while index < end and not self.exhausted:
             self._step_to(poses[index])
             index += 1
@@ -324,11 +322,11 @@ class Reconstruction:
         with self._timed("volume"):
             self.volume.integrate(frame, sensor_range=sensor.max_range, dropouts=sensor.edge_dropout)
         with ThreadPoolExecutor(1) as beside:
-            # Map and planes know nothing of each other, and mapping is mostly kernels, which need no interpreter.
+            # Map and planes are independent. Mapping runs mostly in kernels, which release the GIL.
             planes = beside.submit(self.planes.integrate, frame) if default_threads() > 1 else None
             with self._timed("mapping"):
                 self.mapper.observe(frame, iterations=rounds * self.config.mapper.iterations)
-            with self._timed("planes"):  # what mapping did not hide
+            with self._timed("planes"):  # the time that mapping did not overlap
                 if planes is None:
                     self.planes.integrate(frame)
                 else:
@@ -343,10 +341,10 @@ class Reconstruction:
         return self.config.mapper.tracking.iterations > 0 and (sensor.pose_noise_m > 0 or sensor.pose_noise_deg > 0)
 
     def _tracked(self, frame: Frame) -> np.ndarray:  # [4, 4] world_from_camera
-        """The pose everything is built from: the start as it was given, then the reported pose corrected.
+        """Return the pose used for integration: the start pose as given, later poses tracked against the keyframes.
 
-        The start defines the world the agent plans in, as in any simultaneous localisation and mapping; its reported
-        pose would tilt that world by its own error.
+        The start pose defines the world frame, as in SLAM (simultaneous localisation and mapping); a noisy start would
+        tilt that frame.
         """
         if not self.mapper.keyframes:
             return self.pose.copy()
@@ -360,7 +358,7 @@ class Reconstruction:
         ).world_from_camera
 
     def _refresh(self) -> None:
-        """Offer the candidates of the next decision and evaluate their features."""
+        """Build the candidates of the next decision and compute their features."""
         config = self.config
         with self._timed("planning"):
             self.distances: DistanceMap = path_lengths(
@@ -373,7 +371,7 @@ class Reconstruction:
         self._offer()
 
     def _offer(self) -> None:
-        """The table of the stage that is on, and its features; what asks for a stage or ends the episode has none."""
+        """Build the table of the current stage and its features; other rows get zeros."""
         config = self.config
         with self._timed("planning"):
             revisits, agent = self._revisits(), self.agent
@@ -402,7 +400,7 @@ class Reconstruction:
                 return offer(stages[self.stage], self._sources, context_of, rows=config.views.max_candidates, asks=asks)
 
             self.candidates = rows_with(self._offered)
-            if not len(self.candidates):  # then it may be asked once more for those that may have something
+            if not len(self.candidates):  # no candidates: offer again every stage not known to be empty
                 self._empty.add(self.stage)
                 self.candidates = rows_with(self._empty)
         with self._timed("gains"):
@@ -421,11 +419,14 @@ class Reconstruction:
             asks = ((0, len(self.candidates) - self.candidates.views), (0, 0))
             self.gains = np.pad(evaluate_features(config.gains, context), asks)
             self.visible = np.pad(context.visible, asks)
-            # What ends the episode shows nothing, though it stands at a pose.
+            # A row that ends the episode has a pose but gets no features.
             self.gains[self.candidates.ends], self.visible[self.candidates.ends] = 0.0, False
 
     def _revisits(self) -> np.ndarray:  # [R, 4, 4]
-        """Keyframe poses, worst rendered first, each once: a revisit adds a keyframe where there is one."""
+        """Return distinct keyframe poses [R, 4, 4] in order of PSNR, lowest first.
+
+        A revisit adds a keyframe at the same pose, so poses can repeat.
+        """
         if not self.config.views.max_revisits:
             return np.zeros((0, 4, 4))
         order = np.argsort(self.mapper.keyframe_psnr(), kind="stable")

@@ -1,9 +1,11 @@
-"""Registries of policies, features and scenes by name.
+"""Register policies, features and scenes by name.
 
-A name is found in four places, in this order: what was registered in this process, ``"family:rest"`` where a family
-makes entries from what its names say (``learned:CHECKPOINT``), ``"package.module:attribute"`` (works in every worker
-process without registering), and the entry points of installed packages in the group ``activestructure_gym.<kind>``
-(so ``pip install`` alone makes a plug-in known).
+A name is looked up in this order:
+
+- entries registered in this process;
+- ``"family:rest"``: a family makes the entry from ``rest`` (``learned:CHECKPOINT``);
+- ``"package.module:attribute"``, imported; works in worker processes without registering;
+- entry points of installed packages in the group ``activestructure_gym.<kind>``, which ``pip install`` adds.
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ from typing import Any, Generic, TypeVar
 
 from activestructure_gym.errors import InputError, shown, unknown_name
 
-TRUST = "ASG_TRUST_CODE"  # set to 1 in the environment, files may name code; workers inherit it
+TRUST = "ASG_TRUST_CODE"  # if set to 1, files may name code to import; workers inherit the variable
 
 T = TypeVar("T")
 Maker = TypeVar("Maker", bound=Callable[[str], Any])
 
 
 class Registry(Generic[T]):
-    """A mapping from name to object of one ``kind``; ``plural`` names the group of entry points.
+    """Map names to objects of one ``kind``; ``plural`` names the group of entry points.
 
-    An entry that does not ``fit`` is refused when it is asked for, with ``wanted``, what it should have been.
+    `get` refuses an entry for which ``fits`` is false; the message says that it must be ``wanted``.
     """
 
     def __init__(
@@ -39,7 +41,7 @@ class Registry(Generic[T]):
         self._families: dict[str, Callable[[str], T]] = {}
 
     def register(self, name: str) -> Callable[[T], T]:
-        """Decorator: ``@POLICIES.register("mine")``. Registering the same name again replaces it."""
+        """Return a decorator, as in ``@POLICIES.register("mine")``. It replaces an entry of the same name."""
 
         def remember(entry: T) -> T:
             self._entries[name] = entry
@@ -48,7 +50,7 @@ class Registry(Generic[T]):
         return remember
 
     def register_family(self, name: str) -> Callable[[Maker], Maker]:
-        """Decorator for a function that makes the entry of ``name:rest`` from ``rest``."""
+        """Return a decorator for a function that makes the entry of ``name:rest`` from ``rest``."""
 
         def remember(make: Maker) -> Maker:
             self._families[name] = make
@@ -63,7 +65,7 @@ class Registry(Generic[T]):
         return name in set(self)
 
     def get(self, name: str) -> T:
-        """The object called ``name``; raises `InputError` naming the nearest known name."""
+        """Return the object called ``name``; raise `InputError` naming the nearest known name."""
         if not isinstance(name, str):
             raise InputError(f"a {self.kind} is given by its name, as a text, got {shown(name)}")
         entry = self._find(name)
@@ -72,18 +74,22 @@ class Registry(Generic[T]):
         return entry
 
     def imports(self, name: str) -> bool:
-        """Whether `get` would import the module that ``name`` names, which runs whatever stands in it."""
+        """Return whether `get` would import the module named by ``name`` and so run its code."""
         family, colon, _ = name.partition(":")
         return bool(colon) and name not in self._entries and family not in self._families
 
     def module_of(self, name: str) -> str | None:
-        """The module that ``name`` names by its path or as an entry point, None for what is ours; imports nothing."""
+        """Return the module that ``name`` refers to by path or entry point, without importing it.
+
+        None for entries of this package.
+        """
         ours = __name__.partition(".")[0]
         if self.imports(name):
             module = name.partition(":")[0]
             return None if module.partition(".")[0] == ours else module
         entry = self._entries.get(name)
-        made_in = getattr(getattr(entry, "compute", entry), "__module__", "")  # of a feature, its function's
+        # for a feature: the module of its function
+        made_in = getattr(getattr(entry, "compute", entry), "__module__", "")
         if made_in.partition(".")[0] == ours:
             return None
         return next((point.module for point in entry_points(group=self.group) if point.name == name), None)
@@ -115,13 +121,14 @@ class Registry(Generic[T]):
         except SyntaxError as error:
             where = f"'{error.filename}', line {error.lineno}"
             raise InputError(f"{self.kind} '{path}' cannot be imported: {where}: {error.msg}") from error
-        try:  # apart from the import: an AttributeError inside the module is its author's to see
+        try:  # not inside the first try: an AttributeError within the module must reach its author
             return getattr(module, attribute)
         except AttributeError as error:
             names = [name for name in dir(module) if not name.startswith("_")]
             close = difflib.get_close_matches(attribute, names, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
-            file = getattr(module, "__file__", None)  # it may be another one than was meant, as one of Python's own
+            # may be another file than meant, such as one of the standard library
+            file = getattr(module, "__file__", None)
             where = f", which is {file}," if file else ""
             raise InputError(
                 f"{self.kind} '{path}': module '{module_name}'{where} has no '{attribute}'{hint}"
@@ -129,10 +136,10 @@ class Registry(Generic[T]):
 
 
 def refuse_code(kind: str, name: str, file: object) -> None:
-    """Raise `InputError` for a ``name`` that stands in a ``file`` and would be imported, unless files are trusted.
+    """Raise `InputError` if a ``name`` read from a ``file`` would import code, unless files are trusted.
 
-    What a user types may name any module. What a file says may have been written by anybody: it may name only what is
-    registered here, and data.
+    A name typed by the user may import any module. A file may come from anyone, so its names are limited to registered
+    entries and data.
     """
     if os.environ.get(TRUST) != "1":
         raise InputError(

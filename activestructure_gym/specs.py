@@ -1,6 +1,6 @@
 """Parse names with options: ``apartment?seed=3&rooms=4``, ``naruto?travel=shared``.
 
-What an option may be is read from the function or class that takes it: its parameters and their annotations.
+Options and their types are the parameters and annotations of the function or class that takes them.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from activestructure_gym.errors import InputError, unknown_name
 
 
 def parse_options(query: str, label: str) -> dict[str, str]:
-    """``key=value&key=value`` as a dict; ``label`` names whose options they are. Raises `InputError`.
+    """Parse ``key=value&key=value`` into a dict; ``label`` names the options' owner in `InputError` messages.
 
-    A plus is a plus, as in paths and numbers; ``%26`` and the like are the characters that they stand for.
+    A plus sign stays a plus sign, as in paths and numbers; percent escapes such as ``%26`` are decoded.
     """
     try:
         pairs = parse_qsl(query.replace("+", "%2B"), keep_blank_values=True, strict_parsing=bool(query))
@@ -32,30 +32,29 @@ def parse_options(query: str, label: str) -> dict[str, str]:
 
 
 def number_text(value: float) -> str:
-    """The number as short as can be without becoming another one: ``2``, ``0.3``, ``17.188733853924695``."""
+    """Return the shortest text that parses to the same number: ``2``, ``0.3``, ``17.188733853924695``."""
     short = f"{value:g}"
     return short if float(short) == value else repr(float(value))
 
 
 def typed_options(
-    label: str,  # of whom, as in "scene 'box'"
+    label: str,  # owner of the options, as in "scene 'box'"
     factory: Callable[..., Any],
     options: Mapping[str, Any],
     *,
-    apart: Collection[str] = (),  # parameters that are no options
-    more: Collection[str] = (),  # options that the caller reads itself, for messages
+    apart: Collection[str] = (),  # parameters that are not options
+    more: Collection[str] = (),  # further options, read by the caller; for messages
 ) -> dict[str, Any]:
-    """Keyword arguments for ``factory``; texts are read as its annotations say, other values are passed on.
+    """Return keyword arguments for ``factory``; texts are converted to the annotated types, other values are passed on.
 
-    Raises `InputError` for a name that is not among its parameters, for a text that cannot be what is annotated, and
-    for a parameter without a default that is not given.
+    Raises `InputError` for an unknown option, a text that cannot be converted, or a missing option without default.
     """
     parameters = {key: p for key, p in inspect.signature(factory).parameters.items() if key not in apart}
     takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
     known = [key for key, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
     if options and not known and not more and not takes_any:
         given = "&".join(f"{key}={value}" for key, value in options.items())
-        raise InputError(f"{label} takes no options, got '{given}'; leave them away")
+        raise InputError(f"{label} takes no options, got '{given}'; remove them")
     hints = _hints(factory)
     arguments = {}
     for key, value in options.items():
@@ -69,7 +68,7 @@ def typed_options(
 
 
 def _hints(factory: Any) -> dict[str, Any]:
-    """The type of every option: its annotation, or that of its default where there is none to be had."""
+    """Return each option's type: its annotation, or else the type of its default."""
     defaults = {
         key: type(p.default)
         for key, p in inspect.signature(factory).parameters.items()
@@ -78,17 +77,17 @@ def _hints(factory: Any) -> dict[str, Any]:
     takes = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
     try:
         return {**defaults, **typing.get_type_hints(takes)}
-    except (NameError, TypeError):  # names imported for type checkers only, or a callable object
+    except (NameError, TypeError):  # names imported only for type checkers, or a callable object
         return defaults
 
 
 def _typed(what: str, value: Any, hint: Any) -> Any:
-    """A text value as its annotation says; values that are no text are passed on."""
+    """Convert a text to the annotated type; pass other values on."""
     if not isinstance(value, str):
         return value
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, UnionType):
-        # Numbers first: "0.01" is a number wherever a number may stand, and any text is a text.
+        # Numbers first: "0.01" becomes a number wherever one is allowed; any text is valid as a text.
         order = sorted(inner, key=lambda t: {bool: 0, int: 1, float: 2}.get(t, 3))
         for candidate in (t for t in order if t is not type(None)):
             try:

@@ -1,7 +1,7 @@
-"""Standard streams that cannot end a program: one may be missing, end early, or lack characters.
+"""Wrap standard streams so that writing never ends a program; a stream may be missing, closed or lack characters.
 
-Everything that the command line prints goes through here, and so do the lines that the package itself writes to
-standard error. Text of files and of other programs can hold control characters; a terminal never gets them.
+All output of the command line and of the package goes through this module. Text from files and other programs can
+contain control characters; they are escaped before they reach a terminal.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from typing import Any
 
 from activestructure_gym.errors import one_line, printable
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no more room: a full disk, a quota, a limit on the size of files
-# Where the encoding of a stream lacks a character, its sign in ASCII.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space left: a full disk, a quota, a file size limit
+# ASCII replacements for characters that the encoding lacks.
 _SIGNS = {
     "✓": "ok", "✗": "failed", "↻": "again", "→": "->", "←": "<-", "↑": "up", "↓": "down", "±": "+-", "·": "-",
     "•": "*", "≈": "~", "≤": "<=", "≥": ">=", "−": "-", "–": "-", "—": "-", "×": "x", "…": "...", "²": "2", "³": "3",
     "°": "deg", "µ": "u", "γ": "gamma", "‘": "'", "’": "'", "“": '"', "”": '"', "█": "#", "│": "|", "║": "|", "┃": "|",
     "─": "-", "═": "-", "━": "-", "╸": "-", "╺": "-",
 }  # fmt: skip
-_FRAMES = range(0x2500, 0x2580)  # characters that frames are drawn with: corners and crossings
+_FRAMES = range(0x2500, 0x2580)  # box-drawing characters, including corners and crossings
 _SPINNER = range(0x2800, 0x2900)
 
 
 def fitting(text: str, encoding: str, errors: str = "strict") -> str:
-    """Return the text with signs in place of what the encoding lacks; what has no sign is replaced as ``errors`` says.
+    """Return the text with replacements for characters that ``encoding`` lacks; ``errors`` handles the rest.
 
-    "strict" and the handlers that are strict about such characters replace them by a question mark.
+    "strict" and its variants replace by a question mark.
     """
     if text.isascii() or _has(encoding, text):
         return text
@@ -60,9 +60,9 @@ def _sign(character: str) -> str:
 
 
 class Stream(io.TextIOBase):
-    """A text stream on top of another one that may be None, closed, full, or read by a program that has ended.
+    """Wrap a text stream that may be None, closed, full, or read by a program that has ended.
 
-    Writing never fails: what nobody can read any more is dropped. ``failure`` is the error of a full disk.
+    Writing never fails; output without a reader is dropped. ``failure`` is the error of a full disk.
     """
 
     def __init__(self, below: Any) -> None:
@@ -72,32 +72,32 @@ class Stream(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """The encoding of the stream below."""
+        """Return the encoding of the wrapped stream."""
         return str(getattr(self.below, "encoding", None) or "utf-8")
 
     @property
     def errors(self) -> str:  # type: ignore[override]
-        """What the stream below does with characters that its encoding lacks."""
+        """Return the wrapped stream's handler for characters that its encoding lacks."""
         return str(getattr(self.below, "errors", None) or "strict")
 
     def write(self, text: str) -> int:
-        """Write what the encoding can show."""
+        """Write the text, with replacements for characters that the encoding lacks."""
         with self._going_on():
             if not self._gone:
                 try:
                     self.below.write(fitting(text, self.encoding, self.errors))
-                except UnicodeEncodeError:  # a stream that does not say which encoding it has
+                except UnicodeEncodeError:  # a stream that does not report its encoding
                     self.below.write(fitting(text, "ascii"))
         return len(text)
 
     def flush(self) -> None:
-        """Flush the stream below."""
+        """Flush the wrapped stream."""
         with self._going_on():
             if not self._gone and hasattr(self.below, "flush"):
                 self.below.flush()
 
     def close(self) -> None:
-        """Leave the stream below open: it belongs to somebody else."""
+        """Flush and leave the wrapped stream open; its owner closes it."""
         self.flush()
 
     def writable(self) -> bool:
@@ -105,19 +105,19 @@ class Stream(io.TextIOBase):
         return True
 
     def isatty(self) -> bool:
-        """Return whether the stream below is a terminal."""
+        """Return whether the wrapped stream is a terminal."""
         with suppress(OSError, ValueError, AttributeError):
             return not self._gone and bool(self.below.isatty())
         return False
 
     def fileno(self) -> int:
-        """Return the descriptor of the stream below."""
+        """Return the file descriptor of the wrapped stream."""
         if not hasattr(self.below, "fileno"):
             raise io.UnsupportedOperation("fileno")
         return int(self.below.fileno())
 
     def __getattr__(self, name: str) -> Any:
-        if name == "below":  # of a copy that is not made yet
+        if name == "below":  # during copying, before attributes are set
             raise AttributeError(name)
         return getattr(self.below, name)
 
@@ -125,18 +125,18 @@ class Stream(io.TextIOBase):
     def _going_on(self) -> Iterator[None]:
         try:
             yield
-        except BlockingIOError:  # a pipe that is full for now
+        except BlockingIOError:  # a pipe that is full at the moment
             pass
-        except (OSError, ValueError) as error:  # ValueError: it was closed
+        except (OSError, ValueError) as error:  # ValueError: the stream was closed
             if isinstance(error, OSError) and error.errno in FULL:
                 self.failure = error
             else:
                 self.drop()
 
     def drop(self) -> None:
-        """Write nothing more; what is left in the buffer of a standard stream goes to the null device.
+        """Stop writing; redirect a standard stream to the null device.
 
-        Otherwise the interpreter would try to write it at its end, and fail.
+        Otherwise the interpreter would flush its buffer at exit and fail.
         """
         self._gone = True
         if self.below is not None and self.below in (sys.__stdout__, sys.__stderr__):
@@ -147,7 +147,10 @@ class Stream(io.TextIOBase):
 
 
 class Plain(Stream):
-    """A `Stream` that writes control characters out; below it is ``raw``, for codes that the program itself makes."""
+    """Write text with control characters escaped.
+
+    ``raw`` is the stream below, for terminal codes made by this program.
+    """
 
     def __init__(self, below: Any) -> None:
         self.raw = below if isinstance(below, Stream) else Stream(below)
@@ -161,7 +164,7 @@ class Plain(Stream):
 
 @contextmanager
 def kept_streams() -> Iterator[tuple[Stream, Stream]]:
-    """While the block runs, standard output and standard error are `Plain` streams; yields their ``raw`` ones."""
+    """Make standard output and standard error `Plain` streams during the block; yield their ``raw`` streams."""
     before = sys.stdout, sys.stderr
     _occupy_descriptors()
     out, err = Plain(before[0]), Plain(before[1])
@@ -176,10 +179,10 @@ def kept_streams() -> Iterator[tuple[Stream, Stream]]:
 
 
 def _occupy_descriptors() -> None:
-    """Open the null device in place of standard streams that are closed.
+    """Open the null device in place of closed standard streams.
 
-    The next files to be opened would take their numbers, and what a library or a child process prints would be written
-    into them.
+    Otherwise the next opened files would get their descriptors, and output of libraries and child processes would be
+    written into those files.
     """
     with suppress(OSError):
         while (descriptor := os.open(os.devnull, os.O_RDWR)) < 3:
@@ -188,19 +191,19 @@ def _occupy_descriptors() -> None:
 
 
 def raw(stream: Any) -> Any:
-    """Return the stream that codes for a terminal can be written to."""
+    """Return the stream that accepts terminal codes."""
     return stream.raw if isinstance(stream, Plain) else stream
 
 
 def lowest(stream: Any) -> Any:
-    """Return the stream below all of ours."""
+    """Return the innermost stream, without this module's wrappers."""
     while isinstance(stream, Stream):
         stream = stream.below
     return stream
 
 
 def say(text: str = "") -> None:
-    """Write a line, or several, to standard output."""
+    """Write one or more lines to standard output."""
     write_line(sys.stdout, text)
 
 
@@ -210,19 +213,19 @@ def complain(text: str) -> None:
 
 
 def write_line(stream: Any, text: str) -> None:
-    """Write text and a line end to a stream, and never fail."""
+    """Write text and a line end to a stream without ever failing."""
     stream = stream if isinstance(stream, Plain) else Plain(stream)
     stream.write(f"{text}\n")
     stream.flush()
 
 
 def flat(text: str) -> str:
-    """Return foreign text as one printable line, however long."""
+    """Return foreign text as one printable line of any length."""
     return printable(text).replace("\n", " ")
 
 
 def escape(text: str) -> str:
-    """Return foreign text as one printable line in which rich finds no markup."""
+    """Return foreign text as one printable line with rich's markup escaped."""
     from rich.markup import escape as without_markup
 
     return without_markup(flat(text))

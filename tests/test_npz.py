@@ -76,14 +76,14 @@ def pipe(path):
     "make, words",
     [
         (bomb, "unpack to 104,857,728, more than 200 times as many"),
-        (lying_header, "'a.npy' does not have the size that its header says"),
+        (lying_header, "'a.npy' does not have the size given in its header"),
         (objects, "allow_pickle"),
         (damaged, "Bad CRC-32"),
         (cut, "not a zip file"),
         (lambda path: zipped(path, a=b"no array"), "magic"),
         (lambda path: zipped(path, **{str(n): npy(np.zeros(1)) for n in range(1001)}), "1001 arrays"),
         (lambda path: path.write_bytes(npy(np.zeros(3))) and path, "not a zip file"),
-        (pipe, "no regular file"),
+        (pipe, "not a regular file"),
     ],
 )
 def test_anything_else_is_refused_in_a_sentence(make, words, tmp_path):

@@ -51,7 +51,7 @@ def test_the_text_of_a_number_is_that_number(value):
         (make, "size=3", "option size of thing 'x' must be 2 values with commas, got '3'"),
         (make, "depth", "'depth' in thing 'x' is not of the form key=value&key=value"),
         (Maker, "", "thing 'x' needs the option depth (as in 'NAME?depth=...')"),
-        (Plain, "depth=3&a=b", "thing 'x' takes no options, got 'depth=3&a=b'; leave them away"),
+        (Plain, "depth=3&a=b", "thing 'x' takes no options, got 'depth=3&a=b'; remove them"),
     ],
 )
 def test_what_was_expected_and_what_came(kind, query, message):

@@ -45,7 +45,7 @@ def test_computed_once_and_equal_ever_after(directory):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no numbers of users here")
-@pytest.mark.filterwarnings("ignore:.*can have been written by another user")
+@pytest.mark.filterwarnings("ignore:.*may have been written by another user")
 def test_what_another_user_can_have_written_is_computed_again(directory):
     compute = Counted()
     cached_arrays("key", compute)

@@ -58,8 +58,8 @@ class ReconstructionConfig:
         if not self.motion.min_clearance > overlooked:
             raise InputError(
                 f"motion.min_clearance must be above {overlooked:.3g} m, {SAMPLING_DIP:.2f} of volume.voxel_size, got "
-                f"{self.motion.min_clearance}: the clearance may drop this much between the samples of a path, and no path would be "
-                "blocked; raise min_clearance or use smaller voxels"
+                f"{self.motion.min_clearance}: the clearance may drop this much between the samples of a path, and no "
+                "path would be blocked; raise min_clearance or use smaller voxels"
             )
         object.__setattr__(self, "gains", column_names(self.gains))
         make_stages(self.views.stages, self.views.max_candidates)
@@ -152,7 +152,7 @@ def configure(preset: Preset = "default", overrides: Mapping[str, Any] | None = 
     """
     overridden = PRESETS[known_preset(preset)]
     if overrides is not None and not isinstance(overrides, Mapping):
-        raise InputError(f"configuration overrides must be a dictionary with field names as keys, got {shown(overrides)}")
+        raise InputError(f"overrides must be a dictionary with field names as keys, got {shown(overrides)}")
     try:
         changes = _nested(overrides or {})
         config = replaced(ReconstructionConfig(mapper=_recipe(changes.get("mapper"))), overridden)
@@ -216,7 +216,7 @@ def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
         for part in path:
             target = target.setdefault(part, {})
             if not isinstance(target, dict):
-                raise InputError(f"{shown(key)} sets a field of {part}, which is also set as a whole; give only one of the two")
+                raise InputError(f"{shown(key)} sets a field of {part}, which is also set as a whole; give one of them")
         target[last] = _merged(target.get(last), value)
     return result
 

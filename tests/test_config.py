@@ -98,7 +98,7 @@ def test_a_recorded_configuration_makes_the_same_one_again(name: str) -> None:
         ("fast", {"mapper.trackin": 3}, "unknown field of MapperConfig 'trackin'; did you mean 'tracking'"),
         ("fast", {"sensor": 3}, "sensor must be a group of fields, got 3"),
         ("fast", {"motion": None}, "motion must be a group of fields, got None"),
-        ("fast", {"frame_budget": 1, "frame_budget.x.y": 1}, "sets a field of frame_budget, which is also set as a whole"),
+        ("fast", {"frame_budget": 1, "frame_budget.x.y": 1}, "sets a field of frame_budget, which is also set"),
         ("fast", {"sensor": 3, "sensor.width": 96}, "sets a field of sensor, which is also set as a whole"),
         ("fast", {"gains": "pixel"}, "gains must be a list, got 'pixel'"),
     ],

@@ -43,7 +43,7 @@ def test_an_own_file_is_opened(kept):
 @pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
 def test_a_file_that_others_can_write_is_refused_and_that_is_said_once(kept, mode):
     kept.chmod(mode)
-    with pytest.warns(InputWarning, match="may have been written by another user: it and similar files are not used") as said:
+    with pytest.warns(InputWarning, match="another user: it and similar files are not used") as said:
         for _ in range(2):
             with pytest.raises(PermissionError):
                 open_own(kept, code_of(kept))

@@ -16,7 +16,7 @@ from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.directory_lock import hold
 from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.running.api import Silence
+from activestructure_gym.evaluation.running.api import NullListener
 from activestructure_gym.evaluation.running.comparison import Result, run_comparison
 from activestructure_gym.evaluation.running.engines import ENGINES, Engine, Limits, Outcome
 from activestructure_gym.evaluation.running.sharding import Shard
@@ -49,7 +49,7 @@ def test_two_shards_play_every_job_once_and_a_resumed_comparison_what_failed(tmp
     results: dict[int, Result] = {}
 
     def play(number: int) -> None:
-        results[number] = run_comparison(JOBS, tmp_path, Silence(), engine="counted", shard=Shard(number, 2))
+        results[number] = run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(number, 2))
 
     threads = [threading.Thread(target=play, args=(number,)) for number in (1, 2)]
     for thread in threads:
@@ -60,14 +60,14 @@ def test_two_shards_play_every_job_once_and_a_resumed_comparison_what_failed(tmp
     assert not results[1].failed and [one.job.seed for one in results[2].failed] == [3]
     record = json.loads((tmp_path / store.COMPARISON).read_bytes())
     assert set(record["jobs"]) == {job.name for job in JOBS}
-    result = run_comparison(JOBS, tmp_path, Silence(), engine="counted", resume=True)
+    result = run_comparison(JOBS, tmp_path, NullListener(), engine="counted", resume=True)
     assert ran[3] == 2 and ran.total() == 6
     assert [run.job.seed for run in result.runs] == [0, 1, 2, 3, 4] and result.skipped == 4
 
 
 def test_what_other_shards_have_noted_stays_in_the_record(tmp_path: Path, ran: Counter[int]) -> None:
-    run_comparison(JOBS, tmp_path, Silence(), engine="counted", shard=Shard(2, 2))
-    run_comparison(JOBS, tmp_path, Silence(), engine="counted", shard=Shard(1, 2))
+    run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(2, 2))
+    run_comparison(JOBS, tmp_path, NullListener(), engine="counted", shard=Shard(1, 2))
     assert set(json.loads((tmp_path / store.COMPARISON).read_bytes())["failed"]) == {JOBS[3].title}
 
 

@@ -28,7 +28,6 @@ PACKAGES = (
     "stable-baselines3",
     "pyrender",
     "safetensors",
-    "matplotlib",
     "pillow",
     "rich",
     "tyro",

@@ -25,11 +25,10 @@ _TITLE, _LABELS = 30, 22  # pixels above the tiles
 
 @functools.cache
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """DejaVu Sans, which matplotlib brings along; Pillow's own font where it is missing."""
-    spec = importlib.util.find_spec("matplotlib")
+    """Return Open Sans from pyrender's files; Pillow's own font where it is missing."""
+    spec = importlib.util.find_spec("pyrender")
     if spec is not None and spec.origin:
-        name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-        path = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf" / name
+        path = Path(spec.origin).parent / "fonts" / f"OpenSans-{'Bold' if bold else 'Regular'}.ttf"
         if path.is_file():
             return ImageFont.truetype(str(path), size)
     return ImageFont.load_default(size)

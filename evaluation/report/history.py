@@ -11,8 +11,6 @@ from markupsafe import Markup
 from activestructure_gym.evaluation.report.charts import tick_text, ticks
 from activestructure_gym.evaluation.report.drawing import Group, Part, drawing, path, shape, stroke, words
 from activestructure_gym.evaluation.report.phases import (
-    DISCOVERY,
-    FACTORS,
     Steps,
     bands,
     chosen_terms,
@@ -23,6 +21,8 @@ from activestructure_gym.evaluation.report.phases import (
 _WIDTH, _LEFT, _RIGHT = 640, 52, 10
 _HEAD, _FOOT = 24, 34  # above every panel its title and legend, below the last one its axis
 _LETTER, _SWATCH = 7.3, 26  # widths of a letter and of a legend's line with the space around it
+DISCOVERY = ("pixel", "hole_area", "unknown_volume", "unseen")  # the gain that stands for IG_px
+FACTORS = ("travel", "discount", "suppressed")  # in 0..1
 # Classes of colours of terms, those of the curves of policies; a policy's other numbers take turns.
 _HUES = dict.fromkeys(DISCOVERY, "p5")
 _HUES |= {"structure": "p0", "deficiency": "p1", "visibility floor": "p6", "total": "rest"}

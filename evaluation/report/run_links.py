@@ -15,7 +15,6 @@ _FILES = {
     "plan": "plan.png",
     "planes": "psg_plan.png",
     "planes in 3D": "psg_3d.png",
-    "timeline": "phases.png",
 }
 
 

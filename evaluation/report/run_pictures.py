@@ -6,13 +6,12 @@ from pathlib import Path
 
 from activestructure_gym.evaluation.archive.store import open_run
 from activestructure_gym.evaluation.report.canvas import save_with_panels
-from activestructure_gym.evaluation.report.phases import plot_phases
 from activestructure_gym.evaluation.report.pictures import run_plan, run_views
 from activestructure_gym.evaluation.report.planes_pictures import run_planes_3d, run_planes_plan
 
 
 def draw_run(directory: Path) -> None:
-    """Draw views, plan, Plane Scene Graph and timeline of the run in ``directory``, whose data are whole."""
+    """Draw views, plan and Plane Scene Graph of the run in ``directory``, whose data are whole."""
     run = open_run(directory)
     title = run.job.title
     run_views(run.pictures, title=title).save(directory / "views.png")
@@ -22,4 +21,3 @@ def draw_run(directory: Path) -> None:
         save_with_panels(plan, directory / "psg_plan.png", plan_panels)
         in_3d, panels_3d = run_planes_3d(run.graph, title=title)
         save_with_panels(in_3d, directory / "psg_3d.png", panels_3d)
-    plot_phases([("", run.steps)], directory / "phases.png", title=title)

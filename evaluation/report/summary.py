@@ -197,8 +197,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
             "",
             "Every run's directory holds its configuration, numbers, decisions, path, Plane Scene Graph and map "
             "(`map.ply` opens in any Gaussian splat viewer), and its own pictures: `views.png`, `plan.png`, "
-            "`psg_plan.png`, `psg_3d.png` and `phases.png`, the last with quality, holes and the terms of every "
-            "choice. `results.csv` has one line per run.",
+            "`psg_plan.png` and `psg_3d.png`. `results.csv` has one line per run.",
             "",
         ]
     )

@@ -35,7 +35,7 @@ COMPARED = (store.CONFIG, store.METRICS, store.STEPS, store.TRAJECTORY, store.GR
 _CLOSE, _CLOSE_TO_0 = 5e-3, 1e-2  # relative, absolute
 _MOST = 5  # numbers that are named, the leading ones first
 _LEADING = ("tsdf_completion_ratio", "completion_ratio", "observed_area", "psnr")
-_SHOWING = ("rich", "tyro", "pillow", "matplotlib")  # packages that make no number
+_SHOWING = ("rich", "tyro", "pillow")  # packages that make no number
 
 Verdict = Literal["identical", "not comparable here", "differs", "damaged"]
 REFUTED: tuple[Verdict, ...] = ("differs", "damaged")

@@ -108,7 +108,7 @@ def test_the_graph_is_kept_and_drawn(runs):
         assert len(graph["ids"]) == run.steps[-1]["planes"] == last["structural"] + last["objects"]
         assert last["deficit"] == pytest.approx(graph["deficit"].mean())
         assert last["deficiency_area"] == pytest.approx(graph["deficiency_areas"].sum())
-        assert {"psg_plan.png", "psg_3d.png", "phases.png"} <= {path.name for path in run.directory.iterdir()}
+        assert {"psg_plan.png", "psg_3d.png"} <= {path.name for path in run.directory.iterdir()}
 
 
 def test_the_map_can_be_read_without_us(runs):

@@ -1,8 +1,13 @@
-"""Rigid motions, the pinhole camera and directions on the sphere.
+"""Provide rigid motions, the pinhole camera and directions on the sphere.
 
-Conventions, once for the whole project: the world is right-handed, z up, metres; cameras have OpenCV axes (x right,
-y down, z forward); ``world_from_camera`` is the 4x4 that maps camera points to world points; the centre of pixel
-(column u, row v) is (u + 0.5, v + 0.5); depth is metres along the optical axis, 0 = no return; quaternions are wxyz.
+Conventions of the whole project:
+
+- World frame: right-handed, z up, metres.
+- Camera frame: OpenCV axes (x right, y down, z forward).
+- ``world_from_camera``: 4x4 transform from camera to world points.
+- Pixel (column u, row v): its centre is (u + 0.5, v + 0.5).
+- Depth: metres along the optical axis, 0 = no return.
+- Quaternions: wxyz.
 """
 
 from activestructure_gym.geometry.camera import PinholeCamera

@@ -1,4 +1,4 @@
-"""The pinhole camera."""
+"""Model the pinhole camera."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Lens(NamedTuple):
-    """Focal lengths and principal point in pixels, for kernels."""
+    """Hold focal lengths and principal point in pixels, for kernels."""
 
     fx: float
     fy: float
@@ -19,12 +19,12 @@ class Lens(NamedTuple):
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5).
+    """Hold the intrinsics in pixels. Pixel (u, v) covers [u, u+1) x [v, v+1); its centre is (u + 0.5, v + 0.5).
 
     Parameters
     ----------
     width, height
-        Pixels.
+        Image size in pixels.
     fx, fy
         Focal lengths in pixels.
     cx, cy
@@ -52,29 +52,35 @@ class PinholeCamera:
 
     @classmethod
     def from_size(cls, width: int, height: int, horizontal_fov_deg: float = 90.0) -> PinholeCamera:
-        """Square pixels, principal point in the middle; 90 deg makes f = width / 2 (the paper's 60 x 90 deg)."""
+        """Return a camera with square pixels and a central principal point.
+
+        The default field of view gives f = width / 2 (the paper's 60 x 90 deg).
+        """
         if not 0.0 < horizontal_fov_deg < 180.0:
             raise ValueError(f"horizontal_fov_deg must lie in (0, 180), got {horizontal_fov_deg}")
         focal = 0.5 * width / np.tan(np.radians(horizontal_fov_deg) / 2.0)
         return cls(width, height, float(focal), float(focal), width / 2.0, height / 2.0)
 
     def resized(self, width: int, height: int) -> PinholeCamera:
-        """The same field of view with another number of pixels."""
+        """Return a camera of the same field of view with ``width`` x ``height`` pixels."""
         sx, sy = width / self.width, height / self.height
         return PinholeCamera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
 
     @property
     def lens(self) -> Lens:
-        """The intrinsics without the image's size."""
+        """Return the intrinsics without the image size."""
         return Lens(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def matrix(self) -> np.ndarray:  # [3, 3]
-        """K."""
+        """Return the intrinsic matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def rays(self, supersample: int = 1) -> np.ndarray:  # [H * s, W * s, 3] float32
-        """Camera-frame directions through the (sub)pixel centres with z = 1, so that a ray parameter is a depth."""
+        """Return camera-frame ray directions through the (sub)pixel centres.
+
+        The directions have z = 1, so a ray parameter is a depth.
+        """
         u = (np.arange(self.width * supersample) + 0.5) / supersample
         v = (np.arange(self.height * supersample) + 0.5) / supersample
         rays = np.empty((len(v), len(u), 3), dtype=np.float32)
@@ -84,10 +90,10 @@ class PinholeCamera:
         return rays
 
     def backproject(self, depth: np.ndarray) -> np.ndarray:  # depth [H, W] -> [H, W, 3] camera frame
-        """The camera-frame point of every pixel (the origin where depth is 0)."""
+        """Return the camera-frame point of each pixel in metres (the origin where depth is 0)."""
         return self.rays() * depth[..., None]
 
     def project(self, points: np.ndarray) -> np.ndarray:  # [..., 3] camera frame -> [..., 2] pixels
-        """Image position; the caller keeps points with z > 0 only."""
+        """Project points to the image; the caller must pass points with z > 0."""
         z = points[..., 2]
         return np.stack([self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1)

@@ -1,4 +1,4 @@
-"""Points in space along a curve that keeps neighbours together."""
+"""Order points in space along a Morton curve, so that neighbours stay close."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _BITS = 16  # per axis
 
 
 def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
-    """The order of points [N, 3] along a Morton curve through their bounding box (values must be finite)."""
+    """Return the indices that sort finite points [N, 3] along a Morton curve through their bounding box."""
     if not len(points):
         return np.zeros(0, np.int64)
     low = points.min(axis=0)
@@ -21,7 +21,7 @@ def curve_order(points: np.ndarray) -> np.ndarray:  # [N] indices
 
 
 def _spread(value: np.ndarray) -> np.ndarray:
-    """The lowest 16 bits of every number, moved to every third bit."""
+    """Spread the lowest 16 bits of each number to every third bit."""
     for shift, mask in ((16, 0x0000FF0000FF), (8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)):
         value = (value | (value << np.uint64(shift))) & np.uint64(mask)
     return value

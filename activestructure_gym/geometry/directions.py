@@ -1,4 +1,4 @@
-"""Directions spread over the sphere."""
+"""Spread directions over the sphere."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 
 def fibonacci_directions(count: int) -> np.ndarray:  # [count, 3] unit
-    """The Fibonacci lattice on the sphere: near-uniform, the same for every call (paper, Sec. 3.4).
+    """Return near-uniform unit directions on the sphere: the Fibonacci lattice (paper, Sec. 3.4).
 
-    Source of the exact form: ActiveGAMER (z = 1 - (2i + 1) / K, azimuth 2 pi i / golden ratio).
+    Exact form of ActiveGAMER: z = 1 - (2i + 1) / K, azimuth 2 pi i / golden ratio. Deterministic.
     """
     if count < 1:
         raise ValueError(f"count must be at least 1, got {count}")

@@ -1,15 +1,21 @@
-"""Rigid motions as 4x4 float64 matrices. For interpolation and conversions use `scipy.spatial.transform.Rotation`."""
+"""Compute with rigid motions as 4x4 float64 matrices.
+
+For interpolation and conversions use `scipy.spatial.transform.Rotation`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-_ROUNDED = 1e-6  # by which a rotation's axes may fail to be orthonormal before it counts as written with few digits
+_ROUNDED = 1e-6  # largest deviation from orthonormality of a rotation that is not considered rounded
 
 
 def invert_rigid(transform: np.ndarray) -> np.ndarray:
-    """Inverse of rigid motions ``[..., 4, 4]`` (transposes the rotation: exact where a general inverse is not)."""
+    """Return the inverse of rigid motions ``[..., 4, 4]``.
+
+    It transposes the rotation, which is exact.
+    """
     transform = np.asarray(transform, dtype=np.float64)
     rotation = np.swapaxes(transform[..., :3, :3], -1, -2)
     inverse = np.zeros_like(transform)
@@ -23,14 +29,14 @@ def transform_points(
     transform: np.ndarray,  # [4, 4]
     points: np.ndarray,  # [..., 3]
 ) -> np.ndarray:  # [..., 3]
-    """``R p + t`` for every point."""
+    """Return ``R p + t`` for each point."""
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
 def unrounded(poses: np.ndarray) -> np.ndarray:
-    """Poses ``[..., 4, 4]`` as they are, with the nearest rotation where theirs was written with few digits.
+    """Return poses ``[..., 4, 4]`` with rounded rotations replaced by the nearest orthonormal ones.
 
-    Nearly rigid motions are expected; their last rows become (0, 0, 0, 1).
+    The input must be nearly rigid; the last rows become (0, 0, 0, 1). Other rotations are unchanged.
     """
     poses = np.array(poses, dtype=np.float64)
     rotations = poses[..., :3, :3]
@@ -45,9 +51,9 @@ def look_along(
     position: np.ndarray,  # [3] world
     direction: np.ndarray,  # [3] world, any length > 0
 ) -> np.ndarray:  # [4, 4] world_from_camera
-    """Camera at ``position`` whose optical axis is ``direction``, without roll (image up = world up).
+    """Return the pose of a camera at ``position`` that looks along ``direction`` without roll (image up = world up).
 
-    Looking straight up or down leaves the roll free; then the image's right is world +x.
+    For a vertical direction, where roll is undefined, the image's right is world +x.
     """
     forward = np.asarray(direction, dtype=np.float64)
     length = np.linalg.norm(forward)
@@ -65,14 +71,14 @@ def look_along(
 
 
 def rotation_angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angle in radians between the rotations of two (stacks of) transforms ``[..., 4, 4]``."""
-    # From the Frobenius distance: accurate near 0 where arccos(trace) is not.
+    """Return the angle in radians between the rotations of two (stacks of) transforms ``[..., 4, 4]``."""
+    # The Frobenius distance is accurate near 0, where arccos(trace) is not.
     difference = np.linalg.norm(first[..., :3, :3] - second[..., :3, :3], axis=(-2, -1))
     return 2.0 * np.arcsin(np.clip(difference / np.sqrt(8.0), 0.0, 1.0))
 
 
 def se3_exp(tangent: np.ndarray) -> np.ndarray:
-    """Exponential map of ``[rho, theta]`` (6,), metres and radians, to a 4x4 transform."""
+    """Return the 4x4 transform exp([rho, theta]) of a tangent vector [6] in metres and radians."""
     rho, theta = np.asarray(tangent[:3], dtype=np.float64), np.asarray(tangent[3:], dtype=np.float64)
     angle = np.linalg.norm(theta)
     hat = np.array([[0, -theta[2], theta[1]], [theta[2], 0, -theta[0]], [-theta[1], theta[0], 0]])

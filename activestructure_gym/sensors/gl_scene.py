@@ -1,13 +1,13 @@
-"""A scene on the graphics card, drawn by pyrender through EGL.
+"""Draw a scene on the graphics card with pyrender through EGL.
 
-Import this module only through `pyrender_backend`, which prepares the import of pyrender. Some things of pyrender
-0.1.45 are repaired here, in subclasses, so that other users of pyrender in the process keep what they have:
+Import this module only through `pyrender_backend`, which prepares the import of pyrender. Subclasses fix faults of
+pyrender 0.1.45, so that other users of pyrender in the process are not affected:
 
-* Its frame buffer has 4 samples per pixel and takes the depth of the first one, which lies beside the pixel's
-  centre by an amount that depends on the driver. Ours has one sample, at the centre.
-* Deleting one context closes the connection to the display, and with it every other context. Ours stays open.
-* It leaves the context bound to the thread that drew last; ours is released, so that any thread may draw next.
-* It uploads textures whose rows are not a multiple of 4 bytes askew; ours are uploaded without padding.
+* Its frame buffer has 4 samples per pixel and takes the depth of the first one, which lies off the pixel's centre by a
+driver-dependent amount. This one has one sample, at the centre.
+* Deleting one context closes the connection to the display, and with it every other context. Here it stays open.
+* It leaves the context bound to the thread that drew last. Here it is released, so that any thread may draw next.
+* It shears textures whose rows are not a multiple of 4 bytes. Here they are uploaded without padding.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.scenes.scene import CLAMP, MIRROR, REPEAT, Scene, SceneMesh
 
 if not hasattr(np, "infty"):
-    # pyrender.Mesh.bounds needs the alias numpy 2 has dropped; give it to that module alone.
+    # pyrender.Mesh.bounds uses the alias np.infty, which numpy 2 removed; define it for that module only.
     pyrender.mesh.np = types.SimpleNamespace(**vars(np), infty=np.inf)
 
-# Nearer surfaces are not drawn. With 24 bits of depth this leaves steps of 3e-5 m at 5 m.
+# Near clipping plane, metres. With 24-bit depth the depth steps are 3e-5 m at 5 m.
 _NEAR = 0.05
 _WRAPS = {REPEAT: GLTF.REPEAT, CLAMP: GLTF.CLAMP_TO_EDGE, MIRROR: GLTF.MIRRORED_REPEAT}
 # OpenGL cameras look along -z with y up.
@@ -54,7 +54,7 @@ class _Platform(EGLPlatform):
 
 
 class _Renderer(pyrender.Renderer):
-    """pyrender's renderer with a frame buffer of one sample per pixel."""
+    """Render with a frame buffer of one sample per pixel."""
 
     want_color = True
     _main_fb_dims: Any
@@ -89,7 +89,7 @@ class _Renderer(pyrender.Renderer):
         stored = GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT)
         stored = np.frombuffer(stored, np.float32).reshape(height, width)[::-1]
         near, far = scene.main_camera_node.camera.znear, scene.main_camera_node.camera.zfar
-        # Inverse of the perspective depth map, in float64: the stored value has 24 bits, all of them needed.
+        # Inverse of the perspective depth mapping, in float64: the stored value has 24 significant bits.
         depth = near * far / (far - stored.astype(np.float64) * (far - near))
         depth = np.where(stored < 1.0, depth, 0.0).astype(np.float32)
         if not self.want_color:
@@ -99,12 +99,12 @@ class _Renderer(pyrender.Renderer):
 
 
 class _LinearColorPrograms(ShaderProgramCache):
-    """pyrender's shaders, with vertex colours that become display-referred after they are interpolated."""
+    """Provide pyrender's shaders with vertex colours converted to display-referred after interpolation."""
 
     def get_program(
         self, vertex_shader: str, fragment_shader: str, geometry_shader: str | None = None, defines: Any = None
     ) -> Any:
-        # pyrender replaces what is defined wherever it stands in the text of a shader.
+        # pyrender replaces a defined text wherever it occurs in a shader.
         defines = {**(defines or {}), "base_color *= color_multiplier;": _DISPLAYED}
         return super().get_program(vertex_shader, fragment_shader, geometry_shader, defines)
 
@@ -116,7 +116,7 @@ _DISPLAYED = (
 
 
 def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
-    """One primitive per texture (and one for the faces without), holding the vertices it uses."""
+    """Return one primitive per texture (and one for untextured faces), with the vertices it uses."""
     primitives = []
     for texture in np.unique(mesh.face_texture):
         used, faces = np.unique(mesh.faces[mesh.face_texture == texture], return_inverse=True)
@@ -124,7 +124,7 @@ def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
         uv = None
         if texture >= 0:
             across, down = mesh.texture_wrap[texture] if mesh.texture_wrap else (REPEAT, REPEAT)
-            # Bilinear without mip maps, as the ray caster does; pyrender counts v from the bottom row.
+            # Bilinear without mip maps, as in the ray caster; pyrender counts v from the bottom row.
             material.baseColorTexture = pyrender.Texture(
                 source=mesh.textures[texture],
                 source_channels="RGB",
@@ -146,7 +146,7 @@ def _primitives(mesh: SceneMesh) -> list[pyrender.Primitive]:
 
 
 def _release(platform: _Platform, renderer: _Renderer, process: int) -> None:
-    """Free a context, unless this is a forked copy of the process that made it."""
+    """Free a context, unless this is a forked copy of the process that created it."""
     if process != os.getpid():
         return
     platform.make_current()
@@ -155,7 +155,7 @@ def _release(platform: _Platform, renderer: _Renderer, process: int) -> None:
 
 
 class GLScene:
-    """Geometry, textures and shaders of one scene in an OpenGL context of its own; one drawing at a time."""
+    """Hold geometry, textures and shaders of one scene in its own OpenGL context; draw one image at a time."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -169,9 +169,9 @@ class GLScene:
         platform = _Platform(1, 1, device=get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0"))))
         platform.init_context()
         platform.make_current()
-        if not GL.glDepthRange:  # PyOpenGL found only a part of GL, e.g. libOpenGL without libGL
+        if not GL.glDepthRange:  # PyOpenGL found only part of GL, for example libOpenGL without libGL
             raise RuntimeError("libGL is missing or incomplete")
-        # Rows of pixels follow each other without padding; pyrender shears textures of odd width without this.
+        # Pixel rows are not padded; otherwise pyrender shears textures of odd width.
         GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
         GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
         self._platform, self._renderer = platform, _Renderer(1, 1)
@@ -183,7 +183,10 @@ class GLScene:
     def draw(
         self, camera: PinholeCamera, world_from_camera: np.ndarray, *, color: bool = True
     ) -> tuple[np.ndarray | None, np.ndarray]:
-        """RGB [H, W, 3] uint8 (None unless ``color``) and depth [H, W] float32, one sample at each pixel's centre."""
+        """Return RGB [H, W, 3] uint8 (None unless ``color``) and depth [H, W] float32 in metres.
+
+        Both take one sample at each pixel's centre.
+        """
         with self._lock:
             reach = np.linalg.norm(self._corners - world_from_camera[:3, 3], axis=1).max()
             self._camera.fx, self._camera.fy = camera.fx, camera.fy

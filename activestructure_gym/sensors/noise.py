@@ -1,7 +1,7 @@
-"""Noise of depth cameras and of pose trackers. Off by default: the paper has perfect depth and poses.
+"""Simulate noise of depth cameras and pose trackers. Off by default: the paper uses perfect depth and poses.
 
-Lateral effects are stated by their sources in pixels of a 640-wide depth camera; here they keep their angle, so a
-small image is not blurred by pixels it does not have.
+The sources state lateral effects in pixels of a 640-wide depth camera. They are converted to the same angle here, so
+small images are not blurred more than large ones.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from activestructure_gym.geometry.depth_noise import axial_sigma
 DepthNoise = Literal["none", "kinect", "redwood"]
 DEPTH_NOISE: tuple[DepthNoise, ...] = get_args(DepthNoise)
 
-_SOURCE_FOCAL = 525.0  # px; the 640-wide camera both models were measured with
-_DISPARITY_METRES = 35.130  # focal length times baseline in px m (Redwood); one disparity step is 1/8 px
+_SOURCE_FOCAL = 525.0  # px; both models were measured with this 640-wide camera
+_DISPARITY_METRES = 35.130  # focal length times baseline, px m (Redwood); a disparity step is 1/8 px
 _DISPARITY_STEP = 1.0 / 8.0
 _DISPARITY_SIGMA = 0.027778  # px (Redwood)
-_REDWOOD_RANGE = 10.0  # m, beyond it the Redwood model returns nothing
-# Nguyen's terms grow without bound towards grazing incidence and were fitted up to 60 deg: hold them from here on.
+_REDWOOD_RANGE = 10.0  # m; the Redwood model returns nothing beyond
+# Nguyen's terms diverge towards grazing incidence and were fitted up to 60 deg; they are clamped at this angle.
 _MAX_INCIDENCE = np.radians(80.0)
-_DROPOUT_JUMP = 0.05  # neighbours whose depths differ by more than this share are two surfaces
+_DROPOUT_JUMP = 0.05  # neighbouring pixels whose depths differ by more than this fraction lie on two surfaces
 _DROPOUT_RADIUS = 2.0  # px of the source camera
 _DROPOUT_INCIDENCE = np.radians(75.0)
-# Of the pixels at risk this share is lost: 1 to 9 % of an image in the four scenes it was tried on. Real frames miss
-# 7 to 12 %, but also on dark and shiny surfaces, which are not modelled.
+# Fraction of the pixels at risk that is lost: 1 to 9 % of an image in the four test scenes. Real frames lose 7 to 12 %,
+# including dark and shiny surfaces, which are not modelled.
 _DROPOUT_SHARE = 0.5
 
 
 def _slope(values: np.ndarray, valid: np.ndarray, axis: int) -> np.ndarray:
-    """Difference to the neighbour along ``axis``, to the side where it is smaller (the same surface at an edge)."""
+    """Return the difference to the neighbour along ``axis`` on the side where it is smaller (same surface at edges)."""
     values, valid = np.moveaxis(values, axis, 0), np.moveaxis(valid, axis, 0)
     step = np.full((len(values) + 1, *values.shape[1:]), np.inf)
     step[1:-1] = np.where(valid[1:] & valid[:-1], values[1:] - values[:-1], np.inf)
@@ -42,7 +42,7 @@ def _slope(values: np.ndarray, valid: np.ndarray, axis: int) -> np.ndarray:
 
 
 def incidence_angles(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:  # [H, W] -> [H, W]
-    """Angle in radians between each pixel's ray and the surface's normal; 0 where there is no return.
+    """Return the angle in radians between each pixel's ray and the surface normal; 0 where there is no return.
 
     On a plane n . p = d the inverse depth n . ray / d is linear in the pixel, so its slopes give n exactly.
     """
@@ -57,7 +57,7 @@ def incidence_angles(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:  #
 
 
 def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
-    """Standard deviation in metres of the axial error of a Kinect v1 ([nguyen2012]).
+    """Return the standard deviation in metres of the axial error of a Kinect v1 ([nguyen2012]).
 
     0.0012 + 0.0019 (z - 0.4)^2 + 0.0001 / sqrt(z) * theta^2 / (pi / 2 - theta)^2
     """
@@ -67,7 +67,7 @@ def kinect_sigma(depth: np.ndarray, incidence: np.ndarray) -> np.ndarray:
 
 
 def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:
-    """Depth in metres of disparities rounded to ``step`` px; 0 where nothing is left of the disparity."""
+    """Return the depth in metres of disparities rounded to ``step`` px; 0 where the disparity rounds to 0."""
     disparity = np.round(disparity / step) * step
     return np.where(disparity > 1e-5, _DISPARITY_METRES / np.maximum(disparity, 1e-5), 0.0)
 
@@ -75,7 +75,7 @@ def _quantised(disparity: np.ndarray, step: float) -> np.ndarray:
 def _jittered(
     shape: tuple[int, ...], sigma: np.ndarray | float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:  # [H, W] rows, [H, W] columns
-    """For each pixel a place ``sigma`` pixels off, rounded to the nearest pixel."""
+    """Return for each pixel a Gaussian-displaced position (``sigma`` px), rounded and clamped to the image."""
     height, width = shape
     off = np.rint(rng.standard_normal((2, height, width)) * sigma).astype(int)
     rows = np.clip(np.arange(height)[:, None] + off[0], 0, height - 1)
@@ -113,12 +113,12 @@ def noisy_depth(
     model: DepthNoise,
     multiplier: float = 1.0,
 ) -> np.ndarray:  # [H, W] float32
-    """Depth as a camera of the given model would report it. ``multiplier`` scales every error; 0 changes nothing.
+    """Return depth as a camera of the given model reports it. ``multiplier`` scales every error; 0 changes nothing.
 
-    ``kinect``: axial noise of `kinect_sigma`, lateral noise of 0.8 px and more, disparity in steps of 1/8 px.
-    ``redwood``: the simulation of [choi2015] without its table of lens distortion: disparity
-    35.13 / z + N(0, 0.0278) px in steps of 1/8 px, lateral noise of 0.25 px, one value per 2 x 2 px, 10 m of range.
-    The source's own multiplier leaves the step as it is.
+    ``kinect``: axial noise of `kinect_sigma`, lateral noise of at least 0.8 px, disparity in steps of 1/8 px.
+    ``redwood``: the simulation of [choi2015] without its lens distortion table. Its disparity is 35.13 / z + N(0,
+    0.0278) px in steps of 1/8 px. Lateral noise is 0.25 px, resolution one value per 2 x 2 px, range 10 m. Unlike here,
+    the source's own multiplier does not scale the disparity step.
     """
     if model not in DEPTH_NOISE:
         raise ValueError(f"model must be one of {', '.join(DEPTH_NOISE)}, got {model!r}")
@@ -130,24 +130,28 @@ def noisy_depth(
 
 def drop_edges(
     measured: np.ndarray,  # [H, W] float32 metres, 0 = no return
-    depth: np.ndarray,  # [H, W] the same without noise, whose steps would pass for edges and slants
+    depth: np.ndarray,  # [H, W] noise-free depth; noise would be mistaken for edges and slants
     camera: PinholeCamera,
     rng: np.random.Generator,
 ) -> np.ndarray:  # [H, W] float32
-    """Measured depth with holes (0) where structured light finds none: beside edges and on surfaces seen at a slant.
+    """Return measured depth with holes (0) where structured light fails: near depth edges and on slanted surfaces.
 
-    At risk are pixels within 2 px (of a 640-wide camera, at least 1) of a jump of more than 5 % in depth and pixels
-    whose surface is met at more than 75 deg; half of them, chosen at random, are lost.
+    Two kinds of pixels are at risk:
+
+    - within 2 px (of a 640-wide camera, at least 1) of a depth jump of more than 5 %;
+    - on surfaces with more than 75 deg incidence.
+
+    Half of them, drawn at random, are lost.
     """
     import cv2
 
     jump = np.zeros(depth.shape, bool)
-    for values, marks in ((depth, jump), (depth.T, jump.T)):  # marks is a view: both directions end up in jump
+    for values, marks in ((depth, jump), (depth.T, jump.T)):  # marks is a view: both directions are written to jump
         first, second = values[1:], values[:-1]
         edge = np.abs(first - second) > _DROPOUT_JUMP * np.minimum(first, second)
         marks[1:] |= edge
         marks[:-1] |= edge
-    # The pixels of a jump are themselves the first ring around it.
+    # The two pixels of a jump are already the first ring around it.
     radius = max(1, round(_DROPOUT_RADIUS * camera.fx / _SOURCE_FOCAL)) - 1
     if radius:
         jump = cv2.dilate(jump.astype(np.uint8), np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0
@@ -163,7 +167,7 @@ def noisy_pose(
     sigma_m: float,  # standard deviation of the translation, metres per axis
     sigma_deg: float,  # standard deviation of the rotation vector, degrees per axis
 ) -> np.ndarray:  # [4, 4]
-    """The pose times exp of a Gaussian twist in the camera's frame: independent errors, no drift."""
+    """Return the pose times exp of a Gaussian twist in the camera frame: independent errors, no drift."""
     if sigma_m == 0 and sigma_deg == 0:
         return world_from_camera
     tangent = rng.standard_normal(6) * np.repeat([sigma_m, np.radians(sigma_deg)], 3)

@@ -1,4 +1,7 @@
-"""The second renderer: OpenGL through pyrender. Imported only when asked for; needs the system's EGL and GL."""
+"""Render with OpenGL through pyrender, the second renderer.
+
+It is imported only on request and needs the system's EGL and GL libraries.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ _REPAIR = (
     "the sensor backend 'raycast' needs no system library"
 )
 
-# One context per scene object and process, shared by all renderers that look at that scene.
+# One context per scene object and process, shared by all renderers of that scene.
 _contexts: weakref.WeakValueDictionary[int, GLScene] = weakref.WeakValueDictionary()
-# The process that first used OpenGL: in its forked children any use of OpenGL hangs for ever.
+# The process that first used OpenGL: any OpenGL call in its forked children hangs.
 _gl_process: int | None = None
 
 
 def _import_gl_scene() -> Any:
-    """The module that draws; raises `InputError` naming what is missing."""
+    """Import `gl_scene`; raise `InputError` naming what is missing."""
     platform = os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if platform != "egl":
         raise InputError(
@@ -38,14 +41,14 @@ def _import_gl_scene() -> Any:
         )
     first_time = "pyrender" not in sys.modules
     if first_time:
-        # pyrender's window would need pyglet and X libraries; nothing here opens one.
+        # pyrender's viewer needs pyglet and X libraries; it is never opened, so a stub replaces it.
         viewer = types.ModuleType("pyrender.viewer")
         viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
         sys.modules["pyrender.viewer"] = viewer
     try:
         from activestructure_gym.sensors import gl_scene
     except Exception as error:
-        # PyOpenGL fails with errors of many types.
+        # PyOpenGL raises many types of errors.
         if isinstance(error, ModuleNotFoundError) and error.name in ("pyrender", "OpenGL"):
             raise InputError("the sensor backend 'pyrender' needs the package: pip install pyrender") from error
         reason = next((part for part in error.args if isinstance(part, str)), type(error).__name__)
@@ -72,7 +75,7 @@ def _context_of(scene: Scene) -> GLScene:
         try:
             context = module.GLScene(scene)
         except Exception as error:
-            # EGL is there but cannot start: no driver, no device, no permission.
+            # EGL is installed but cannot start: no driver, no device, or no permission.
             raise InputError(
                 f"the sensor backend 'pyrender' could not start OpenGL from the system libraries EGL and GL "
                 f"({type(error).__name__}: {error}); {_REPAIR}"
@@ -82,17 +85,17 @@ def _context_of(scene: Scene) -> GLScene:
 
 
 class PyrenderRenderer:
-    """Rasterises with OpenGL; agrees with ray casting except at silhouettes.
+    """Rasterise with OpenGL; images agree with ray casting except at silhouettes.
 
-    Colour is drawn at ``supersample`` times the size and averaged. Depth is never averaged: an odd number of samples
-    has one at the pixel's centre, for an even one the view is drawn once more at its own size. Surfaces nearer than
-    0.05 m are not drawn. The context is made with the first picture, in whatever process that happens.
+    Colour is drawn at ``supersample`` times the size and averaged. Depth is never averaged. An odd number of samples
+    has one at the pixel's centre; for an even number the depth is drawn again at the image's own size. Surfaces nearer
+    than 0.05 m are not drawn. The context is created with the first image, in the process that draws it.
     """
 
     name = "pyrender"
 
     def __init__(self, scene: Scene) -> None:
-        _import_gl_scene()  # so that missing libraries are reported here and not with the first picture
+        _import_gl_scene()  # reports missing libraries here instead of with the first image
         self._scene = scene
         self._context: GLScene | None = None
 
@@ -102,7 +105,7 @@ class PyrenderRenderer:
     def render(
         self, camera: PinholeCamera, world_from_camera: np.ndarray, *, supersample: int = 2
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `Renderer.render`."""
+        """Render one view; see `Renderer.render`."""
         import cv2
 
         if supersample < 1:
@@ -123,12 +126,12 @@ class PyrenderRenderer:
         return cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA), depth
 
     def close(self) -> None:
-        """Let go of the OpenGL context; it is freed when the last renderer of the scene does so."""
+        """Release the OpenGL context; it is freed when the last renderer of the scene releases it."""
         self._context = None
 
 
 def probe() -> str:
-    """ "works" if a small picture comes out right in this process, otherwise the reason why not."""
+    """Return "works" if a small test image is drawn correctly in this process, otherwise the reason."""
     corners = np.array([[-9, -9, 1], [9, -9, 1], [0, 9, 1]], np.float32)
     mesh = SceneMesh(
         vertices=corners,

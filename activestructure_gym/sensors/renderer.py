@@ -1,4 +1,4 @@
-"""Renderers of the sensor's images: one protocol, chosen by name."""
+"""Define the renderer protocol and select a renderer by name."""
 
 from __future__ import annotations
 
@@ -19,30 +19,33 @@ RENDERERS: tuple[RendererName, ...] = get_args(RendererName)
 
 
 class Renderer(Protocol):
-    """Draws one scene; noise-free and without a range limit. Picklable: heavy parts are rebuilt where they arrive."""
+    """Draw one scene without noise and range limit.
+
+    Implementations can be pickled; heavy parts are rebuilt in the receiving process.
+    """
 
     name: str
 
     def render(
         self, camera: PinholeCamera, world_from_camera: np.ndarray, *, supersample: int = 2
     ) -> tuple[np.ndarray, np.ndarray]:
-        """One view from ``world_from_camera`` [4, 4].
+        """Render one view from ``world_from_camera`` [4, 4].
 
-        Returns ``rgb`` [H, W, 3] uint8, the mean of supersample x supersample colour samples per pixel (black where
-        there is no surface), and ``depth`` [H, W] float32 metres along the optical axis, taken at the pixel centre
-        and never averaged (0 where there is no surface).
+        Returns ``rgb`` [H, W, 3] uint8 and ``depth`` [H, W] float32. A pixel's colour is the mean of supersample x
+        supersample samples, black where there is no surface. Depth is in metres along the optical axis at the pixel
+        centre, never averaged, 0 where there is no surface.
         """
         ...
 
     def close(self) -> None:
-        """Give back what the renderer holds outside Python's memory; may be called twice."""
+        """Release resources outside Python's memory; may be called twice."""
         ...
 
 
 def make_renderer(name: RendererName, scene: Scene) -> Renderer:
-    """The renderer called ``name``; ``auto`` is ray casting where embreex is installed, else pyrender.
+    """Return the renderer called ``name``; ``auto`` is ray casting if embreex is installed, else pyrender.
 
-    Raises `InputError` for an unknown name, or saying what to install for one that cannot run here.
+    Raises `InputError` for an unknown name, or a missing package (with what to install).
     """
     if name not in RENDERERS:
         raise unknown_name("sensor backend", name, RENDERERS)
@@ -60,9 +63,9 @@ def make_renderer(name: RendererName, scene: Scene) -> Renderer:
 
 
 def renderer_status() -> dict[str, str]:
-    """Per renderer "works" or the reason why not.
+    """Return for each renderer "works" or the reason why it does not.
 
-    OpenGL is tried in a process of its own: a process that has used it must not fork any more.
+    OpenGL is tried in a separate process, since a process that has used it must not fork.
     """
     status = {"raycast": "works"}
     if importlib.util.find_spec("embreex") is None:

@@ -1,4 +1,4 @@
-"""The RGB-D camera an agent carries: a renderer, a noise model and a generator of its own."""
+"""Simulate the agent's RGB-D camera: a renderer, a noise model and its own random generator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from activestructure_gym.scenes.scene import Scene
 from activestructure_gym.sensors.noise import DEPTH_NOISE, DepthNoise, drop_edges, noisy_depth, noisy_pose
 from activestructure_gym.sensors.renderer import RENDERERS, Renderer, RendererName, make_renderer
 
-# Larger images are a typing mistake, not a sensor.
+# Rays per image. More is a typing mistake.
 _MOST_RAYS = 1 << 25
 _RANGES = {
     "width": "[1, 8192]",
@@ -30,17 +30,17 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """The camera and its errors. Wrong values raise `InputError`."""
+    """Configure the camera and its errors. Invalid values raise `InputError`."""
 
     width: int = 160  # pixels
     height: int = 90  # pixels
     horizontal_fov_deg: float = 90.0  # degrees; the paper's 60 x 90 deg
-    max_range: float = 10.0  # metres along the optical axis; farther returns are cut to 0
-    supersample: int = 2  # colour samples per pixel and axis; 1 caps PSNR at about 30 dB by aliasing alone
-    backend: RendererName = "auto"  # what draws the images
+    max_range: float = 10.0  # metres along the optical axis; farther returns become 0
+    supersample: int = 2  # colour samples per pixel and axis; with 1, aliasing alone limits PSNR to about 30 dB
+    backend: RendererName = "auto"  # renderer
     depth_noise: DepthNoise = "none"  # the paper has none
-    noise_multiplier: float = 1.0  # scales every error of the depth noise; 0 = none
-    edge_dropout: bool = False  # holes beside depth edges and on slanted surfaces
+    noise_multiplier: float = 1.0  # scales every depth error; 0 = none
+    edge_dropout: bool = False  # holes near depth edges and on slanted surfaces
     pose_noise_m: float = 0.0  # metres per axis, standard deviation of the reported position
     pose_noise_deg: float = 0.0  # degrees per axis, standard deviation of the reported rotation
 
@@ -66,11 +66,11 @@ class SensorConfig:
 
     @property
     def camera(self) -> PinholeCamera:
-        """The pinhole camera: square pixels, principal point in the middle."""
+        """Return the pinhole camera: square pixels, central principal point."""
         return PinholeCamera.from_size(self.width, self.height, self.horizontal_fov_deg)
 
 
-# What `numpy.allclose` would allow, which takes ten times as long.
+# Tolerances of `numpy.allclose`, which takes ten times as long.
 _ROTATION_ERROR = 1e-5 + 1e-5 * np.eye(3)
 _LAST_ROW_ERROR = 1e-8 + 1e-5 * np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -91,10 +91,10 @@ def _checked_pose(world_from_camera: np.ndarray) -> np.ndarray:
 
 
 class RGBDSensor:
-    """Takes frames of one scene. The images are those of the true pose; the frame carries the reported one.
+    """Capture frames of one scene. Images are taken at the true pose; the frame carries the reported pose.
 
-    ``rng`` drives all noise and belongs to this sensor alone: the same seed and the same sequence of poses give the
-    same frames. Pickling keeps the state of the noise and rebuilds the renderer.
+    ``rng`` drives all noise and must not be shared: the same seed and sequence of poses give the same frames. Pickling
+    keeps the state of the noise and rebuilds the renderer.
     """
 
     def __init__(self, scene: Scene, config: SensorConfig, rng: np.random.Generator) -> None:
@@ -105,29 +105,29 @@ class RGBDSensor:
 
     @property
     def backend(self) -> str:
-        """The renderer in use (what ``auto`` has become)."""
+        """Return the name of the renderer in use (``auto`` resolved)."""
         return self._renderer.name
 
     def capture(self, world_from_camera: np.ndarray) -> Frame:
-        """The frame seen from the true pose ``world_from_camera`` [4, 4]; ValueError unless it is a rigid motion."""
+        """Return the frame at the true pose ``world_from_camera`` [4, 4]; raise ValueError if it is not rigid."""
         pose, config = _checked_pose(world_from_camera), self.config
         rgb, true = self._renderer.render(self.camera, pose, supersample=config.supersample)
         depth = noisy_depth(true, self.camera, self._rng, model=config.depth_noise, multiplier=config.noise_multiplier)
         if config.edge_dropout:
             depth = drop_edges(depth, true, self.camera, self._rng)
-        # Noise first: the range is a promise about what is reported.
+        # Noise comes first: the range limits the reported depth.
         depth = self._within_range(depth)
         reported = noisy_pose(pose, self._rng, sigma_m=config.pose_noise_m, sigma_deg=config.pose_noise_deg)
         return Frame(rgb=rgb, depth=depth, world_from_camera=np.array(reported), camera=self.camera)
 
     @property
     def has_depth_noise(self) -> bool:
-        """Whether the depth of a frame differs from `true_depth`."""
+        """Return whether the depth of a frame can differ from `true_depth`."""
         config = self.config
         return config.edge_dropout or (config.depth_noise != "none" and config.noise_multiplier > 0)
 
     def true_depth(self, world_from_camera: np.ndarray) -> np.ndarray:  # [H, W] float32 metres, 0 = no return
-        """The depth that `capture` would measure there without an error. Ground truth; draws no random number."""
+        """Return the noise-free depth at a pose. Ground truth; draws no random number."""
         _, depth = self._renderer.render(self.camera, _checked_pose(world_from_camera), supersample=1)
         return self._within_range(depth)
 
@@ -135,5 +135,5 @@ class RGBDSensor:
         return np.where(depth <= np.float32(self.config.max_range), depth, np.float32(0.0))
 
     def close(self) -> None:
-        """Let go of threads and graphics contexts; may be called twice."""
+        """Release threads and graphics contexts; may be called twice."""
         self._renderer.close()

@@ -1,6 +1,6 @@
-"""Scenes: generated apartments and meshes from files.
+"""Load scenes: generated apartments and meshes from files.
 
-`load_scene` is the entrance; `SCENES` is where third parties add their own.
+Use `load_scene`; register your own scenes in `SCENES`.
 """
 
 from activestructure_gym.scenes.cache import cache_directory, cached_arrays

@@ -1,6 +1,6 @@
-"""Arrays that are slow to compute, kept on disk under a name that says all they depend on.
+"""Cache arrays that are slow to compute on disk, under a name that identifies all their inputs.
 
-The directory stays below a stated size: whoever adds a file removes those that were used longest ago.
+The directory has a size limit: writing a file removes the least recently used ones.
 """
 
 from __future__ import annotations
@@ -25,25 +25,28 @@ from activestructure_gym.owners import guard, open_own
 
 try:
     import fcntl
-except ImportError:  # Windows, where an open file cannot be removed anyhow
+except ImportError:  # Windows, where an open file cannot be removed anyway
     fcntl = None  # type: ignore[assignment]
 
-# Part of every key: raise it when the meaning of any cached array changes.
+# Part of every key; increase it when the meaning of any cached array changes.
 CACHE_VERSION = 3
-DEFAULT_LIMIT = 4 << 30  # bytes: 3,500 apartments, or 20 scenes with the views of the protocol `activegamer`
+DEFAULT_LIMIT = 4 << 30  # bytes: 3500 apartments, or 20 scenes with the views of the protocol `activegamer`
 
 _LOCAL_HEADER = 30  # bytes before the name of a zip file's entry
 _SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,6})?) *([kmgt]?)i?b?", re.IGNORECASE)
-_ABANDONED = 3600.0  # seconds: a file in work that is older was left by a process that died
+_ABANDONED = 3600.0  # seconds: an older temporary file was left by a killed process
 
 
 def cache_directory() -> Path:
-    """``$ASG_CACHE_DIR``, or ``~/.cache/activestructure_gym``."""
+    """Return ``$ASG_CACHE_DIR``, or ``~/.cache/activestructure_gym``."""
     return Path(os.path.expanduser(os.environ.get("ASG_CACHE_DIR") or "~/.cache/activestructure_gym"))
 
 
 def cache_limit() -> int:  # bytes
-    """``$ASG_CACHE_MAX``, as ``500MB`` or ``2GB`` (0 keeps nothing), or 4 GiB; raises `InputError`."""
+    """Return ``$ASG_CACHE_MAX`` in bytes, given as ``500MB`` or ``2GB`` (0 keeps nothing); the default is 4 GiB.
+
+    Raises `InputError` for another form.
+    """
     given = os.environ.get("ASG_CACHE_MAX", "")
     if not given:
         return DEFAULT_LIMIT
@@ -54,11 +57,11 @@ def cache_limit() -> int:  # bytes
 
 
 def cache_files() -> list[tuple[Path, int]]:
-    """The kept files with their bytes, those that were used longest ago first."""
+    """Return the cached files and their sizes in bytes, least recently used first."""
     found = []
     with suppress(OSError):
         for entry in os.scandir(cache_directory()):
-            with suppress(OSError):  # another process has just removed it
+            with suppress(OSError):  # removed by another process in the meantime
                 if entry.name.endswith(".npz") and entry.is_file(follow_symlinks=False):
                     state = entry.stat()
                     found.append((state.st_mtime_ns, Path(entry.path), state.st_size))
@@ -89,13 +92,13 @@ def clear_cache(limit: int = 0) -> tuple[int, int]:
 def cached_arrays(
     key: str, compute: Callable[[], dict[str, np.ndarray]], layout: Mapping[str, tuple[str, int]] | None = None
 ) -> dict[str, np.ndarray]:
-    """The arrays that ``compute`` returns, read from disk where they are stored.
+    """Return the arrays that ``compute`` returns, from disk if they are cached.
 
-    Kept uncompressed: unpacking the true views of a scene takes longer than measuring a map against some of them.
-    Two processes may compute the same key at once; each writes a file of its own and moves it into place, so a
-    reader sees nothing or everything. A file that is not, to the bit, what was written is computed again. So is one
-    that another user can have written, and one without the arrays of ``layout``: by name the dtype and the number of
-    axes. Without a writable directory the result is computed every time.
+    Files are uncompressed: decompressing a scene's reference views takes longer than evaluating a map against some of
+    them. Processes may compute the same key at once; each writes its own temporary file and renames it, so readers
+    never see a partial file. The arrays are computed again for a damaged file, for one that another user may have
+    written, and for one without the arrays of ``layout`` (name -> dtype, number of axes). Without a writable directory
+    they are computed every time.
     """
     file = cache_directory() / f"{key}-v{CACHE_VERSION}.npz"
     arrays = _read(file)
@@ -121,11 +124,11 @@ def _read(file: Path) -> dict[str, np.ndarray] | None:
             members = _unpacked(archive) if packed else _members(stream, archive)
             arrays = {name.removesuffix(".npy"): array for name, array in members}
             with suppress(OSError):
-                os.utime(file)  # used now; the time of the last access is kept by few file systems
-    except Exception:  # not there, or damaged: zipfile and the parser of npy headers raise whatever they meet
+                os.utime(file)  # last use; few file systems record the access time
+    except Exception:  # missing or damaged: zipfile and numpy's header parser raise many types
         return None  # computed again and overwritten
     if packed:
-        _write(file, arrays)  # as older versions kept it
+        _write(file, arrays)  # stored by an older version
     return arrays
 
 
@@ -136,10 +139,10 @@ def _unpacked(archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _members(stream: IO[bytes], archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:
-    """The arrays of an npz file that is not packed, past zipfile, whose copies take ten times as long.
+    """Yield the arrays of an uncompressed npz file without zipfile, whose copies take ten times as long.
 
-    Each is compared with its checksum, that of the zip file (zlib.crc32, 1.9 GB/s); and they must follow each other
-    without a gap up to the table of contents, so that none is missing.
+    Each array is compared with its CRC-32 in the zip file (zlib.crc32, 1.9 GB/s). The entries must be contiguous up to
+    the central directory, so that none is missing.
     """
     place = 0
     for entry in archive.infolist():
@@ -176,7 +179,7 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
         with replaced(file) as stream:
             guard(stream.fileno())
             np.savez(stream, **arrays)  # type: ignore[arg-type]
-    except OSError:  # read-only or full disk: the cache is a convenience
+    except OSError:  # read-only or full disk: the cache is optional
         return
     with suppress(OSError), _being_read(file):
         clear_cache(limit)
@@ -184,7 +187,7 @@ def _write(file: Path, arrays: dict[str, np.ndarray]) -> None:
 
 @contextmanager
 def _being_read(file: Path) -> Iterator[None]:
-    """While the block runs no process removes the file."""
+    """Keep other processes from removing the file during the block."""
     with open(file, "rb") as stream:
         if fcntl is not None:
             fcntl.flock(stream, fcntl.LOCK_SH)
@@ -193,7 +196,7 @@ def _being_read(file: Path) -> Iterator[None]:
 
 @contextmanager
 def _open_alone(file: Path) -> Iterator[bool]:
-    """Whether no process is reading the file; none begins to while the block runs."""
+    """Yield whether no process is reading the file; none can start to during the block."""
     with open(file, "rb") as stream:
         try:
             if fcntl is not None:

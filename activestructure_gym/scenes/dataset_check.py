@@ -1,4 +1,7 @@
-"""Which scenes of a published dataset a folder holds, and what is missing or damaged. Meshes are not read whole."""
+"""Check which scenes of a published dataset a folder holds, and what is missing or damaged.
+
+Meshes are checked by their headers and sizes.
+"""
 
 from __future__ import annotations
 
@@ -17,31 +20,34 @@ State = Literal["there", "missing", "damaged"]
 
 @dataclass(frozen=True)
 class FileState:
-    """One file of a scene."""
+    """Hold the state of one file of a scene."""
 
-    name: str  # from the scene's folder
+    name: str  # relative to the scene's folder
     state: State
-    needed: bool  # the scene cannot be used without it
-    why: str = ""  # what is wrong with it, or what goes without it
+    needed: bool  # the scene cannot be loaded without it
+    why: str = ""  # what is wrong with the file, or what is unavailable without it
 
 
 @dataclass(frozen=True)
 class SceneState:
-    """One scene of the dataset."""
+    """Hold the state of one scene of the dataset."""
 
-    title: str  # in the papers' tables
+    title: str  # its column title in the papers' tables
     folder: str
-    place: Path | None  # None: nowhere in the folder
+    place: Path | None  # None: not found in the folder
     files: tuple[FileState, ...] = ()
 
     @property
     def usable(self) -> bool:
-        """Whether the scene can be loaded, as far as its files tell from outside."""
+        """Return whether all needed files exist and pass the checks."""
         return self.place is not None and all(file.state == "there" for file in self.files if file.needed)
 
 
 def check_dataset(dataset: Dataset, root: Path) -> list[SceneState]:
-    """The state of every scene that the papers' tables name. Raises `InputError` where ``root`` is no folder."""
+    """Return the state of each scene in the papers' tables.
+
+    Raises `InputError` if ``root`` is not a folder.
+    """
     if not root.is_dir():
         raise InputError(f"there is no folder '{root}'; give the one that holds the scenes of {dataset.title}")
     look = {"replica": _replica, "matterport3d": _matterport3d}[dataset.kind]
@@ -83,7 +89,7 @@ def _matterport3d(place: Path) -> Iterator[FileState]:
 
 
 def _wrong_with_ply(path: Path) -> str:
-    """What is wrong with a PLY by its header and length; empty if nothing is."""
+    """Return what is wrong with a PLY file by its header and size; "" if nothing is."""
     try:
         with open(path, "rb") as file:
             header = read_header(file)
@@ -102,7 +108,7 @@ def _wrong_with_ply(path: Path) -> str:
 
 
 def _least(one: PlyProperty) -> int:  # bytes
-    """A number; or a list's length and, of the corners of a face, three entries."""
+    """Return the minimum bytes of a property: one number, or a list's length and three entries for face corners."""
     if not one.count_kind:
         return _size(one.kind)
     return _size(one.count_kind) + (3 * _size(one.kind) if one.name in ("vertex_indices", "vertex_index") else 0)
@@ -113,7 +119,7 @@ def _size(kind: str) -> int:
 
 
 def _wrong_with_glb(path: Path) -> str:
-    """What is wrong with a binary glTF by its header and length; empty if nothing is."""
+    """Return what is wrong with a binary glTF file by its header and size; "" if nothing is."""
     try:
         with open(path, "rb") as file:
             head = file.read(12)
@@ -126,7 +132,7 @@ def _wrong_with_glb(path: Path) -> str:
 
 
 def _wrong_with_json(path: Path) -> str:
-    """Why a file is no JSON; empty if it is."""
+    """Return why a file is not valid JSON; "" if it is."""
     try:
         json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

@@ -1,8 +1,8 @@
-"""The scenes of published datasets that papers of this field report on, by name.
+"""List the scenes of published datasets that papers of this field report on, and find them by name.
 
-``replica:office_2`` is the folder of that scene, wherever it lies: a path that is there is taken as it is, a name is
-looked for in the folder that the dataset's environment variable names. Which scenes: Tables 1 and 2 of
-[activestructure], whose column titles (``Off2``, ``R0``, ``gZ6f``) are names too.
+``replica:office_2`` is that scene's folder. An existing path is used as given; a name is searched in the folder named
+by the dataset's environment variable. The scenes are those of Tables 1 and 2 of [activestructure]; the tables' column
+titles (``Off2``, ``R0``, ``gZ6f``) are accepted as names.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from activestructure_gym.scenes.scene import Scene
 
 @dataclass(frozen=True)
 class Dataset:
-    """A published dataset of scenes."""
+    """Describe a published dataset of scenes."""
 
-    kind: str  # of its reader, as in ``replica:...``
+    kind: str  # prefix of its reader, as in ``replica:...``
     title: str
-    variable: str  # environment variable with the folder that holds the scenes
-    source: str  # where one gets it, and under what condition
-    scenes: Mapping[str, str]  # folder of each scene, by its title in the papers' tables
-    # x, y, z metres and yaw degrees by folder, in the dataset's axes; of scenes without one the first pose of the
-    # recorded sequence is where papers start.
+    variable: str  # environment variable naming the folder of the scenes
+    source: str  # where to get it, and under which terms
+    scenes: Mapping[str, str]  # folder of each scene, by its column title in the papers' tables
+    # Start poses by folder: x, y, z in metres and yaw in degrees, in the dataset's axes. For other scenes papers start
+    # at the first pose of the recorded sequence.
     starts: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
-    endings: tuple[str, ...] = ()  # of a mesh that lies beside a scene's folder, behind the folder's name
+    endings: tuple[str, ...] = ()  # suffixes, after the folder's name, of mesh files next to a scene's folder
 
     def folder_of(self, name: str) -> str | None:
-        """The folder that a scene's name means: its own, its title in tables, or ``office2`` for ``office_2``."""
+        """Return the folder of a scene by folder name, column title, or a form such as ``office2`` for ``office_2``."""
         asked = _plain(name)
         for title, folder in self.scenes.items():
             if asked in (_plain(title), _plain(folder)):
@@ -41,17 +41,20 @@ class Dataset:
         return None
 
     def places(self, root: Path, folder: str) -> list[Path]:
-        """Where a scene may lie below the dataset's folder, in the layouts that are common."""
+        """Return the possible places of a scene below the dataset's folder, for common layouts."""
         names = dict.fromkeys((folder, folder.replace("_", "")))
         return [root / inner / name for inner in ("", "mp3d", "scans", "replica_v1", "Replica") for name in names]
 
     def meshes_beside(self, place: Path) -> list[Path]:
-        """The meshes of a scene that are there and not in its folder."""
+        """Return the scene's existing mesh files next to its folder."""
         meshes = [place.parent / f"{place.name}{ending}" for ending in self.endings]
         return [mesh for mesh in meshes if mesh.is_file()]
 
     def place_in(self, root: Path, folder: str) -> Path | None:
-        """The folder of a scene below the dataset's, or where it would be if only its mesh lies there."""
+        """Return the folder of a scene below the dataset's, or None.
+
+        If only the scene's mesh exists, return the place where its folder would be.
+        """
         places = self.places(root, folder)
         return next((p for p in places if p.exists()), None) or next((p for p in places if self.meshes_beside(p)), None)
 
@@ -71,7 +74,7 @@ REPLICA = Dataset(
         "R1": "room_1",
         "R2": "room_2",
     },
-    endings=("_mesh.ply", ".ply"),  # NICE-SLAM's download puts the mesh beside the sequence
+    endings=("_mesh.ply", ".ply"),  # NICE-SLAM's download stores the mesh next to the sequence
 )
 MATTERPORT3D = Dataset(
     kind="matterport3d",
@@ -85,7 +88,7 @@ MATTERPORT3D = Dataset(
         "pLe4": "pLe4wQe7qrG",
         "YmJk": "YmJkqBEsHnH",
     },
-    # `start_c2w` of configs/MP3D/*/ActiveGAMER.py in [activegamer, code]: level, along +y, the last one along -x.
+    # `start_c2w` of configs/MP3D/*/ActiveGAMER.py in [activegamer, code]: level, along +y; the last one along -x.
     starts={
         "GdvgFV5R1Z5": (-4.0, 1.0, 1.5, 90.0),
         "gZ6f7yhEvPG": (0.0, 0.0, 2.0, 90.0),
@@ -98,9 +101,9 @@ DATASETS = {dataset.kind: dataset for dataset in (REPLICA, MATTERPORT3D)}
 
 
 def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
-    """The place of a scene: ``path`` itself if something is there or it names none of the dataset's scenes.
+    """Return the place of a scene: ``path`` itself if it exists or is no scene name of the dataset.
 
-    Raises `InputError` for a name whose scene is not found.
+    Raises `InputError` for a scene that is not found.
     """
     given = Path(os.path.expanduser(path))
     folder = dataset.folder_of(str(path))
@@ -122,10 +125,10 @@ def find_scene(dataset: Dataset, path: str | os.PathLike[str]) -> Path:
 
 
 def published_start(scene: Scene) -> tuple[float, float, float, float]:  # x, y, z metres, yaw degrees
-    """Where [activegamer, code] starts in a scene: its configured pose in Matterport3D, and in Replica the first pose
-    of the recorded sequence, of which place and heading are taken (every pose here begins level).
+    """Return the start pose of [activegamer, code] in a scene: position in metres and yaw in degrees.
 
-    Raises `InputError` for a scene without one.
+    Matterport3D: its configured pose. Replica: position and heading of the recorded sequence's first pose (episodes
+    start level). Raises `InputError` for a scene without one.
     """
     for dataset in DATASETS.values():
         folder = dataset.folder_of(scene.name)

@@ -1,4 +1,4 @@
-"""Scenes by name or by file: the one function behind every ``scene=`` of environments and commands."""
+"""Load scenes by name or from files: the function behind every ``scene=`` of environments and commands."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from activestructure_gym.specs import parse_options, typed_options
 def _is_factory(entry: Any) -> bool:
     try:
         inspect.signature(entry)
-    except (TypeError, ValueError):  # nothing to call, or a builtin that does not say what it takes
+    except (TypeError, ValueError):  # not callable, or a builtin without a signature
         return False
     return True
 
 
-# The option that every scene takes: a point of the region of free space that is used.
+# Option of every scene: a point in the free-space region to use.
 INSIDE = "inside"
 
-# Factories of generated scenes take keyword options only. A factory whose first parameter is called `path` reads
-# files: its name becomes a prefix, as in "mesh:house.obj?units=cm".
+# Factories of generated scenes take keyword options only. A factory whose first parameter is named `path` reads files;
+# its name is used as a prefix, as in "mesh:house.obj?units=cm".
 SCENES: Registry[Callable[..., Scene]] = Registry(
     "scene", "scenes", fits=_is_factory, wanted="a function with named options that returns a Scene"
 )
@@ -57,7 +57,7 @@ SCENES.register("hm3d")(load_hm3d_scene)
 SCENES.register("gibson")(load_gibson_scene)
 SCENES.register("habitat")(load_habitat_scene)
 
-# What a bare path is: the first layout that it has.
+# Loaders of a path without prefix: the first layout that matches is used.
 _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
     (is_replica, load_replica_scene),
     (is_matterport3d, load_matterport3d_scene),
@@ -69,8 +69,9 @@ _LAYOUTS: tuple[tuple[Callable[[Path], bool], Callable[..., Scene]], ...] = (
 
 
 def _shared(make: Callable[..., Scene]) -> Callable[..., Scene]:
-    """Generated scenes take seconds to build and never change: the last two of each kind are shared by all envs of a
-    process, ray caster and all.
+    """Cache the two latest scenes of a factory, since they take seconds to build and never change.
+
+    All environments of a process share them, including the ray caster.
     """
     kept = lru_cache(maxsize=2)(make)
 
@@ -82,7 +83,7 @@ def _shared(make: Callable[..., Scene]) -> Callable[..., Scene]:
 
 
 def _hashable(key: str, value: Any) -> Any:
-    """The option as it is, lists and arrays as tuples."""
+    """Return the option with lists and arrays converted to tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):
@@ -117,17 +118,17 @@ def _apartment(*, seed: int = 0, rooms: int = 3, furnished: bool = True, lit: bo
 
 
 def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
-    """The scene that ``spec`` names.
+    """Return the scene that ``spec`` names.
 
     Parameters
     ----------
     spec
-        A `Scene` (returned as it is), a path, or a text of one of the forms ``apartment?seed=3&rooms=4`` (a registered
-        name), ``my_package.scenes:make`` (a factory anywhere), ``house.glb?units=cm&up=y`` (a mesh file, or the folder
-        of a dataset's scene), ``replica:room_0`` (the same with the kind said).
+        A `Scene` (returned unchanged), a path, or a text of one of these forms: ``apartment?seed=3&rooms=4`` (a
+        registered name), ``my_package.scenes:make`` (a factory to import), ``house.glb?units=cm&up=y`` (a mesh file, or
+        the folder of a dataset's scene), ``replica:room_0`` (the same with the loader named).
     **options
-        Keyword arguments of the factory, and ``inside`` for any scene: a point (x, y, z) in metres of the region of
-        free space that is used. They win over options in the text.
+        Keyword arguments of the factory, and ``inside`` for any scene: a point (x, y, z) in metres in the free-space
+        region to use. They override options in the text.
 
     Returns
     -------
@@ -137,7 +138,7 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
     Raises
     ------
     InputError
-        Unknown name or option, a value of the wrong kind, or a file that cannot be used.
+        For an unknown name or option, a value of the wrong type, or a file that cannot be used.
 
     Examples
     --------
@@ -153,9 +154,9 @@ def load_scene(spec: str | os.PathLike[str] | Scene, **options: Any) -> Scene:
 
 
 def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any]) -> str:
-    """The text of a scene with more options in it.
+    """Return the text of a scene with ``options`` added.
 
-    Raises `InputError` for a scene that does not take one of them, or that says it already.
+    Raises `InputError` for an option that the scene does not take or already has.
     """
     if isinstance(spec, Scene):
         raise InputError(f"the scene '{spec.name}' is loaded already and takes no {' and no '.join(options)}")
@@ -172,7 +173,7 @@ def with_options(spec: str | os.PathLike[str] | Scene, options: Mapping[str, Any
 
 
 def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], str | None, dict[str, str]]:
-    """The parts of ``spec``: name for messages, factory, the path if it reads files, and the options in the text."""
+    """Split ``spec`` into a name for messages, the factory, the path if it reads files, and the text's options."""
     if not isinstance(spec, str | os.PathLike):
         raise InputError(f"a scene is a name, a path or a Scene, got {shown(spec)}")
     if not isinstance(spec, str):
@@ -195,26 +196,26 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
 
 
 def check_scene_name(spec: str) -> None:
-    """Raise `InputError` where ``spec`` names no scene, or a file or a folder that there is not; loads nothing."""
+    """Raise `InputError` if ``spec`` names no scene, or a missing file or folder; loads nothing."""
     name, _, path, _ = _resolved(spec)
     if name in ("", "mesh") and path is not None and not os.path.exists(os.path.expanduser(path)):
         raise InputError(f"there is no scene file or folder {shown(path)}")
 
 
 def imports_code(spec: str) -> bool:
-    """Whether loading the scene would import a module that its text names, as in ``my_package.scenes:make``."""
+    """Return whether loading the scene would import a module named in the text, as in ``my_package.scenes:make``."""
     target, _ = _split_options(spec)
     return SCENES.imports(target) and not _is_known(target) and not _is_file(target)
 
 
 def is_scene_name(spec: str) -> bool:
-    """Whether the text, options aside, is a registered name: then it is none of a file, though one be called so."""
+    """Return whether the text without options is a registered name; such a name is never treated as a file."""
     target, _ = _split_options(spec)
     return target in SCENES and not _reads_files(SCENES.get(target))
 
 
 def _is_known(target: str) -> bool:
-    """A registered scene's name, or a registered reader's with the path behind a colon."""
+    """Return whether the text is a registered scene's name, or a registered loader's with a path after the colon."""
     kind, colon, _ = target.partition(":")
     return (bool(colon) and kind in SCENES and _reads_files(SCENES.get(kind))) or (
         target in SCENES and not _reads_files(SCENES.get(target))
@@ -222,13 +223,13 @@ def _is_known(target: str) -> bool:
 
 
 def _is_file(target: str) -> bool:
-    """Whether the text is that of a file or a folder, there or not."""
+    """Return whether the text is a file or folder name, existing or not."""
     path = Path(os.path.expanduser(target))
     return _exists(path) or path.suffix.lower() in MESH_SUFFIXES or target.endswith((".stage_config.json", ENDING))
 
 
 def _exists(path: Path) -> bool:
-    """Whether a file or folder is there; what cannot be the name of one is none."""
+    """Return whether a file or folder exists; False for an invalid name."""
     try:
         return path.exists()
     except OSError:
@@ -238,7 +239,7 @@ def _exists(path: Path) -> bool:
 def _split_options(spec: str) -> tuple[str, dict[str, str]]:
     if "?" not in spec or _exists(Path(os.path.expanduser(spec))):
         return spec, {}
-    # The name of a file may hold a question mark too: the options stand behind the last one.
+    # A file name may contain a question mark too: options follow the last one.
     target, _, query = spec.rpartition("?")
     if not _exists(Path(os.path.expanduser(target))):
         target, _, query = spec.partition("?")
@@ -246,7 +247,7 @@ def _split_options(spec: str) -> tuple[str, dict[str, str]]:
 
 
 def _file_factory(path: Path) -> tuple[Callable[..., Scene], str]:
-    """The factory that loads a bare path, and the path."""
+    """Return the factory that loads a path without prefix, and the path."""
     check_printable(str(path))
     try:
         return _layout_of(path)
@@ -277,7 +278,7 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
     label = f"scene '{name}'" if name else f"scene '{path}'"
-    # A factory may have an option of that name itself.
+    # A factory may have its own option of that name.
     own = INSIDE in inspect.signature(factory).parameters
     inside = None if own else options.get(INSIDE)
     options = options if own else {key: value for key, value in options.items() if key != INSIDE}
@@ -297,7 +298,7 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
 
 
 def _point_in(label: str, scene: Scene, given: Any) -> tuple[float, float, float]:
-    """The point of the option ``inside``; raises `InputError` unless it is three numbers in the scene's bounds."""
+    """Return the point of the option ``inside``; raise `InputError` unless it is three numbers within the bounds."""
     try:
         values = given.split(",") if isinstance(given, str) else list(given)
         x, y, z = (float(value) for value in values)

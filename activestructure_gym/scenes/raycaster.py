@@ -1,4 +1,4 @@
-"""Rays against a triangle mesh through embreex, called directly (trimesh's layer on top is 1.8 to 9 times slower)."""
+"""Cast rays against a triangle mesh by calling embreex directly (trimesh's wrapper is 1.8 to 9 times slower)."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import Any
 
 import numpy as np
 
-# Below this many rays a second thread costs more than it brings.
+# With fewer rays a second thread costs more time than it saves.
 _RAYS_PER_THREAD = 8192
 _ASIDE = 1e-6  # metres
-_ASIDE_DIRECTION = np.array([0.73, 0.55, 0.41])  # along no wall and no row of voxels
+_ASIDE_DIRECTION = np.array([0.73, 0.55, 0.41])  # parallel to no wall and no voxel row
 
 
 @dataclass(frozen=True)
 class Hits:
-    """The first intersection of each ray."""
+    """Hold the first intersection of each ray."""
 
-    distance: np.ndarray  # [N] float32, in units of the direction's length; inf where nothing was hit
-    face: np.ndarray  # [N] int32, -1 where nothing was hit
+    distance: np.ndarray  # [N] float32, in units of the direction's length; inf for a miss
+    face: np.ndarray  # [N] int32, -1 for a miss
     u: np.ndarray  # [N] float32 barycentric: hit = (1 - u - v) A + u B + v C
     v: np.ndarray  # [N] float32
 
 
 class RayCaster:
-    """A bounding volume hierarchy over one mesh; read-only, shared by all sensors of a process.
+    """Hold a bounding volume hierarchy of one mesh; read-only, shared by all sensors of a process.
 
-    Embree keeps its own copy of the triangles and cannot be pickled: a copy in another process rebuilds it.
-    embreex lets go of the GIL while it casts, so two Python threads share the work.
+    Embree's copy of the triangles cannot be pickled; it is rebuilt in another process. embreex releases the GIL while
+    it casts, so two Python threads share the work.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, *, threads: int = 2) -> None:
@@ -45,7 +45,7 @@ class RayCaster:
         self._geometry = mesh_construction.TriangleMesh(self._scene, self._vertices, self._faces)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
-        # Embree commits on the first query; do it here, before two threads can race for it.
+        # Embree builds its hierarchy on the first query; run one here, before threads could race.
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="DISTANCE")
 
     def __getstate__(self) -> dict[str, Any]:
@@ -65,14 +65,14 @@ class RayCaster:
         if len(chunks) == 1:
             return [function(chunks[0])]
         if self._pool is None or self._pool_process != os.getpid():
-            # A forked child inherits the pool, but not its threads.
+            # A forked child inherits the pool without its threads.
             self._pool, self._pool_process = ThreadPoolExecutor(self._threads), os.getpid()
         return list(self._pool.map(function, chunks))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """First hit of every ray; ``origins`` and ``directions`` are [N, 3] (directions of any length).
+        """Return the first hit of each ray; ``origins`` and ``directions`` are [N, 3] (directions of any length).
 
-        With camera rays of z = 1 (`PinholeCamera.rays`) the returned distance is the depth, with nothing to divide.
+        For camera rays with z = 1 (`PinholeCamera.rays`) the returned distance is the depth.
         """
         origins = np.ascontiguousarray(np.broadcast_to(origins, np.shape(directions)), dtype=np.float32)
         directions = np.ascontiguousarray(directions, dtype=np.float32)
@@ -102,10 +102,10 @@ class RayCaster:
         )
 
     def _close_vertices(self, hits: Hits, missed: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> None:
-        """Cast rays that missed everything once more, a micrometre to either side, and correct ``hits`` in place.
+        """Cast missed rays again, displaced by a micrometre to both sides, and correct ``hits`` in place.
 
-        Embree loses some of the rays that meet a vertex exactly. Such a ray hits on both sides; one that passes the
-        edge of an open mesh does not, and stays a miss.
+        Embree misses some rays that meet a vertex exactly. Such a ray hits on both sides. A ray along the edge of an
+        open mesh does not, and remains a miss.
         """
         shift = np.maximum(_ASIDE, 4.0 * np.spacing(np.abs(origins).max(axis=1, keepdims=True))) * _ASIDE_DIRECTION
         shift = shift.astype(np.float32)
@@ -119,18 +119,18 @@ class RayCaster:
             getattr(hits, name)[missed[found]] = getattr(one, name)[found]
 
     def occluded(self, starts: np.ndarray, ends: np.ndarray, *, margin: float = 1e-3) -> np.ndarray:  # [N] bool
-        """Whether the mesh crosses the segment from start to end [N, 3]; ``margin`` metres before the end are spared.
+        """Return whether the mesh crosses each segment from ``starts`` to ``ends`` [N, 3].
 
-        The margin lets a segment end on a surface without being blocked by that surface.
+        The last ``margin`` metres are ignored, so a segment may end on a surface.
         """
         starts = np.ascontiguousarray(np.broadcast_to(starts, np.shape(ends)), dtype=np.float32)
         directions = np.ascontiguousarray(np.asarray(ends, dtype=np.float32) - starts)
         length = np.linalg.norm(directions, axis=1)
-        # Rays of the segment's own length: the parameter 1 is its end.
+        # Ray length = segment length: the ray parameter at the segment's end is 1.
         reach = (1.0 - margin / np.maximum(length, 1e-12)).astype(np.float32)
 
         def part(chunk: slice) -> np.ndarray:
-            # 0 where something is hit, -1 where nothing is.
+            # 0 for a hit, -1 for none
             return self._scene.run(starts[chunk], directions[chunk], dists=reach[chunk], query="OCCLUDED")
 
         if not len(directions):

@@ -1,6 +1,6 @@
-"""`Scene`: a coloured triangle mesh with a name and a source, and its ray caster.
+"""Define `Scene`: a coloured triangle mesh with a name, a source and a ray caster.
 
-What else is true of it (free space, start poses, observable surface) is `ground_truth.GroundTruth`.
+Free space, start poses and observable surface belong to `ground_truth.GroundTruth`.
 """
 
 from __future__ import annotations
@@ -18,30 +18,33 @@ if TYPE_CHECKING:
     from activestructure_gym.scenes.loaders.sequence import PosedSequence
 
 
-# How a texture goes on outside of its image, along one axis.
+# Wrap modes of a texture outside its image, along one axis.
 REPEAT, CLAMP, MIRROR = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class SceneMesh:
-    """Triangles with colour: texture (where a face has one) times vertex colour, clipped to [0, 1].
+    """Hold triangles and their colour: texture (if a face has one) times vertex colour, clipped to [0, 1].
 
-    Vertices are repeated along texture seams (the layout of glTF), so one uv per vertex is enough. Colours and
-    textures are display-referred (sRGB); vertex colours may exceed 1 where baked light does. With ``linear_colors``
-    the vertex colours are linear light, and become display-referred after they are interpolated (glTF 2.0, 3.9.2).
+    Vertices are duplicated along texture seams (the layout of glTF), so one uv per vertex suffices. Colours and
+    textures are display-referred (sRGB); vertex colours may exceed 1 with baked light. With ``linear_colors``, vertex
+    colours are linear light and are converted to display-referred after interpolation (glTF 2.0, 3.9.2).
     """
 
     vertices: np.ndarray  # [V, 3] float32 metres, world (z up)
     faces: np.ndarray  # [F, 3] int32
     colors: np.ndarray  # [V, 3] float32
-    uv: np.ndarray  # [V, 2] float32, v down from the image's top row; 0 where unused
+    uv: np.ndarray  # [V, 2] float32, v down from the image's top row; 0 if unused
     face_texture: np.ndarray  # [F] int32 index into textures, -1 = none
     textures: tuple[np.ndarray, ...] = ()  # each [h, w, 3] uint8
-    texture_wrap: tuple[tuple[int, int], ...] = ()  # of each texture across and down; () = all of them repeat
+    texture_wrap: tuple[tuple[int, int], ...] = ()  # wrap mode of each texture across and down; () = all repeat
     linear_colors: bool = False
 
     def wrong(self) -> str:
-        """What is wrong with the arrays, empty if nothing is; who casts rays or shades checks no bounds."""
+        """Return what is wrong with the arrays, or "".
+
+        Ray caster and shading check no bounds.
+        """
         vertices, faces, textures = len(self.vertices), len(self.faces), self.textures
         if np.shape(self.vertices) != (vertices, 3):
             return f"vertices must be [V, 3], got {np.shape(self.vertices)}"
@@ -74,7 +77,7 @@ class SceneMesh:
 
 @dataclass(frozen=True)
 class PartLabels:
-    """Ground truth for tests only: which part of the scene each face belongs to."""
+    """Hold ground truth for tests only: the part of the scene that each face belongs to."""
 
     face_part: np.ndarray  # [F] int32
     names: tuple[str, ...]  # one per part
@@ -83,40 +86,40 @@ class PartLabels:
 
 @dataclass(frozen=True)
 class Scene:
-    """An immutable mesh that an agent can be put into; derived data are computed once and cached by content."""
+    """Hold an immutable mesh; derived data are computed once and cached by content."""
 
-    name: str  # what people call it
+    name: str  # display name
     mesh: SceneMesh  # metres, z up
-    source: str  # where it comes from: a file, or a generator with its arguments
-    labels: PartLabels | None = None  # of generated scenes, for tests
-    evaluation_views: PosedSequence | None = None  # recorded views that came with the scene, for evaluation
-    notes: tuple[str, ...] = field(default=())  # what the loader wants the user to read (scale check, dropped parts)
-    inside: tuple[float, float, float] | None = None  # metres: a point of the region of free space that is used
+    source: str  # origin: a file, or a generator and its arguments
+    labels: PartLabels | None = None  # of generated scenes; for tests
+    evaluation_views: PosedSequence | None = None  # recorded views that belong to the scene, for evaluation
+    notes: tuple[str, ...] = field(default=())  # messages of the loader to the user (scale check, dropped parts)
+    inside: tuple[float, float, float] | None = None  # metres: a point in the free-space region to use
 
     def __getstate__(self) -> dict[str, Any]:
-        # The ray caster is rebuilt where it is needed; the small caches travel along.
+        # The ray caster is rebuilt on first use; the small caches are pickled.
         return {key: value for key, value in self.__dict__.items() if key != "raycaster"}
 
     @cached_property
     def raycaster(self) -> RayCaster:
-        """The mesh as seen by rays."""
+        """Return the mesh's ray caster."""
         return RayCaster(self.mesh.vertices, self.mesh.faces)
 
     @cached_property
     def bounds(self) -> np.ndarray:  # [2, 3] float64 metres
-        """Axis-aligned box of the mesh. Public: the workspace every planner is told about."""
+        """Return the mesh's axis-aligned bounding box. Public: the workspace given to every planner."""
         return np.stack([self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)]).astype(np.float64)
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 over geometry, appearance and the chosen region: the key of every cache and of every result."""
+        """Return the SHA-256 of geometry, appearance and region: the key of every cache and every result."""
         digest = hashlib.sha256()
         mesh = self.mesh
         for array in (mesh.vertices, mesh.faces, mesh.colors, mesh.uv, mesh.face_texture, *mesh.textures):
             digest.update(str((array.shape, array.dtype.str)).encode())
             digest.update(np.ascontiguousarray(array).tobytes())
-        if mesh.texture_wrap or mesh.linear_colors:  # the exception, so that the keys of all other scenes stay
+        if mesh.texture_wrap or mesh.linear_colors:  # only if not default, so that all other scenes keep their keys
             digest.update(str((mesh.texture_wrap, mesh.linear_colors)).encode())
-        if self.inside is not None:  # likewise
+        if self.inside is not None:  # as above
             digest.update(str(("inside", self.inside)).encode())
         return digest.hexdigest()

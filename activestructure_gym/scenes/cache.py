@@ -69,9 +69,9 @@ def cache_files() -> list[tuple[Path, int]]:
 
 
 def clear_cache(limit: int = 0) -> tuple[int, int]:
-    """Remove what was used longest ago until ``limit`` bytes are left; returns how many files went, and bytes.
+    """Remove the least recently used files until ``limit`` bytes are left; return the removed number and bytes.
 
-    A file that some process is just reading or writing stays.
+    Files that a process is reading or writing are kept.
     """
     files = cache_files()
     excess = sum(size for _, size in files) - limit

@@ -1,4 +1,4 @@
-"""Occupancy and TSDF from depth images, and the distance field that all motion is planned on."""
+"""Map occupancy and TSDF from depth images; provide the distance field for motion planning."""
 
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 from activestructure_gym.volume.voxel_volume import VolumeConfig, VoxelVolume

@@ -1,4 +1,4 @@
-"""The voxel grid: unknown, free and occupied space, its distance field, and a TSDF for evaluation."""
+"""Map unknown, free and occupied space in a voxel grid, with its distance field and a TSDF for evaluation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from activestructure_gym.volume import distance_field, integration
 from activestructure_gym.volume.depth_image import fill_gaps, minimum_pyramid
 from activestructure_gym.volume.integration import FREE, OCCUPIED, UNKNOWN
 
-# A grid above this would need gigabytes; it always means wrong units (a mesh in millimetres).
+# More voxels would need gigabytes; the cause is always wrong units (a mesh in millimetres).
 _MOST_VOXELS = 60_000_000
 _RANGES = {
     "voxel_size": "[0.0001, 100]",
@@ -29,30 +29,32 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class VolumeConfig:
-    """Resolution and caution of the voxel grid."""
+    """Configure the resolution and safety margins of the voxel grid."""
 
     voxel_size: float = 0.1
     """Metres. (0.1 m costs 5 to 10 times less than 0.05 m and passes a 0.8 m door: docs/notebook/groundwork.md)"""
     max_range: float = 5.0
-    """Metres of depth used; beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
+    """Metres of depth used. Beyond it depth noise exceeds half a voxel (Kinect: 4 cm at 5 m)."""
     margin: float = 0.02
-    """Metres that a ray must end behind a voxel to prove it free."""
+    """Metres by which a ray must end behind a voxel to prove it free."""
     margin_growth: float = 0.006
     """Metres per square metre of range, added to the margin: 3 sigma of Kinect noise (0.0019 z^2, [nguyen2012])."""
     thinnest: float = 0.03
-    """Metres: the thinnest structure (lamp pole, chair leg) that must not be missed between two rays."""
+    """Metres: width of the thinnest structure (lamp pole, chair leg) that must not be missed between two rays."""
     max_miss_chance: float = 0.05
-    """A voxel is free once the chance that all looks missed such a structure is at most this; 0 = near looks only."""
+    """Miss probability of such a structure over all views, at or below which a voxel is free; 0 = near views only."""
     hit_gain: int = 5
-    """So many sure looks through a voxel undo one hit in it (noise), and no fewer (structures thinner than a ray)."""
+    """Certain observations of a voxel as free that cancel one hit (noise); fewer would erase very thin structures."""
     hit_ceiling: int = 50
-    """Hits count up to this many looks, so that no mistake stays for ever."""
+    """Upper limit of the hit counter, in observations, so that every wrong hit can be cleared."""
     unknown_slack: float = 0.05
-    """Metres that unknown space may be closer than an occupied voxel: it counts as set back by this much. Without it a
-    camera that sees 60 degrees hardly leaves its start: the cone it sees is too narrow there (measured: 1.6 m of way in
-    100 frames of random exploring against 6.6.)"""
+    """Metres that unknown space may be closer than an occupied voxel.
+
+    Without it a camera with a 60 degree view hardly leaves its start, since the observed cone is too narrow there.
+    Measured in 100 frames of random exploration: 1.6 m of path against 6.6 m.
+    """
     truncation: float = 0.3
-    """Metres: reach of the signed distance around surfaces; 3 voxels where that is more."""
+    """Metres: truncation distance of the TSDF, but at least 3 voxels."""
     max_weight: float = 64.0
     """Observations after which the TSDF becomes a moving average."""
 
@@ -63,7 +65,10 @@ class VolumeConfig:
 
 
 def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
-    """Voxels along x, y, z over bounds [2, 3] in metres; `InputError` where they are too many, or too far away."""
+    """Return the number of voxels along x, y, z over bounds [2, 3] in metres.
+
+    Raises `InputError` for too many voxels or a scene too far from the origin.
+    """
     away = float(np.abs(bounds).max())
     if away > FARTHEST:
         raise InputError(
@@ -81,15 +86,15 @@ def grid_shape(bounds: np.ndarray, voxel_size: float) -> tuple[int, int, int]:
 
 
 class VoxelVolume:
-    """A dense axis-aligned grid over the workspace, updated from depth images.
+    """Hold a dense axis-aligned grid over the workspace, updated from depth images.
 
-    Everything not proven free is an obstacle: unknown voxels, and all space beyond the grid. Arrays are indexed
-    [x, y, z]; the centre of voxel ``i`` is ``origin + (i + 0.5) * voxel_size``.
+    Everything not proven free is an obstacle: unknown voxels, and all space outside the grid. Arrays are indexed [x, y,
+    z]; the centre of voxel ``i`` is ``origin + (i + 0.5) * voxel_size``.
     """
 
     def __init__(
         self,
-        bounds: np.ndarray,  # [2, 3] metres, world: lower and upper corner; one voxel is added all around
+        bounds: np.ndarray,  # [2, 3] metres, world: lower and upper corner; one voxel is added on each side
         config: VolumeConfig | None = None,
     ) -> None:
         self.config = config or VolumeConfig()
@@ -100,10 +105,11 @@ class VoxelVolume:
         self.voxel_size = size
         self.truncation = max(self.config.truncation, 3.0 * size)
         self.shape = grid_shape(bounds, size)
-        # The spare part of the last voxels is shared by both sides.
+        # The excess of the outer voxels is split evenly between both sides.
         self.origin = bounds.mean(axis=0) - 0.5 * size * np.array(self.shape)
         self.state = np.full(self.shape, UNKNOWN, dtype=np.uint8)
-        self.tsdf = np.zeros(self.shape, dtype=np.float32)  # metres / truncation, 1 = far in front; where weight > 0
+        # metres / truncation, 1 = far in front; valid where weight > 0
+        self.tsdf = np.zeros(self.shape, dtype=np.float32)
         self.weight = np.zeros(self.shape, dtype=np.float32)  # number of observations, capped
         self._solidity = np.zeros(self.shape, dtype=np.int16)
         self._miss_chance = np.ones(self.shape, dtype=np.float32)
@@ -119,15 +125,15 @@ class VoxelVolume:
         self,
         frame: Frame,
         *,
-        sensor_range: float | None = None,  # metres; None = not known
+        sensor_range: float | None = None,  # metres; None = unknown
         dropouts: bool = False,  # whether the sensor also loses single returns within its range
     ) -> None:
-        """Take one depth image in (1 to 3 ms at 0.1 m for an apartment, nearly independent of the image's size).
+        """Integrate one depth image (1 to 3 ms at 0.1 m for an apartment, almost independent of the image's size).
 
-        A pixel without return proves nothing, unless ``sensor_range`` says up to where the sensor returns every
-        surface: then its ray is free up to there. Without it an agent cannot walk along a hall longer than its
-        sensor's range. With ``dropouts`` that holds for blocks of 5 x 5 such pixels; a lost pixel is as near as its
-        neighbours, and thin structures need twice as close looks.
+        A pixel without return proves nothing, unless ``sensor_range`` states up to which distance the sensor returns
+        every surface. Then its ray is free up to that range, which an agent needs in halls longer than it. With
+        ``dropouts`` this holds only for blocks of 5 x 5 such pixels. Other lost pixels take their neighbours' depth,
+        and thin structures need views from half the distance.
         """
         config, camera, view = self.config, frame.camera, np.asarray(frame.world_from_camera, dtype=np.float64)
         if frame.depth.shape != (camera.height, camera.width):
@@ -149,7 +155,7 @@ class VoxelVolume:
             depth, camera.lens, view, voxels, config.max_range, self._images, config.hit_gain, config.hit_ceiling
         )
         free_to = fill_gaps(depth, sensor_range, dropouts=dropouts)
-        # Where returns are lost, the rays that are left count as twice as far apart.
+        # With lost returns, the remaining rays count as twice as far apart.
         thinnest = config.thinnest / (2.0 if dropouts else 1.0)
         camera_from_world = invert_rigid(view)
         planes = integration.frustum_planes(camera, camera_from_world, self.voxel_size, config.max_range)
@@ -168,9 +174,9 @@ class VoxelVolume:
         self._changed()
 
     def mark_free_sphere(self, center: np.ndarray, radius: float) -> None:
-        """The agent's own body proves that this sphere is free: voxels wholly inside become free.
+        """Mark voxels inside a sphere as free, because the agent's body occupies it.
 
-        Those partly inside become free when looks prove the rest. Occupied voxels stay. Call it only where the body is
+        Voxels partly inside become free when views prove the rest. Occupied voxels stay. Call it only where the body is
         known to fit, such as at a checked start pose.
         """
         center = np.asarray(center, dtype=np.float64)
@@ -189,7 +195,7 @@ class VoxelVolume:
         self._changed()
 
     def _frustum_box(self, frame: Frame, farthest: float) -> tuple[np.ndarray, np.ndarray]:
-        """Voxel box [lower, upper) around the view frustum, cut where nothing can change any more."""
+        """Return the voxel box [lower, upper) around the view frustum, without depths that cannot change."""
         camera = frame.camera
         deepest = min(farthest + self.truncation, self.config.max_range)
         world = np.array([[0.0, 0.0, 0.0]] + [
@@ -206,21 +212,21 @@ class VoxelVolume:
 
     # -- the grid -------------------------------------------------------------------------------------------------
 
-    def voxel_of(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3] int64, also beyond the grid
-        """Index of the voxel that holds each point."""
+    def voxel_of(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3] int64, also outside the grid
+        """Return the index of the voxel that contains each point."""
         return np.floor((np.asarray(points, dtype=np.float64) - self.origin) / self.voxel_size).astype(np.int64)
 
     def center_of(self, indices: np.ndarray) -> np.ndarray:  # [..., 3] -> [..., 3] metres, world
-        """Centre of each voxel."""
+        """Return the centre of each voxel."""
         return self.origin + (np.asarray(indices) + 0.5) * self.voxel_size
 
     def contains(self, points: np.ndarray) -> np.ndarray:  # [..., 3] -> [...] bool
-        """Whether each point lies inside the grid."""
+        """Return whether each point lies inside the grid."""
         voxels = self.voxel_of(points)
         return np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=-1)
 
     def state_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] -> [N] uint8
-        """State of the voxel that holds each point; UNKNOWN beyond the grid."""
+        """Return the state of the voxel that contains each point; UNKNOWN outside the grid."""
         voxels, inside = self.voxel_of(points), self.contains(points)
         return np.where(inside, self.state[tuple(np.where(inside[..., None], voxels, 0).T)], UNKNOWN).astype(np.uint8)
 
@@ -230,28 +236,28 @@ class VoxelVolume:
 
     @property
     def unobserved(self) -> np.ndarray:  # [X, Y, Z] bool
-        """Which voxels nobody has looked into: neither free nor occupied, and no ray went through the centre.
+        """Return which voxels are unobserved: neither free nor occupied, and without a ray through the centre.
 
-        For what is worth a look. In front of every surface lies a shell that rays went through without proving it free
-        (the margin, the whole footprint, several looks beyond 2.4 m), which further looks at it do not clear. What one
-        may move through is asked of `state`.
+        Use it to select targets for new views; use `state` for motion. In front of every surface lies a shell that rays
+        crossed without proving it free: the margin, partial footprints, several views beyond 2.4 m. More views of the
+        surface do not clear it.
         """
         return (self.state == UNKNOWN) & ~((self.weight > 0) & (self.tsdf > 0))
 
     @property
     def observed_share(self) -> float:
-        """Share of the grid's voxels that are free or occupied."""
+        """Return the fraction of the grid's voxels that are free or occupied."""
         return float(np.count_nonzero(self.state)) / self.state.size
 
     # -- distances ------------------------------------------------------------------------------------------------
 
     @property
     def clearance(self) -> np.ndarray:  # [X, Y, Z] float32 metres
-        """Distance from each free voxel's centre to the nearest voxel that is not free (to its cube, not its centre).
+        """Return the distance from each free voxel's centre to the nearest cube of a voxel that is not free.
 
-        Unknown voxels and the space beyond the grid count as ``unknown_slack`` farther away than they are, so the true
-        clearance is at least the stated one less that slack. 0 in voxels that are not free. Computed when first asked
-        for after a change, on the box around the free voxels only.
+        Unknown voxels and space outside the grid count as ``unknown_slack`` farther than they are. The true clearance
+        is thus at least the returned one less that slack. 0 in voxels that are not free. Computed on first use after a
+        change, only in the box around the free voxels.
         """
         if self._clearance is None:
             self._clearance = np.zeros(self.shape, dtype=np.float32)
@@ -266,14 +272,15 @@ class VoxelVolume:
         *,
         enough: float,  # metres
     ) -> np.ndarray:  # [X, Y, Z] float32 metres
-        """`clearance` for whoever asks between these points alone whether it is at least ``enough``.
+        """Return `clearance` around the given points, exact only below ``enough``.
 
-        Interpolated within their box it is equal wherever it is lower, and at least ``enough`` elsewhere; outside of
-        the box it means nothing. After a change of a large volume this costs a fraction of `clearance`.
+        Interpolated within the points' box, the values equal `clearance` where that is lower and are at least
+        ``enough`` elsewhere. Outside the box they are undefined. After a change of a large volume this costs a fraction
+        of `clearance`.
         """
         if self._clearance is not None:
             return self._clearance
-        # Where one corner of a cell has this much, all eight are free and have enough.
+        # If one corner of a cell has this clearance, all eight are free with enough.
         reach = (enough + self.config.unknown_slack) / self.voxel_size + np.sqrt(3.0)
         border = int(np.ceil(reach)) + 1
         lower = np.maximum(np.floor(points.min(axis=0)).astype(np.int64), 0)
@@ -285,15 +292,15 @@ class VoxelVolume:
 
     def _measure_clearance(
         self,
-        field: np.ndarray,  # [X, Y, Z] float32 metres, written to inside the box
+        field: np.ndarray,  # [X, Y, Z] float32 metres, written inside the box
         lower: np.ndarray,  # [3] int64 indices of the box
         upper: np.ndarray,  # [3] int64, exclusive
         *,
-        border: int = 0,  # voxels around the box that may hold what is nearest; more if the slack asks for it
+        border: int = 0,  # voxels around the box in which the nearest obstacle may lie; increased if the slack needs it
         at_most: float = np.inf,  # voxels
     ) -> None:
         slack = self.config.unknown_slack / self.voxel_size
-        # What lies further outside of all that is free than the slack cannot be nearer than the shell around it.
+        # Obstacles farther outside the free space than the slack cannot be nearer than the shell around it.
         border = max(border, int(np.ceil(slack)) + 1)
         state = distance_field.cut_out(self.state, lower - border, upper + border)  # UNKNOWN is 0
         inner = (slice(border, -border),) * 3
@@ -305,8 +312,10 @@ class VoxelVolume:
         distance_field.join_distances(any_kind[inner], occupied[inner], *scale, field[box])
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
-        """Clearance interpolated between voxel centres; 0 beyond the grid. Within an eighth of a voxel of the exact
-        distance beside a wall."""
+        """Return the clearance interpolated between voxel centres; 0 outside the grid.
+
+        Next to a wall it is within an eighth of a voxel of the exact distance.
+        """
         return distance_field.sample_points(self.clearance, self._grid_coordinates(points).reshape(-1, 3))
 
     def segments_free(
@@ -317,7 +326,7 @@ class VoxelVolume:
         min_clearance: float,  # metres
         step: float | None = None,  # metres between samples; half a voxel if None
     ) -> np.ndarray:  # [N] bool
-        """Whether each segment keeps the clearance all along."""
+        """Return whether each segment keeps the clearance along its whole length."""
         starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
         step_voxels = 0.5 if step is None else step / self.voxel_size
         return distance_field.segments_above(
@@ -329,9 +338,9 @@ class VoxelVolume:
         starts: np.ndarray,  # [N, 3] metres, or [3] for all
         ends: np.ndarray,  # [N, 3], or [3]
     ) -> np.ndarray:  # [N] bool
-        """Whether one can see from start to end as far as is known: no occupied voxel on the way.
+        """Return whether each line of sight crosses no occupied voxel.
 
-        The last two voxels before the end may be occupied: they hold the surface that is looked at.
+        The last two voxels may be occupied: they contain the target surface.
         """
         starts, ends = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
         return distance_field.sight_lines(
@@ -340,9 +349,9 @@ class VoxelVolume:
 
     @property
     def occupied(self) -> np.ndarray:  # [X, Y, Z] bool
-        """Occupied voxels, in the form that `distance_field.sight_line` takes."""
+        """Return the occupied voxels, in the form that `distance_field.sight_line` takes."""
         return self.state == OCCUPIED
 
     def in_voxels(self, points: np.ndarray) -> np.ndarray:  # [..., 3] metres -> [..., 3]
-        """Points in voxels, the lower corner of voxel (0, 0, 0) at 0."""
+        """Return points in voxel units; the lower corner of voxel (0, 0, 0) is at 0."""
         return self._grid_coordinates(points) + 0.5

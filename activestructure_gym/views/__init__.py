@@ -1,7 +1,6 @@
-"""Candidate views: the pool, the planes each view would see, and panoramas of missing parts.
+"""Sample candidate views, test which planes each would see, and measure unmapped parts in panoramas.
 
-The pool is the same for every policy; a feature turns the current map into one number per candidate. Nothing in this
-room may look at ground truth.
+The pool is the same for every policy. No code in this room may read ground truth.
 """
 
 from activestructure_gym.views.candidates import CandidatePool, CandidateTable, ViewConfig

@@ -1,9 +1,9 @@
-"""The candidate pool (Sec. 3.4): free voxels on a lattice times Fibonacci directions, persistent, with ids.
+"""Hold the candidate pool (Sec. 3.4): free positions on a lattice times Fibonacci directions, with persistent ids.
 
-The lattice is anchored at the start position, so turning on the spot is possible from the first step. A view enters
-when its position becomes free with enough clearance; it leaves for good once it was visited or found unreachable.
-Each step offers at most `ViewConfig.max_candidates` of the pool: all of it when it fits, else a neutral draw that
-spreads over positions and depends on seed and step only, never on any score.
+The lattice is anchored at the start position, so turning in place is possible from the first step. A view is added when
+its position becomes free with enough clearance. It is removed permanently once visited or found unreachable. Each step
+offers at most `ViewConfig.max_candidates` views. If the pool is larger, a random draw spreads over positions; it
+depends only on seed and step, never on a score.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ _RANGES = {
 }
 
 
-SHARED_STAGES = (("pool",),)  # what all planners are offered in a shared comparison
+SHARED_STAGES = (("pool",),)  # offered to all planners in a shared comparison
 
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """Layout of the candidate pool, and how many views are offered."""
+    """Configure the candidate pool and the number of views offered."""
 
-    lattice_step_m: float = 0.5  # horizontal distance of lattice positions (ActiveGAMER's fine stage)
-    heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # above the start camera; a flying camera uses them all
+    lattice_step_m: float = 0.5  # horizontal spacing of lattice positions, metres (ActiveGAMER's fine stage)
+    heights_m: tuple[float, ...] = (-0.5, 0.0, 0.5)  # metres above the start camera; a flying camera can use all
     directions: int = 15  # K of the Fibonacci lattice (ActiveGAMER's fine stage)
-    max_candidates: int = 256  # rows of the candidate table
-    max_revisits: int = 4  # stored keyframe poses offered on top, worst rendered first (own choice)
-    visited_distance_m: float = 0.3  # a candidate this near to a visited pose ...
-    visited_angle_deg: float = 10.0  # ... and turned this little from it counts as visited (GauSS-MI's rule)
-    scoring_scale: float = 0.5  # features render at this share of the size; half keeps the order (groundwork.md)
-    coverage_alpha: float = 0.5  # a pixel is covered where the map's alpha exceeds this (M_c of Sec. 3.4)
-    # Candidate sources that are offered together; of several stages the first one is on, the others can be asked for.
+    max_candidates: int = 256  # maximum rows of the candidate table
+    max_revisits: int = 4  # keyframe poses offered in addition, lowest PSNR first (own choice)
+    visited_distance_m: float = 0.3  # a candidate within this distance of a visited pose ...
+    visited_angle_deg: float = 10.0  # ... and this angle of it counts as visited (GauSS-MI's rule)
+    scoring_scale: float = 0.5  # scale of images rendered for features; 0.5 keeps the ranking (groundwork.md)
+    coverage_alpha: float = 0.5  # a pixel is covered if the map's alpha exceeds this (M_c of Sec. 3.4)
+    # Candidate sources, grouped in stages. The first stage is active at the start; a planner can switch to the others.
     stages: tuple[tuple[str, ...], ...] = SHARED_STAGES
 
     def __post_init__(self) -> None:
@@ -67,22 +67,22 @@ class ViewConfig:
             )
 
 
-_ROWS: Any = None  # stands for the usual value in every row
+_ROWS: Any = None  # filled with the default value in each row
 
 
 @dataclass(frozen=True)
 class CandidateTable:
-    """The views offered in one step, all reachable as far as the volume knows."""
+    """Hold the views offered in one step, all reachable in the current volume."""
 
     ids: np.ndarray  # [n] int64, the pool's id; -1 for a revisit
     world_from_camera: np.ndarray  # [n, 4, 4] float64
-    path_length: np.ndarray  # [n] float32 metres from the agent
+    path_length: np.ndarray  # [n] float32 path length from the agent, metres
     revisit: np.ndarray  # [n] bool: a stored keyframe's pose
-    source: np.ndarray = _ROWS  # [n] which of the sources offers it; -1 for a row that asks for a stage
-    look_at: np.ndarray = _ROWS  # [n, 3] metres: the point that is looked at on the way; NaN where none is
-    stay: np.ndarray = _ROWS  # [n] rounds of optimisation in place; 0 for a way
+    source: np.ndarray = _ROWS  # [n] index of the source; -1 for a row that switches stages
+    look_at: np.ndarray = _ROWS  # [n, 3] metres: point to look at along the path; NaN for none
+    stay: np.ndarray = _ROWS  # [n] rounds of optimisation in place; 0 for a motion
     ends: np.ndarray = _ROWS  # [n] bool: ends the episode
-    ask: np.ndarray = _ROWS  # [n] the stage that is asked for; -1 for a view
+    ask: np.ndarray = _ROWS  # [n] stage to switch to; -1 for a view
 
     def __post_init__(self) -> None:
         usual = {"source": 0, "look_at": np.full(3, np.nan), "stay": 0, "ends": False, "ask": -1}
@@ -95,32 +95,32 @@ class CandidateTable:
 
     @classmethod
     def joined(cls, parts: Sequence[CandidateTable]) -> CandidateTable:
-        """The rows of all parts, in their order."""
+        """Return the rows of all parts, in order."""
         names = [field.name for field in dataclasses.fields(cls)]
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     @property
     def views(self) -> int:
-        """How many rows are views: those that ask for a stage stand at the end."""
+        """Return the number of views; rows that switch stages follow them."""
         return int((self.ask < 0).sum())
 
 
 class CandidatePool:
-    """All views that can still be chosen. An entry is one (lattice position, direction) pair."""
+    """Hold all views that can still be chosen. An entry is a (lattice position, direction) pair."""
 
     def __init__(
         self, anchor: np.ndarray, bounds: np.ndarray, config: ViewConfig, seed: int, *, clearance_m: float = 0.3
     ) -> None:
-        """``anchor`` [3] is the start position, ``bounds`` [2, 3] the workspace, both in metres, world.
+        """Create the pool around the start position ``anchor`` [3] within ``bounds`` [2, 3] (metres, world).
 
-        ``clearance_m`` is the least distance of a candidate to anything not known to be free. Raises `InputError` if
-        no height lies in the workspace.
+        ``clearance_m`` is the minimum distance of a candidate to space not known to be free. Raises `InputError` if no
+        height lies within the bounds.
         """
         self.config = config
         self._clearance_m = clearance_m
         self._seed = seed
         step = config.lattice_step_m
-        # Whole lattice steps from the anchor that stay inside the workspace.
+        # Lattice steps from the anchor that stay inside the workspace.
         first = np.ceil((bounds[0, :2] - anchor[:2]) / step).astype(int)
         last = np.floor((bounds[1, :2] - anchor[:2]) / step).astype(int)
         heights = [z for z in config.heights_m if bounds[0, 2] <= anchor[2] + z <= bounds[1, 2]]
@@ -140,23 +140,24 @@ class CandidatePool:
         )
         self.positions = anchor + grid.reshape(-1, 3)  # [P, 3]
         self.directions = fibonacci_directions(config.directions)  # [K, 3]
-        # look_along depends on the direction only; the position is filled in per candidate.
+        # look_along depends on the direction only; positions are filled in per candidate.
         self._rotations = np.stack([look_along(np.zeros(3), d)[:3, :3] for d in self.directions])  # [K, 3, 3]
-        self._open = np.ones((len(self.positions), config.directions), dtype=bool)  # not visited, not dropped
+        self._open = np.ones((len(self.positions), config.directions), dtype=bool)  # neither visited nor dropped
 
     def __len__(self) -> int:
-        """Views that were neither visited nor dropped, whether or not they can be reached yet."""
+        """Return the number of views neither visited nor dropped, reachable or not."""
         return int(self._open.sum())
 
     def mark_visited(self, world_from_camera: np.ndarray) -> None:
-        """Take out every view within the visited distance and angle of a pose the camera has been at."""
+        """Remove every view within the visited distance and angle of a camera pose."""
         near = np.linalg.norm(self.positions - world_from_camera[:3, 3], axis=1) <= self.config.visited_distance_m
         cosine = self.directions @ world_from_camera[:3, 2]
-        similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg)) - 1e-9  # a view is similar to itself
+        # the tolerance makes a view match itself
+        similar = cosine >= np.cos(np.radians(self.config.visited_angle_deg)) - 1e-9
         self._open[np.ix_(near, similar)] = False
 
     def drop(self, candidate_id: int) -> None:
-        """Take out one view that turned out to be unreachable."""
+        """Remove one view that is unreachable."""
         if candidate_id >= 0:
             self._open[np.unravel_index(candidate_id, self._open.shape)] = False
 
@@ -165,14 +166,14 @@ class CandidatePool:
         volume: VoxelVolume,
         distances: DistanceMap,
         step: int,
-        revisit_poses: np.ndarray,  # [R, 4, 4] keyframe poses, worst rendered first
+        revisit_poses: np.ndarray,  # [R, 4, 4] keyframe poses, lowest PSNR first
         *,
-        room: int | None = None,  # rows of the table; `ViewConfig.max_candidates` if None
+        room: int | None = None,  # maximum rows of the table; None: `ViewConfig.max_candidates`
     ) -> CandidateTable:
-        """The table of this step: reachable open views (a neutral draw if they are too many), then revisits."""
+        """Return this step's table: reachable open views (a random draw if there are too many), then revisits."""
         lengths = np.full(len(self.positions), np.inf, dtype=np.float32)
         clear = volume.clearance_at(self.positions) >= self._clearance_m
-        # Where the agent stands it can turn, however narrow it is there.
+        # The agent can turn at its position, whatever the clearance there.
         clear |= np.linalg.norm(self.positions - distances.start, axis=1) < 1e-6
         clear &= self._open.any(axis=1)
         if clear.any():
@@ -180,7 +181,7 @@ class CandidatePool:
         reachable = np.isfinite(lengths)
 
         room = self.config.max_candidates if room is None else room
-        revisits = revisit_poses[: min(self.config.max_revisits, room // 2)]  # new views have as many rows
+        revisits = revisit_poses[: min(self.config.max_revisits, room // 2)]  # at least half of the rows are new views
         revisit_length = distances.at(revisits[:, :3, 3]) if len(revisits) else np.zeros(0, np.float32)
         revisits, revisit_length = revisits[np.isfinite(revisit_length)], revisit_length[np.isfinite(revisit_length)]
 
@@ -204,9 +205,9 @@ class CandidatePool:
         )
 
     def _draw(self, position: np.ndarray, count: int, step: int) -> np.ndarray:
-        """``count`` indices, sorted, that take one view of every position before a second of any."""
+        """Return ``count`` sorted indices: one view of every position before a second of any."""
         rng = np.random.default_rng([self._seed, step])
-        order = rng.permutation(len(position))  # random view order within a position
+        order = rng.permutation(len(position))  # random order of the views of a position
         # Rank of each view among those of its position, in that random order.
         by_position = order[np.argsort(position[order], kind="stable")]
         _, start = np.unique(position[by_position], return_index=True)
@@ -218,7 +219,7 @@ class CandidatePool:
 
 
 def _as_stages(value: Any) -> tuple[tuple[str, ...], ...]:
-    """Stages of at least one source each, all different in a stage; raises `InputError`."""
+    """Convert to stages, each with at least one source and no duplicates; raise `InputError` otherwise."""
     if not isinstance(value, list | tuple):
         raise InputError(f"views.stages must be a list of stages, each a list of sources, got {shown(value)}")
     stages = tuple(tuple(stage) if isinstance(stage, list | tuple) else stage for stage in value)

@@ -1,7 +1,7 @@
-"""Missing parts around a place: panoramas of the map, clusters of their open pixels, and the volume of each.
+"""Measure unmapped parts around a position: panoramas of the map, clusters of their open pixels, and their volumes.
 
-ActiveSplat's measure of a Voronoi node ([activesplat, code]), at half its resolution: its thresholds in
-pixels are for one pixel per degree, ours are what they mean in degrees.
+This is ActiveSplat's measure of a Voronoi node ([activesplat, code]) at half its resolution. Its thresholds in pixels
+are for one pixel per degree and are given in degrees here.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from scipy.spatial import ConvexHull, QhullError
 from activestructure_gym.geometry import PinholeCamera, look_along
 
 DEG_PER_PIXEL = 2.0
-SIDES = 3  # pinhole images, side by side
-SIDE_DEG = (120.0, 150.0)  # width and height of each: what is steeper than 75 degrees is not in the panorama
-OPEN = 0.8  # a pixel is open where 1 - opacity is above
+SIDES = 3  # pinhole images of a panorama
+SIDE_DEG = (120.0, 150.0)  # field of view of each, width and height; elevations above 75 degrees are excluded
+OPEN = 0.8  # a pixel is open if 1 - opacity exceeds this
 NEIGHBOUR_DEG = 5.0  # eps of DBSCAN
-LEAST_DEG2 = 25.0  # its least neighbourhood, in square degrees
-DILATION_DEG = 15.0  # width of the ellipse by which a cluster is dilated to reach the surface around it
+LEAST_DEG2 = 25.0  # its minimum neighbourhood, in square degrees
+DILATION_DEG = 15.0  # width of the ellipse that dilates a cluster to include the surface around it
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A cluster of open pixels."""
+    """Hold the size of a cluster of open pixels."""
 
     missing: float  # square degrees: sum of 1 - opacity
-    volume: float  # rad^2 m: convex hull of (azimuth, elevation, depth) of the surface around it
+    volume: float  # rad^2 m: convex hull of the surrounding surface in (azimuth, elevation, depth)
 
 
 def camera() -> PinholeCamera:
-    """One side of a panorama. Its pixels are not square: it is as many degrees wide and high as it has pixels."""
+    """Return the camera of one side. Its pixels are not square, so that both axes have the same degrees per pixel."""
     width, height = (round(side / DEG_PER_PIXEL) for side in SIDE_DEG)
     focal = 0.5 * np.array([width, height]) / np.tan(0.5 * np.radians(SIDE_DEG))
     return PinholeCamera(width, height, float(focal[0]), float(focal[1]), width / 2.0, height / 2.0)
 
 
 def poses(positions: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N * SIDES, 4, 4] world_from_camera
-    """Level cameras that look around at each position, clockwise as their images stand side by side."""
+    """Return level cameras that look around at each position, clockwise, in the order of the panorama's images."""
     azimuth = -np.arange(SIDES) * np.radians(SIDE_DEG[0])
     looks = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(SIDES)], axis=1)
     return np.stack([look_along(p, look) for p in positions for look in looks]).reshape(-1, 4, 4)
 
 
 def side_by_side(images: np.ndarray) -> np.ndarray:  # [N * SIDES, h, w] -> [N, h, SIDES * w]
-    """Panoramas from what `poses` rendered."""
+    """Join the images rendered from `poses` to panoramas."""
     count, height, width = images.shape
     return images.reshape(count // SIDES, SIDES, height, width).transpose(0, 2, 1, 3).reshape(-1, height, SIDES * width)
 
@@ -57,9 +57,9 @@ def side_by_side(images: np.ndarray) -> np.ndarray:  # [N * SIDES, h, w] -> [N, 
 def clusters(
     mask: np.ndarray,  # [H, W] bool
     radius: float,  # pixels
-    least: int,  # pixels within the radius, the pixel itself included, that make it a core
-) -> np.ndarray:  # [H, W] int64: 0 outside, numbers from 1 inside a cluster
-    """DBSCAN of the pixels of a mask. A border pixel belongs to the cluster of its nearest core."""
+    least: int,  # minimum number of pixels within the radius, itself included, of a core pixel
+) -> np.ndarray:  # [H, W] int64: 0 outside, from 1 inside a cluster
+    """Cluster the pixels of a mask with DBSCAN. A border pixel joins the cluster of its nearest core pixel."""
     reach = int(radius)
     dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disk = dy**2 + dx**2 <= radius**2
@@ -84,7 +84,7 @@ def clusters(
 
 
 def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panoramas [H, W] in 0..1, [H, W] metres
-    """The clusters of open pixels. ``depth`` is 0 where nothing is rendered."""
+    """Return the clusters of open pixels. ``depth`` is 0 where nothing is rendered."""
     missing = 1.0 - alpha.astype(np.float64)
     pixel = DEG_PER_PIXEL**2
     labels = clusters(missing > OPEN, NEIGHBOUR_DEG / DEG_PER_PIXEL, round(LEAST_DEG2 / pixel))
@@ -95,9 +95,9 @@ def openings(alpha: np.ndarray, depth: np.ndarray) -> list[Opening]:  # panorama
 
 
 def hull_volume(mask: np.ndarray, depth: np.ndarray) -> float:  # [H, W] bool, [H, W] metres -> rad^2 m
-    """Volume of the convex hull of (azimuth, elevation, depth) along the outline of the dilated mask.
+    """Return the volume of the convex hull of (azimuth, elevation, depth) along the outline of the dilated mask.
 
-    0 where fewer than four points of the outline have something rendered, or all lie in a plane.
+    0 if fewer than four outline pixels have a rendered depth, or if all points are coplanar.
     """
     width = 2 * int(0.5 * DILATION_DEG / DEG_PER_PIXEL) + 1
     ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
@@ -111,5 +111,5 @@ def hull_volume(mask: np.ndarray, depth: np.ndarray) -> float:  # [H, W] bool, [
         return 0.0
     try:
         return float(ConvexHull(points).volume)
-    except QhullError:  # flat
+    except QhullError:  # coplanar points
         return 0.0

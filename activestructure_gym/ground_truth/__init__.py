@@ -1,6 +1,6 @@
-"""Ground truth of a scene, which no planner may read: free space, start poses, the observable surface.
+"""Compute a scene's ground truth, which planners must not read: free space, start poses, observable surface.
 
-`GroundTruth` holds all of it. Sensor noise apart, what the agent gets to know of a scene it gets from its camera.
+`GroundTruth` holds all of it. The agent observes a scene only through its camera.
 """
 
 from activestructure_gym.ground_truth.free_space import FreeSpace

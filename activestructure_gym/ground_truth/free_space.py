@@ -1,4 +1,4 @@
-"""The space of a scene in which an agent fits: ground truth from the mesh, for start poses, rewards and tests."""
+"""Represent the space of a scene in which an agent fits, from the mesh; for start poses, rewards and tests."""
 
 from __future__ import annotations
 
@@ -14,30 +14,33 @@ from activestructure_gym.scenes.scene import Scene
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """The free region of a scene on a grid; voxel (i, j, k) has its centre at ``origin + (i + .5, ...) * size``."""
+    """Hold the free region of a scene on a grid.
+
+    Voxel (i, j, k) has its centre at ``origin + (i + 0.5, j + 0.5, k + 0.5) * voxel_size``.
+    """
 
     origin: np.ndarray  # [3] float64 metres: lower corner of the grid
     voxel_size: float  # metres
     clearance: np.ndarray  # [X, Y, Z] float32 metres from voxel centre to the nearest surface, 0 = not free
     height: np.ndarray  # [X, Y, Z] float32 metres above the surface below, 0 = not free, inf = nothing below
-    start_poses: np.ndarray  # [S, 4, 4] float64 world_from_camera: spread over the scene, standing free, looking level
+    start_poses: np.ndarray  # [S, 4, 4] float64 world_from_camera: spread over the scene, collision-free, level
 
     @property
     def volume(self) -> float:
-        """Cubic metres of free space."""
+        """Return the free space in cubic metres."""
         return float(np.count_nonzero(self.clearance)) * self.voxel_size**3
 
     @cached_property
     def free_voxels(self) -> np.ndarray:  # [N, 3]
-        """Indices of the free voxels."""
+        """Return the indices of the free voxels."""
         return np.argwhere(self.clearance > 0)
 
     def centers(self, voxels: np.ndarray) -> np.ndarray:  # [..., 3] indices -> [..., 3] metres
-        """World positions of voxel centres."""
+        """Return the world positions of voxel centres."""
         return self.origin + (np.asarray(voxels) + 0.5) * self.voxel_size
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:  # [N, 3] metres -> [N] float32 metres
-        """Clearance between voxel centres, trilinear; 0 outside the free space."""
+        """Return the clearance, interpolated trilinearly between voxel centres; 0 outside the free space."""
         from scipy.ndimage import map_coordinates
 
         positions = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.origin) / self.voxel_size - 0.5
@@ -51,9 +54,9 @@ class FreeSpace:
         min_clearance: float = 0.3,  # metres
         heights: tuple[float, float] | None = None,  # metres above the surface below
     ) -> np.ndarray:  # [count, 3] metres
-        """Positions uniform over the free space that satisfy both limits.
+        """Sample positions uniformly over the free space within both limits.
 
-        Raises `InputError` where the scene has no such place.
+        Raises `InputError` if the scene has no such position.
         """
         fits = self.clearance >= min_clearance
         if heights is not None:
@@ -63,7 +66,7 @@ class FreeSpace:
             limits = f"a clearance of {min_clearance} m" + (f" and a height of {heights} m" if heights else "")
             raise InputError(f"the scene has no free place with {limits}; lower the limits")
         positions = self.centers(voxels[rng.integers(len(voxels), size=count)])
-        # Move each within its voxel where that keeps the clearance; the centre always does.
+        # Move each position within its voxel if that keeps the clearance; the centre always does.
         jitter = (rng.random((4, count, 3)) - 0.5) * self.voxel_size
         moved = np.zeros(count, dtype=bool)
         for offset in jitter:
@@ -75,12 +78,12 @@ class FreeSpace:
 
 
 def compute_free_space(scene: Scene, regions: Regions | None = None) -> FreeSpace:
-    """Compute the free space of a scene, still without start poses. Raises `InputError` where none is found."""
+    """Compute the free space of a scene, without start poses. Raises `InputError` if there is none."""
     return free_space_in((regions or Regions(scene)).used)
 
 
 def free_space_in(region: Region) -> FreeSpace:
-    """Describe a region as free space, still without start poses."""
+    """Convert a region to free space, without start poses."""
     grid, clearance = region.grid, region.clearance
     height = _heights(grid.scene, clearance, grid.origin, grid.voxel_size)
     return FreeSpace(grid.origin, grid.voxel_size, clearance, height, np.zeros((0, 4, 4)))

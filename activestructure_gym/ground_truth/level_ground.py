@@ -1,4 +1,4 @@
-"""The surfaces below and above a region of free space: where a camera can be carried over level ground."""
+"""Find the surfaces below and above a free region: level ground over which a camera can be carried."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import numpy as np
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.ground_truth.voxelized import VoxelizedScene
 
-CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried or on a mast
-_LEVEL = 0.8  # a level surface's normal has at least this |z|: slopes up to 37 degrees
-_EYES = 200  # voxels of a region from which its surfaces are looked at
+CAMERA_HEIGHTS = (1.2, 1.5)  # metres above the floor: a camera carried by hand or on a mast
+_LEVEL = 0.8  # minimum |z| of a level surface's normal: slopes up to 37 degrees
+_EYES = 200  # voxels of a region from which rays are cast
 _DIRECTIONS = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The surfaces below and above a region, one row for each vertical run of its voxels."""
+    """Hold the surfaces below and above a region, one row for each vertical run of its voxels."""
 
     columns: np.ndarray  # [R, 2] int64, x and y index of the run
     below: np.ndarray  # [R] float64 metres: z of the surface below the run, -inf = none
     above: np.ndarray  # [R] float64 metres: z of the surface above the run, inf = none
-    area: np.ndarray  # [R] float64 m2 of level ground below the run that a camera is carried over
-    floor_behind: np.ndarray  # [R] bool: the surface below is level and is seen from behind
-    ceiling_behind: np.ndarray  # [R] bool: likewise the surface above
+    area: np.ndarray  # [R] float64 m2 of level ground below the run at camera height
+    floor_behind: np.ndarray  # [R] bool: the surface below is level and seen from its back side
+    ceiling_behind: np.ndarray  # [R] bool: the same for the surface above
 
     @cached_property
     def level_area(self) -> float:
-        """Square metres of level ground within a camera's reach."""
+        """Return the square metres of level ground within a camera's reach."""
         return float(self.area.sum())
 
     @cached_property
     def floor(self) -> float | None:
-        """Median z of the level ground, metres; None where there is none."""
+        """Return the median z of the level ground in metres; None if there is none."""
         return _median(self.below, self.area)
 
     def standing(self, grid: VoxelizedScene) -> np.ndarray:  # [S, 3] int64
@@ -47,12 +47,12 @@ class Ground:
 
     @property
     def covered_share(self) -> float:
-        """Share of the level ground that has a surface above it, 0..1."""
+        """Return the fraction of level ground that has a surface above it, 0..1."""
         return float(self.area[np.isfinite(self.above)].sum() / max(self.level_area, 1e-9))
 
     @property
     def ceiling_height(self) -> float | None:
-        """Median metres from level ground to the surface above; None where most of the ground has none."""
+        """Return the median height in metres from ground to ceiling; None if most of the ground has no ceiling."""
         if self.covered_share < 0.5:
             return None
         covered = np.isfinite(self.above)
@@ -60,35 +60,35 @@ class Ground:
 
     @cached_property
     def is_bare(self) -> bool:
-        """Whether nothing stands on the floor: all but 3 % of the runs end on it."""
+        """Return whether the floor is empty: all but 3 % of the runs end on it."""
         return self.floor is not None and float((np.abs(self.below - self.floor) < 0.15).mean()) > 0.97
 
     @property
     def floor_behind_share(self) -> float:
-        """Share of the level ground that is seen from behind, 0..1."""
+        """Return the fraction of level ground seen from its back side, 0..1."""
         return float(self.area[self.floor_behind].sum() / max(self.level_area, 1e-9))
 
     @property
     def ceiling_behind_share(self) -> float:
-        """Share of the level ground whose ceiling is seen from behind, 0..1."""
+        """Return the fraction of level ground whose ceiling is seen from its back side, 0..1."""
         return float(self.area[self.ceiling_behind].sum() / max(self.level_area, 1e-9))
 
 
 def ground_of(
     grid: VoxelizedScene,
     voxels: np.ndarray,  # [X, Y, Z] bool, a part of the grid
-    corner: Sequence[int] = (0, 0, 0),  # where the part begins
+    corner: Sequence[int] = (0, 0, 0),  # first index of the part
 ) -> Ground:
-    """Find the surfaces below and above the vertical runs of some voxels, by one ray down and one up from each."""
+    """Find the surfaces below and above the vertical runs of some voxels, by one ray down and one up per run."""
     steps = np.diff(np.pad(voxels, ((0, 0), (0, 0), (1, 1))).astype(np.int8), axis=2)
-    # Both in one order, as runs do not overlap.
+    # Both have the same order, since runs do not overlap.
     first, last = np.argwhere(steps == 1) + corner, np.argwhere(steps == -1) + corner - [0, 0, 1]
     lowest, highest = grid.centers(first), grid.centers(last)
     down, down_z = _cast(grid, lowest, -1.0)
     up, up_z = _cast(grid, highest, 1.0)
     below, above = lowest[:, 2] - down, highest[:, 2] + up
     half = 0.5 * grid.voxel_size
-    # The part of the camera's heights that lies in the run.
+    # The part of the camera's height range inside the run.
     reached = np.minimum(below + CAMERA_HEIGHTS[1], highest[:, 2] + half) - np.maximum(
         below + CAMERA_HEIGHTS[0], lowest[:, 2] - half
     )
@@ -98,15 +98,15 @@ def ground_of(
         below=below,
         above=above,
         area=share * (np.abs(down_z) >= _LEVEL) * grid.voxel_size**2,
-        floor_behind=down_z <= -_LEVEL,  # its normal points down, away from the region
+        floor_behind=down_z <= -_LEVEL,  # the normal points down, away from the region
         ceiling_behind=up_z >= _LEVEL,
     )
 
 
 def front_share(grid: VoxelizedScene, places: np.ndarray) -> float:  # [N, 3] voxels -> 0..1
-    """Return the share of rays that meet a surface from its front, out of those that meet one at all.
+    """Return the fraction of rays that hit a surface from its front, among rays that hit any surface.
 
-    Within a solid body all surfaces are seen from behind; a mesh without consistent winding has about a half.
+    Inside a solid body all surfaces are seen from the back; a mesh without consistent winding has about 0.5.
     """
     places = places[np.unique(np.linspace(0, len(places) - 1, _EYES).astype(np.int64))]
     directions = fibonacci_directions(_DIRECTIONS)
@@ -119,7 +119,7 @@ def front_share(grid: VoxelizedScene, places: np.ndarray) -> float:  # [N, 3] vo
 
 
 def _cast(grid: VoxelizedScene, points: np.ndarray, way: float) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of the surface below (way -1) or above (1) each point, and the z of its normal, 0 where none is met."""
+    """Return the distance to the surface below (way -1) or above (1) each point, and its normal's z (0 for a miss)."""
     hits = grid.scene.raycaster.cast(points, np.broadcast_to([0.0, 0.0, way], points.shape))
     met = hits.face >= 0
     normal_z = np.zeros(len(points))
@@ -135,7 +135,7 @@ def _normals(grid: VoxelizedScene, faces: np.ndarray) -> np.ndarray:  # [N] -> [
 
 
 def _median(values: np.ndarray, weights: np.ndarray) -> float | None:
-    """The weighted median of the values that have a weight."""
+    """Return the weighted median of values with positive weights; None if there are none."""
     values, weights = values[weights > 0], weights[weights > 0]
     if not len(values):
         return None

@@ -1,7 +1,7 @@
-"""The part of a scene's surface that can be seen at all: the ground truth that coverage and completion refer to.
+"""Compute the observable surface of a scene: the reference for coverage and completion.
 
-Half the area of a typical scene is hidden (backs and undersides, faces inside walls), and no planner can be asked to
-map it. Measured over six scenes, 42 to 76 % of the area is seen from 400 free viewpoints.
+About half the area of a typical scene is hidden (backs, undersides, faces inside walls) and cannot be mapped by any
+planner. In six scenes, 42 to 76 % of the area is visible from 400 free viewpoints.
 """
 
 from __future__ import annotations
@@ -17,28 +17,29 @@ from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 
 VIEW_CLEARANCE = 0.25  # metres between a viewpoint and the nearest surface
-SURFACE_SAMPLES = 50_000  # drawn from the whole surface
+SURFACE_SAMPLES = 50_000  # points drawn from the whole surface
 VIEW_RANGE = 10.0  # metres; the sensor's range
-# Metres before the sample that a line of sight spares: float32 hits are exact to 1e-5 m, panels thicker than a few mm.
+# Metres before a sample that the visibility test ignores; float32 hits are exact to 1e-5 m, panels thicker than a few
+# mm.
 SIGHT_MARGIN = 2e-3
 
 
 @dataclass(frozen=True)
 class ObservableSurface:
-    """Samples, uniform by area, of the surface that some free viewpoint sees."""
+    """Hold samples, uniform by area, of the surface visible from at least one free viewpoint."""
 
     points: np.ndarray  # [S, 3] float32 metres
     normals: np.ndarray  # [S, 3] float32 unit, towards a viewpoint that sees the point
-    area_share: float  # observable part of the mesh's area, 0..1
+    area_share: float  # observable fraction of the mesh's area, 0..1
     area: float  # observable area in square metres
 
 
 def observable_surface_of(
     scene: Scene, space: FreeSpace, samples: int = SURFACE_SAMPLES, viewpoints: int = 400
 ) -> ObservableSurface:
-    """The observable surface of a scene, from the cache on disk where it has been computed before.
+    """Return the observable surface of a scene, from the disk cache if available.
 
-    ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` come back.
+    ``samples`` points are drawn from the whole surface, so about ``samples * area_share`` are returned.
     """
     key = f"observable-{scene.content_hash}-{samples}-{viewpoints}"
     layout = {"points": ("f4", 2), "normals": ("f4", 2), "area_share": ("f8", 0), "area": ("f8", 0)}
@@ -73,8 +74,8 @@ def first_viewpoint(
     scene: Scene,
     points: np.ndarray,  # [S, 3] on the surface
     eyes: np.ndarray,  # [E, 3]
-) -> np.ndarray:  # [S] index of the first viewpoint in turn that sees the point, -1 = none does
-    """Which of the points are seen: within range, and nothing in between. The side of the surface does not matter."""
+) -> np.ndarray:  # [S] index of the first viewpoint that sees the point, -1 = none
+    """Return the first viewpoint that sees each point: within range and not occluded, from either side."""
     places = np.asarray(eyes, dtype=np.float32)
 
     def near(index: int, positions: np.ndarray) -> np.ndarray:
@@ -89,9 +90,9 @@ def first_in_sight(
     points: np.ndarray,  # [S, 3] on the surface
     eyes: np.ndarray,  # [E, 3] metres
     in_view: Callable[[int, np.ndarray], np.ndarray],  # index of an eye, points [M, 3] float32 -> [M] bool
-    margin: float,  # metres before a point that its line of sight spares
-) -> np.ndarray:  # [S] index of the first eye in turn that has the point in view and nothing before it, -1 = none
-    """Who sees each point first; a point that was seen is not asked for again."""
+    margin: float,  # metres before a point that the occlusion test ignores
+) -> np.ndarray:  # [S] index of the first eye that has the point in view without occlusion, -1 = none
+    """Return the first eye that sees each point; seen points are not tested again."""
     seen_by = np.full(len(points), -1, dtype=np.int64)
     waiting, positions = np.arange(len(points)), np.asarray(points, dtype=np.float32)
     for index, eye in enumerate(np.asarray(eyes, dtype=np.float32)):

@@ -1,15 +1,13 @@
-"""The regions of free space that a scene has, and the one of them that an agent is put into.
+"""Find the regions of free space of a scene, and select the one used for the agent.
 
-A mesh from the world is neither closed nor consistently oriented. So inside and outside are separated by visibility: a
-place is enclosed when most directions meet a surface. An enclosed region is a connected set of such places in which a
-body fits. The rest of the scene's box that has ground below is open to the sky; the top of the box is its lid.
+Real meshes are neither closed nor consistently oriented, so inside and outside are separated by visibility. A position
+is enclosed if most directions hit a surface. An enclosed region is a connected set of such positions in which a body
+fits. The rest of the scene's bounding box above ground is open air, limited by the box. The largest enclosed region is
+used, unless another one has more level ground. Open ground is used if there is no enclosed region, or if the largest
 
-The largest enclosed region is used, unless another one has more level ground. Open ground is used where there is no
-enclosed region, or where the largest
-
-- is the inside of a body: its surfaces are seen from behind, the floor too, unless the space is empty;
+- is the inside of a body: its surfaces, and the floor unless the space is empty, are seen from the back;
 - is a void below the ground: empty, or with the back of the ground as its ceiling;
-- is a part of a larger place: much of its edge at the camera's height is open ground;
+- is part of a larger place: much of its edge at camera height is open ground;
 - is too small for a room.
 """
 
@@ -26,58 +24,58 @@ from activestructure_gym.ground_truth.voxelized import VoxelizedScene, voxelized
 from activestructure_gym.scenes.scene import Scene
 
 BODY_CLEARANCE = 0.2  # metres; the smallest clearance a path may have (motion.MotionConfig.min_clearance)
-MIN_VOLUME = 0.5  # cubic metres of free space; less is no room
-# Share of directions that must meet a surface. A room without ceiling has about 0.78 at eye height, a room with a
-# glass front 0.95, a place outside beside a wall at most 0.75 (ground and wall, half of all directions each).
-ENCLOSED_SHARES = (0.75, 0.6)  # the second is for wide open-topped scans, where the first finds nothing
-LISTED_GROUND = 1.0  # m2 of level ground; regions with less (closed furniture) are listed only when they are used
-ROOM_GROUND = 4.0  # m2 of level ground; regions with less that are open, or the inside of a body, are no places
-_FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # shares of the sight from a region that make it the inside of a body, or not
-_MORE_GROUND = 1.1  # as much level ground another enclosed region must have to be used instead of the largest
-_BELOW_GROUND = 0.8  # share of a region's ceiling that is the back of ground, from which on it lies below it
-_OPEN_EDGE = 0.4  # share of a region's edge that is open, from which on it is a part of another
-_NEAR = 2  # voxels: a point so close to a region, and seen from it, belongs to it
+MIN_VOLUME = 0.5  # cubic metres of free space of the smallest room
+# Fraction of directions that must hit a surface. A room without ceiling has about 0.78 at eye height, a room with a
+# glass front 0.95. Outside, next to a wall, it is at most 0.75 (half of all directions each for ground and wall).
+ENCLOSED_SHARES = (0.75, 0.6)  # the second is for wide scans without ceiling in which the first finds no region
+LISTED_GROUND = 1.0  # m2 of level ground; smaller regions (closed furniture) are listed only if used
+ROOM_GROUND = 4.0  # m2 of level ground; smaller regions are ignored if open or inside a body
+_FROM_BEHIND, _FROM_FRONT = 0.35, 0.65  # front fractions below / above which a region is / is not the inside of a body
+_MORE_GROUND = 1.1  # factor of level ground by which another enclosed region must exceed the largest to be used instead
+_BELOW_GROUND = 0.8  # minimum fraction of back-facing ground in the ceiling of a region below ground
+_OPEN_EDGE = 0.4  # minimum open fraction of the edge of a region that is part of another
+_NEAR = 2  # voxels: a point this close to a region and visible from it belongs to it
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A connected set of free voxels."""
+    """Represent a connected set of free voxels."""
 
     grid: VoxelizedScene
-    box: tuple[slice, ...]  # of the grid
-    inside: np.ndarray  # bool, in the box: the region's voxels
-    distances: np.ndarray  # [X, Y, Z] float32 metres to the nearest surface, of this and of other regions
-    enclosed: bool  # closed in by surfaces; False: open to the sky
+    box: tuple[slice, ...]  # box within the grid
+    inside: np.ndarray  # bool, within the box: the region's voxels
+    distances: np.ndarray  # [X, Y, Z] float32 metres to the nearest surface; includes other regions
+    enclosed: bool  # True: enclosed by surfaces; False: open air
 
     @cached_property
     def voxels(self) -> np.ndarray:  # [X, Y, Z] bool
-        """The region's voxels in the whole grid."""
+        """Return the region's voxels in the whole grid."""
         whole = np.zeros(self.grid.occupied.shape, dtype=bool)
         whole[self.box] = self.inside
         return whole
 
     @property
     def clearance(self) -> np.ndarray:  # [X, Y, Z] float32
-        """Metres to the nearest surface, 0 outside of the region."""
+        """Return the distance to the nearest surface in metres, 0 outside the region."""
         return np.where(self.voxels, self.distances, np.float32(0.0))
 
     @property
     def volume(self) -> float:
-        """Cubic metres."""
+        """Return the volume in cubic metres."""
         return float(np.count_nonzero(self.inside)) * self.grid.voxel_size**3
 
     @cached_property
     def ground(self) -> Ground:
-        """The surfaces below and above."""
+        """Return the surfaces below and above."""
         return ground_of(self.grid, self.inside, [side.start for side in self.box])
 
     @cached_property
     def front_share(self) -> float:
-        """Share of the sight from the region that meets surfaces from their front, 0..1."""
+        """Return the fraction of surface hits from inside the region that are front faces, 0..1."""
         return front_share(self.grid, np.argwhere(self.inside) + [side.start for side in self.box])
 
     def holds(self, point: np.ndarray, near: int = 0) -> bool:  # [3] metres
-        """Whether a point is in the region, or seen from one of its voxels that is at most ``near`` voxels away."""
+        """Return whether a point is in the region, or visible from a voxel of it at most ``near`` voxels away."""
         low = self.grid.voxel_of(point) - near
         high = np.maximum(low + 2 * near + 1, 0)
         low = np.maximum(low, 0)
@@ -88,7 +86,7 @@ class Region:
 
 
 class Regions:
-    """The regions of free space of a scene. What is costly is found when it is first asked for."""
+    """Find the regions of free space of a scene. Expensive properties are computed on first use."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -97,7 +95,7 @@ class Regions:
 
     @cached_property
     def used(self) -> Region:
-        """The region that the scene's ``inside`` names, else the default. Raises `InputError`."""
+        """Return the region that contains the scene's ``inside``, else the default. Raises `InputError`."""
         if self.scene.inside is None:
             return self.default
         point = np.array(self.scene.inside)
@@ -112,7 +110,7 @@ class Regions:
 
     @cached_property
     def default(self) -> Region:
-        """The region that is used where the scene names none. Raises `InputError` where none is found."""
+        """Return the region used without ``inside``. Raises `InputError` if there is none."""
         if not self.enclosed:
             if not self.open_air:
                 raise InputError(
@@ -140,7 +138,7 @@ class Regions:
 
     @cached_property
     def open_air(self) -> list[Region]:
-        """The regions open to the sky that have level ground apart from that of enclosed regions."""
+        """Return the open-air regions that have level ground not shared with enclosed regions."""
         grid = self.grid
         free = ~grid.occupied & _within(grid) & _above_ground(grid)
         for region in self.enclosed:
@@ -153,11 +151,11 @@ class Regions:
 
     @cached_property
     def places(self) -> list[Region]:
-        """The regions that can be chosen: with level ground, and apart from each other."""
+        """Return the regions that can be chosen: with level ground, and distinct from each other."""
         found = [region for region in self.open_air if not self._is_behind(region)]
         for region in self.enclosed:
             area, around = self.level_area(region), [one for one in self.open_air if _covers(one, region)]
-            # What open ground leads into is a part of that.
+            # A region connected to open ground is part of it.
             if region is self.default or (
                 area >= (ROOM_GROUND if self._is_body(region) else LISTED_GROUND)
                 and not any(one is self.default or self._is_part(region) for one in around)
@@ -166,16 +164,19 @@ class Regions:
         return sorted(found, key=lambda region: -self.level_area(region))
 
     def at(self, point: np.ndarray) -> Region | None:  # [3] metres
-        """Return the place that holds a point, an enclosed one first, or else the one whose next voxel sees it."""
+        """Return the region at a point, or None.
+
+        Preferred is a region that contains it, then one next to it that sees it; enclosed regions come first.
+        """
         order = sorted(self.places, key=lambda one: not one.enclosed)
         return next((one for near in (0, _NEAR) for one in order if one.holds(point, near)), None)
 
     def number(self, region: Region) -> int:
-        """Return the number by which a place is listed, from 1."""
+        """Return the number of a region in the list, from 1."""
         return next(number for number, one in enumerate(self.places, 1) if one is region)
 
     def ground(self, region: Region) -> Ground:
-        """Return the ground of a region; of one that is open to the sky without what enclosed regions have of it."""
+        """Return the ground of a region; for open air, without the ground of enclosed regions."""
         if region.enclosed:
             return region.ground
         known = self.__dict__.setdefault("_grounds", {})
@@ -184,11 +185,11 @@ class Regions:
         return known[id(region)]
 
     def level_area(self, region: Region) -> float:
-        """Return the square metres of level ground that a region alone has."""
+        """Return the square metres of level ground that belong to this region alone."""
         return self.ground(region).level_area
 
     def name_of(self, region: Region) -> np.ndarray:  # [3] metres
-        """Return a point that names the region: over its level ground if it has any, and far from all surfaces."""
+        """Return a point that identifies the region: above its level ground if it has any, far from all surfaces."""
         clearance = np.where(region.voxels if region.enclosed else self._own(region), region.distances, np.float32(0.0))
         over = np.zeros_like(clearance)
         standing = tuple(self.ground(region).standing(self.grid).T)
@@ -197,7 +198,7 @@ class Regions:
         return self.grid.centers(np.array(np.unravel_index(int(best.argmax()), best.shape)))
 
     def reason(self, point: np.ndarray) -> str:  # [3] metres
-        """Say why a point is in no place, as the end of a sentence."""
+        """Return why a point is in no region, as the end of a sentence."""
         grid, at = self.grid, self.grid.voxel_of(point)
         if ((at < 0) | (at >= grid.share.shape)).any() or grid.share[tuple(at)] < self.threshold:
             return "outside of the rooms, where no level ground is below or no body fits"
@@ -210,7 +211,7 @@ class Regions:
         return own
 
     def _nearest(self, point: np.ndarray) -> np.ndarray | None:
-        """The nearest centre of a voxel of any place in which a body fits."""
+        """Return the nearest voxel centre of any region in which a body fits."""
         best, found = np.inf, None
         for region in self.places:
             centers = self.grid.centers(np.argwhere(region.clearance >= BODY_CLEARANCE))
@@ -230,19 +231,19 @@ class Regions:
         return self._open_edge(region) > _OPEN_EDGE
 
     def _may_be_below(self, region: Region) -> bool:
-        """Whether the ceiling is the back of a ground, or may be one because the space is empty."""
+        """Return whether the ceiling is the back of a ground, or may be one because the space is empty."""
         ground = region.ground
         return ground.covered_share >= _BELOW_GROUND and (
             ground.ceiling_behind_share >= _BELOW_GROUND or (region.front_share < _FROM_FRONT and ground.is_bare)
         )
 
     def _lies_below(self, region: Region, other: Region) -> bool:
-        """Whether a region is a void below the ground of another."""
+        """Return whether a region is a void below the ground of another."""
         two_empty_storeys = self.ground(other).is_bare and region.ground.ceiling_behind_share < _BELOW_GROUND
         return self._may_be_below(region) and not two_empty_storeys and self._is_over(other, region)
 
     def _is_over(self, other: Region, region: Region) -> bool:
-        """Whether at least half of the other region's ground lies above a region."""
+        """Return whether at least half of the other region's ground lies above a region."""
         ground = self.ground(other)
         lowest = self.grid.origin[2] + region.box[2].start * self.grid.voxel_size
         covered = np.asarray(region.voxels.any(axis=2))
@@ -250,7 +251,7 @@ class Regions:
         return bool(ground.area[above].sum() >= 0.5 * ground.level_area)
 
     def _is_behind(self, other: Region) -> bool:
-        """Whether an open region is what is behind the walls of the default: all surfaces show it their backs."""
+        """Return whether an open region lies behind the walls of the default: all surfaces show it their back sides."""
         default = self.default
         return (
             default.enclosed
@@ -260,19 +261,19 @@ class Regions:
         )
 
     def _open_edge(self, region: Region) -> float:
-        """Share of a region's edge at the camera's height beyond which open ground goes on."""
+        """Return the fraction of a region's edge at camera height beyond which open ground continues."""
         grid, voxels, at = self.grid, region.voxels, region.ground.standing(self.grid)
         goes_on = ~grid.occupied & (grid.share < self.threshold) & _within(grid) & _above_ground(grid)
         edge, open_edge = 0, 0
         for step in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
-            beyond = tuple((at + step).T)  # the grid has a voxel to spare on every side
+            beyond = tuple((at + step).T)  # the grid has one spare voxel on each side
             left = ~voxels[beyond]
             edge += int(left.sum())
             open_edge += int((left & goes_on[beyond]).sum())
         return open_edge / max(edge, 1)
 
     def _replaces(self, other: Region, largest: Region) -> bool:
-        """Whether open ground is preferred to the largest enclosed region, which may be no room."""
+        """Return whether open ground is preferred to the largest enclosed region, which may not be a room."""
         area, given_up = self.level_area(other), self.level_area(largest)
         if self._is_body(largest) and other.front_share >= _FROM_FRONT:
             return area >= 0.1 * given_up
@@ -284,17 +285,17 @@ class Regions:
 
 
 def _covers(region: Region, part: Region) -> bool:
-    """Whether at least half of a part is in a region."""
+    """Return whether at least half of a part is in a region."""
     return bool(np.mean(region.voxels[part.box][part.inside]) >= 0.5)
 
 
 def in_text(point: np.ndarray | tuple[float, ...]) -> str:
-    """A point as the option ``inside`` takes it: ``1.25,0,-3.5``."""
+    """Format a point as the option ``inside`` takes it: ``1.25,0,-3.5``."""
     return ",".join(f"{round(float(value), 2) + 0.0:g}" for value in point)
 
 
 def _enclosed_regions(grid: VoxelizedScene) -> tuple[float, list[Region]]:
-    """The share that makes a place enclosed, and the enclosed regions, the one with the largest core first."""
+    """Return the threshold that found enclosed regions, and the regions, the one with the largest core first."""
     for threshold in ENCLOSED_SHARES:
         candidates = ~grid.occupied & (grid.share >= threshold)
         found = _connected(grid, candidates, grid.clearance(candidates), enclosed=True)
@@ -304,10 +305,10 @@ def _enclosed_regions(grid: VoxelizedScene) -> tuple[float, list[Region]]:
 
 
 def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarray, *, enclosed: bool) -> list[Region]:
-    """The regions of the candidates that a body can move in, the largest first; small ones are left away."""
+    """Return the connected candidate regions in which a body can move, the largest first; small ones are dropped."""
     from scipy import ndimage
 
-    # Two neighbouring voxels on both sides of a wall cannot both be this far from it, however thin it is.
+    # Voxels on both sides of a wall cannot both be this far from it, however thin it is.
     core = candidates & (clearance >= max(BODY_CLEARANCE, 0.6 * grid.voxel_size))
     labels, count = ndimage.label(core)
     if not count:
@@ -315,7 +316,7 @@ def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarr
     sizes = np.bincount(labels.ravel())[1:]
     order = np.argsort(-sizes, kind="stable")
     boxes = ndimage.find_objects(labels)
-    # Back to the walls: what the body covers when its centre is in the core.
+    # Extend to the walls: what the body covers when its centre is in the core.
     steps = max(1, round(BODY_CLEARANCE / grid.voxel_size))
     found: list[Region] = []
     for index in order:
@@ -328,12 +329,12 @@ def _connected(grid: VoxelizedScene, candidates: np.ndarray, clearance: np.ndarr
 
 
 def _above_ground(grid: VoxelizedScene) -> np.ndarray:  # [X, Y, Z] bool
-    """Voxels with a surface in them or somewhere below."""
+    """Return voxels with a surface in them or below them."""
     return np.logical_or.accumulate(grid.occupied, axis=2)
 
 
 def _within(grid: VoxelizedScene) -> np.ndarray:  # [X, Y, Z] bool
-    """Voxels whose centres lie in the scene's bounds."""
+    """Return voxels whose centres lie in the scene's bounds."""
     low, high = grid.scene.bounds
     x, y, z = (
         (centers >= low[axis]) & (centers <= high[axis])

@@ -1,4 +1,4 @@
-"""Check a start pose that a user gives, and name the true reason where it is refused."""
+"""Check a start pose given by a user, and state the reason if it is refused."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from activestructure_gym.ground_truth.regions import in_text
 from activestructure_gym.ground_truth.truth import GroundTruth
 from activestructure_gym.scenes.scene import Scene
 
-POSE_ROUNDING = 1e-3  # by how much a given pose's axes may fail to be orthonormal: three decimals
-_IN_THE_SURFACE = 0.01  # metres; a camera so close to a surface is in it
+POSE_ROUNDING = 1e-3  # largest deviation of a given pose's axes from orthonormal: three decimals
+_IN_THE_SURFACE = 0.01  # metres; a camera closer to a surface counts as inside it
 
 
 def check_start_pose(
@@ -18,9 +18,10 @@ def check_start_pose(
     world_from_camera: np.ndarray,  # [4, 4]
     body_radius: float,  # metres
 ) -> None:
-    """Raise `InputError` unless a body can stand at the pose, in the region of free space that is used.
+    """Raise `InputError` unless a body fits at the pose, in the region of free space in use.
 
-    In a scene too narrow for the body, whose own start poses are tighter, the tightest of those is the measure.
+    If the scene's own start poses have less clearance than the body radius, their smallest clearance is required
+    instead.
     """
     pose = np.asarray(world_from_camera, dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
@@ -30,7 +31,7 @@ def check_start_pose(
         raise InputError("a start pose must be a rigid motion: its upper left 3 x 3 block is no rotation")
     space, position = truth.free_space, pose[:3, 3]
     starts = space.start_poses[:, :3, 3]
-    # A tenth of a voxel: the clearance between voxel centres is interpolated.
+    # Tolerance of a tenth of a voxel: the clearance between voxel centres is interpolated.
     required = min(body_radius, float(space.clearance_at(starts).min())) if len(starts) else body_radius
     clearance = float(space.clearance_at(position)[0])
     if clearance > 0 and clearance >= required - 0.1 * space.voxel_size:
@@ -45,7 +46,7 @@ def check_start_pose(
 
 
 def _reason(truth: GroundTruth, position: np.ndarray, required: float) -> str:
-    """Say where a place is that is not in the free space in use, as the end of a sentence."""
+    """Return where a position outside the used free space is, as the end of a sentence."""
     low, high = truth.scene.bounds
     if (position < low).any() or (position > high).any():
         return f"outside the scene's bounds, which go from ({in_text(low)}) to ({in_text(high)})"
@@ -65,11 +66,11 @@ def _reason(truth: GroundTruth, position: np.ndarray, required: float) -> str:
 
 
 def distance_to_surface(scene: Scene, point: np.ndarray) -> float:  # [3] metres -> metres
-    """Return the distance from a point to the nearest triangle of a scene."""
+    """Return the distance in metres from a point to the nearest triangle of a scene."""
     from trimesh.triangles import closest_point
 
     corners = scene.mesh.vertices[scene.mesh.faces]  # [F, 3, 3]
-    # The nearest vertex bounds the distance; only triangles whose box is as near can be nearer.
+    # The nearest vertex bounds the distance; only triangles whose box is closer can be nearer.
     outside = np.maximum(corners.min(axis=1) - point, 0.0) + np.maximum(point - corners.max(axis=1), 0.0)
     bound = np.linalg.norm(corners.reshape(-1, 3) - point, axis=1).min()
     near = corners[np.linalg.norm(outside, axis=1) <= bound + 1e-6].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Start poses: choose them for a scene."""
+"""Choose start poses for a scene."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from activestructure_gym.ground_truth.level_ground import CAMERA_HEIGHTS
 from activestructure_gym.scenes.scene import Scene
 
 START_POSES = 16  # per scene; episodes draw from them by seed
-MIN_START_POSES = 8  # limits are loosened until this many are found
-# Metres of clearance, the first that leaves enough places: what the agent may know to be free around its start
-# (MotionConfig.start_free_radius), less, then what paths must keep.
+MIN_START_POSES = 8  # limits are relaxed until this many are found
+# Metres of clearance; the first value with enough positions is used. From the radius marked as free around the start
+# (MotionConfig.start_free_radius) down to the clearance of paths.
 _CLEARANCES = (0.6, 0.45, 0.35, 0.25, 0.2)
-_VIEW_RANGE = 6.0  # metres; open space beyond does not make a view better
+_VIEW_RANGE = 6.0  # metres; farther open space does not improve a view
 _HEADINGS = 72
 
 
 def choose_start_poses(scene: Scene, space: FreeSpace) -> np.ndarray:  # [S, 4, 4] world_from_camera
-    """Up to `START_POSES` poses, far apart from each other, each looking where most open space lies.
+    """Choose up to `START_POSES` poses far apart, each looking into the most open direction.
 
-    Deterministic: the first place is drawn with the scene's content as seed, every next one is the place farthest
-    from all before.
+    Deterministic: the first position is drawn with the scene's content as seed, each next one is the farthest from all
+    chosen ones.
     """
     places = _places(space)
     rng = np.random.default_rng(int(scene.content_hash[:16], 16))
@@ -35,7 +35,7 @@ def choose_start_poses(scene: Scene, space: FreeSpace) -> np.ndarray:  # [S, 4, 
 
 
 def _places(space: FreeSpace) -> np.ndarray:  # [N, 3] metres
-    """Centres of free voxels one may stand at, under the strictest limits that leave enough of them."""
+    """Return free voxel centres suitable for standing, under the strictest limits that leave enough of them."""
     standing = (space.height >= CAMERA_HEIGHTS[0]) & (space.height <= CAMERA_HEIGHTS[1])
     on_floor = standing & _above_floor(space)
     best = np.zeros((0, 3))
@@ -49,10 +49,10 @@ def _places(space: FreeSpace) -> np.ndarray:  # [N, 3] metres
 
 
 def _above_floor(space: FreeSpace) -> np.ndarray:  # [X, Y, Z] bool
-    """Voxels whose surface below is a floor and not the top of a bed or a table.
+    """Return voxels above a floor, excluding the tops of beds and tables.
 
-    A floor is a level that at least a quarter as many columns of free space end on as on the most common level; so
-    every storey of a house counts, and a bed in a bedroom does not.
+    A floor is a level below at least a quarter as many columns of free space as the most common level. Every storey of
+    a house thus counts, and a bed in a bedroom does not.
     """
     z = space.centers(np.zeros((1, 3)))[0, 2] + np.arange(space.clearance.shape[2]) * space.voxel_size
     below = z[None, None, :] - space.height  # height of the surface below, world metres
@@ -61,20 +61,20 @@ def _above_floor(space: FreeSpace) -> np.ndarray:  # [X, Y, Z] bool
         return usable
     level = np.zeros(below.shape, dtype=np.int64)
     level[usable] = np.round((below[usable] - below[usable].min()) / 0.1).astype(np.int64)
-    # One vote per column and level, or tall rooms would outvote low ones.
+    # One vote per column and level; otherwise tall rooms would outvote low ones.
     columns = np.argwhere(usable)[:, :2]
     votes = np.unique(np.column_stack([columns, level[usable]]), axis=0)[:, 2]
     counts = np.bincount(votes, minlength=level.max() + 1)
-    # A floor may straddle two bins.
+    # A floor may fall into two bins.
     spread = counts + np.concatenate([counts[1:], [0]]) + np.concatenate([[0], counts[:-1]])
     return usable & (spread >= 0.25 * spread.max())[level]
 
 
 def _open_direction(scene: Scene, position: np.ndarray) -> np.ndarray:  # [3]
-    """The level direction around which one sees farthest on average (over 60 degrees)."""
+    """Return the level direction with the largest mean distance to surfaces (over 60 degrees)."""
     angle = 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_HEADINGS)], axis=1)
-    # A ray that meets nothing leaves through a window or a hole: nothing to map there.
+    # A ray without a hit leaves through a window or hole: nothing to map there.
     distance = scene.raycaster.cast(position, directions).distance
     view = np.where(np.isfinite(distance), np.minimum(distance, _VIEW_RANGE), 0.0)
     half = _HEADINGS // 12

@@ -1,10 +1,10 @@
-"""Points on a mesh: a dense regular set that misses nothing, and a random one that is uniform by area."""
+"""Sample points on a mesh: a dense regular set that covers it, or a random set uniform by area."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_FACES_AT_ONCE = 1 << 18  # whose corners are held in float64 at once
+_FACES_AT_ONCE = 1 << 18  # number of faces whose corners are converted to float64 at a time
 
 
 def lattice_samples(
@@ -12,11 +12,10 @@ def lattice_samples(
     faces: np.ndarray,  # [F, 3]
     spacing: float,  # metres
 ) -> np.ndarray:  # [S, 3] float64
-    """Samples such that every point of the surface is within ``spacing / sqrt(2)`` of one; at least one per face.
+    """Sample so that every surface point is within ``spacing / sqrt(2)`` of a sample; at least one per face.
 
-    They stand in rows parallel to each triangle's longest edge, half a spacing apart, the first on that edge. Seen
-    from any point of the triangle the next row lies straight below, however flat the triangle is; so a needle costs
-    one row and not a square of samples.
+    Rows are parallel to each triangle's longest edge, half a spacing apart, starting on that edge. From any point of
+    the triangle, the next row lies perpendicularly below, however flat the triangle. A needle thus needs one row only.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]  # [F, 3, 3]
     edges = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)  # [F, 3]: from corner k to k + 1
@@ -28,7 +27,7 @@ def lattice_samples(
 
     rows = np.maximum(np.ceil(2.0 * height / spacing), 1).astype(np.int64)  # per triangle
     triangle = np.repeat(index, rows)
-    t = _ramp(rows) / rows[triangle]  # 0 on the longest edge, towards 1 at the corner opposite
+    t = _ramp(rows) / rows[triangle]  # 0 on the longest edge, towards 1 at the opposite corner
     cells = np.maximum(np.ceil(base[triangle] * (1.0 - t) / spacing), 1).astype(np.int64)  # per row
     row = np.repeat(np.arange(len(triangle)), cells)
     s = (_ramp(cells) + 0.5) / cells[row]
@@ -37,12 +36,12 @@ def lattice_samples(
 
 
 def samples_per_area(spacing: float) -> float:  # metres -> samples per m^2
-    """Samples per square metre that `lattice_samples` takes on triangles large against the spacing."""
+    """Return the samples per square metre of `lattice_samples` on triangles much larger than the spacing."""
     return 2.0 / spacing**2
 
 
 def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Area of all triangles together, in the square of the vertices' unit."""
+    """Return the total area of all triangles, in squared units of the vertices."""
     total = 0.0
     for start in range(0, len(faces), _FACES_AT_ONCE):
         corners = vertices[faces[start : start + _FACES_AT_ONCE]].astype(np.float64)
@@ -51,7 +50,7 @@ def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _ramp(counts: np.ndarray) -> np.ndarray:
-    """0 .. count - 1 for every count, one after the other."""
+    """Return 0 .. count - 1 for each count, concatenated."""
     return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
@@ -61,10 +60,10 @@ def uniform_samples(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Random points uniform by area [count, 3], the unit normals of their faces [count, 3], and the total area in m^2.
+    """Sample random points [count, 3] uniformly by area; return them, their faces' unit normals, and the area in m^2.
 
-    The triangle is drawn by stratified sampling over the cumulated area, which spreads the points more evenly than
-    independent draws and leaves every point uniform.
+    Triangles are drawn by stratified sampling over the cumulated area. The points are spread more evenly than
+    independent draws, and each one is uniform.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     edge_b, edge_c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -80,7 +79,7 @@ def samples_by_area(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, float]:  # [count, 3] metres, [count] index of the triangle, m^2 of all triangles
-    """The points of `uniform_samples` on triangles whose areas are known."""
+    """Sample the points of `uniform_samples` on triangles with known areas."""
     cumulated = np.cumsum(area)
     drawn = (np.arange(count) + rng.random(count)) / count * cumulated[-1]
     face = np.minimum(np.searchsorted(cumulated, drawn, side="right"), len(area) - 1)
@@ -89,11 +88,11 @@ def samples_by_area(
 
 def on_triangles(
     corners: np.ndarray,  # [N, 3, 3] metres
-    u: np.ndarray,  # [N] 0..1, changed
-    v: np.ndarray,  # [N] 0..1, changed
+    u: np.ndarray,  # [N] 0..1, modified
+    v: np.ndarray,  # [N] 0..1, modified
 ) -> np.ndarray:  # [N, 3] metres
-    """Return a point of each triangle, uniform by area where ``u`` and ``v`` are."""
-    outside = u + v > 1.0  # the other half of the parallelogram, folded back
+    """Return a point of each triangle, uniform by area if ``u`` and ``v`` are uniform."""
+    outside = u + v > 1.0  # fold the other half of the parallelogram back
     u[outside], v[outside] = 1.0 - u[outside], 1.0 - v[outside]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)

@@ -1,4 +1,4 @@
-"""`GroundTruth`: a scene with its free space, start poses and observable surface; who reads them takes this type."""
+"""Define `GroundTruth`: a scene with its free space, start poses and observable surface."""
 
 from __future__ import annotations
 
@@ -18,46 +18,44 @@ from activestructure_gym.ground_truth.start_poses import choose_start_poses
 from activestructure_gym.scenes.cache import cached_arrays
 from activestructure_gym.scenes.scene import Scene
 
-HARDLY_SEEN = 0.3  # share of the surface; where less can be seen, the region in use may be the wrong one
+HARDLY_SEEN = 0.3  # fraction of the surface; below it, the region in use may be the wrong one
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """A scene with its free space, start poses and observable surface, computed when they are first asked for.
+    """Hold a scene with its free space, start poses and observable surface, each computed on first use.
 
-    Start poses, the reward, metrics and the labels of training take a `GroundTruth`. Features, observations and
-    policies never do; the sensor takes the `Scene` alone.
-
-    Raises `InputError` from its properties where the scene has no free space.
+    Start poses, rewards, metrics and training labels take a `GroundTruth`. Features, observations and policies never
+    do; the sensor takes the `Scene` alone. Properties raise `InputError` if the scene has no free space.
     """
 
-    scene: Scene  # whose truth it is
-    surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, seen or not
+    scene: Scene
+    surface_samples: int = SURFACE_SAMPLES  # points drawn from the whole surface, visible or not
 
     @cached_property
     def free_space(self) -> FreeSpace:
-        """The free space, with the scene's start poses."""
+        """Return the free space, with the scene's start poses."""
         return free_space_of(self.scene, self.__dict__.get("regions"))
 
     @cached_property
     def regions(self) -> Regions:
-        """All regions of free space, of which one is used. They are costly; only listings and messages ask for them."""
+        """Return all regions of free space, one of which is used. Expensive; only listings and messages need it."""
         return Regions(self.scene)
 
     @cached_property
     def observable_surface(self) -> ObservableSurface:
-        """The part of the surface that some free pose can see."""
+        """Return the part of the surface visible from some free pose."""
         return observable_surface_of(self.scene, self.free_space, self.surface_samples)
 
 
 def warn_if_hardly_seen(truth: GroundTruth) -> None:
-    """Give an `InputWarning` where less than 30 % of the surface can be seen from the free space in use."""
+    """Warn if less than 30 % of the surface is visible from the free space in use."""
     if text := hardly_seen(truth):
         warnings.warn(f"scene '{truth.scene.name}': {text}", InputWarning, stacklevel=3)
 
 
 def hardly_seen(truth: GroundTruth) -> str:
-    """Say that less than 30 % of the surface can be seen from the free space in use; empty where more can be."""
+    """Return a message if less than 30 % of the surface is visible from the free space in use, else ""."""
     share = truth.observable_surface.area_share
     if share >= HARDLY_SEEN:
         return ""
@@ -68,10 +66,9 @@ def hardly_seen(truth: GroundTruth) -> str:
 
 
 def free_space_of(scene: Scene, regions: Regions | None = None) -> FreeSpace:
-    """Return the free space of a scene with its start poses, from the cache on disk where it has been computed before.
+    """Return the free space of a scene with its start poses, from the disk cache if available.
 
-    ``regions`` are those of the scene, where they have been found already. Raises `InputError` where no free space is
-    found.
+    ``regions`` are the scene's, if known already. Raises `InputError` if there is no free space.
     """
 
     def compute() -> dict[str, np.ndarray]:
@@ -100,19 +97,19 @@ _known: WeakValueDictionary[Hashable, GroundTruth] = WeakValueDictionary()
 
 
 def ground_truth_of(scene: Scene) -> GroundTruth:
-    """The truth of a scene; the same object for the same scene, loaded again, as long as somebody holds it.
+    """Return the ground truth of a scene; the same object for equal scenes, as long as it is referenced.
 
-    Scenes of one content that differ in their name, their source or their recorded views have one each.
+    Scenes of equal content but different name, source or recorded views have separate objects.
 
     Parameters
     ----------
     scene
-        The scene; nothing is computed before it is asked for.
+        The scene; properties are computed on first use.
 
     Returns
     -------
     GroundTruth
-        Free space, start poses and observable surface, metres in the world's frame.
+        Free space, start poses and observable surface, metres in the world frame.
 
     Examples
     --------
@@ -131,7 +128,7 @@ def ground_truth_of(scene: Scene) -> GroundTruth:
 
 
 def _views_of(scene: Scene) -> Hashable:
-    """What tells the recorded views of a scene from others."""
+    """Return a key that identifies the recorded views of a scene."""
     views = scene.evaluation_views
     if views is None:
         return None

@@ -1,4 +1,4 @@
-"""A scene on a grid of voxels: where its surface is, how much of the view it closes, how far it is away."""
+"""Voxelise a scene: occupied voxels, enclosed fraction of directions, distance to the surface."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.ground_truth.surface_samples import lattice_samples, samples_per_area, surface_area
 from activestructure_gym.scenes.scene import Scene
 
-VOXEL_SIZE = 0.1  # metres; the size the planners' volumes use
-MAX_VOXELS = 4_000_000  # 5 seconds of one core; a larger building gets larger voxels
-MAX_SAMPLES = 8_000_000  # of the surface, 1.5 GB; one of 20,000 m2 and more gets larger voxels too
-_SPACING = 0.7  # of the surface's samples, in voxels
+VOXEL_SIZE = 0.1  # metres; the planners' volumes use the same size
+MAX_VOXELS = 4_000_000  # 5 seconds on one core; larger buildings get larger voxels
+MAX_SAMPLES = 8_000_000  # surface samples, 1.5 GB; surfaces above 20,000 m2 get larger voxels
+_SPACING = 0.7  # spacing of the surface samples, in voxels
 _DIRECTIONS = 64
-_EXACT_BELOW = 0.6  # metres; above the largest clearance that anything asks for (start poses: 0.45)
+_EXACT_BELOW = 0.6  # metres; above the largest clearance needed anywhere (start poses: 0.6)
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelizedScene:
-    """The surface of a scene on a grid; voxel (i, j, k) has its centre at ``origin + (i + .5, ...) * voxel_size``."""
+    """Hold a scene's surface on a grid; voxel (i, j, k) has its centre at ``origin + (i + 0.5, ...) * voxel_size``."""
 
     scene: Scene
     origin: np.ndarray  # [3] float64 metres: lower corner of the grid
@@ -31,11 +31,11 @@ class VoxelizedScene:
 
     @cached_property
     def share(self) -> np.ndarray:  # [X, Y, Z] float32
-        """Share of directions that meet a surface, for every voxel."""
+        """Return the fraction of directions that hit a surface, for every voxel."""
         return enclosed_share(self.occupied)
 
     def clearance(self, candidates: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [X, Y, Z] float32 metres
-        """Distance from the centres of the candidates to the surface, 0 elsewhere."""
+        """Return the distance from the candidates' centres to the surface, 0 elsewhere."""
         return _clearance(candidates, self.surface, self.origin, self.voxel_size)
 
     def centers(self, voxels: np.ndarray) -> np.ndarray:  # [..., 3] indices -> [..., 3] metres
@@ -43,15 +43,15 @@ class VoxelizedScene:
         return self.origin + (np.asarray(voxels) + 0.5) * self.voxel_size
 
     def voxel_of(self, point: np.ndarray) -> np.ndarray:  # [3] metres -> [3] int64
-        """Return the index of the voxel that holds a point, which may lie outside of the grid."""
+        """Return the index of the voxel that contains a point; it may lie outside the grid."""
         return np.floor((np.asarray(point, dtype=np.float64) - self.origin) / self.voxel_size).astype(np.int64)
 
 
 def voxelized(scene: Scene) -> VoxelizedScene:
-    """Put a scene on a grid that its size and its surface allow."""
+    """Voxelise a scene with a voxel size that its extent and surface allow."""
     origin, voxel_size, shape = _grid(scene.bounds, surface_area(scene.mesh.vertices, scene.mesh.faces))
-    # Every point of the surface has a sample within half a voxel: a voxel that a surface properly crosses is never
-    # empty, and at the body's clearance the nearest sample is at most 6 mm farther than the surface.
+    # Every surface point has a sample within half a voxel: a voxel that a surface properly crosses is never empty. At
+    # the body's clearance the nearest sample is at most 6 mm farther than the surface.
     surface = lattice_samples(scene.mesh.vertices, scene.mesh.faces, _SPACING * voxel_size)
     occupied = np.zeros(shape, dtype=bool)
     occupied[tuple(np.floor((surface - origin) / voxel_size).astype(np.int64).T)] = True
@@ -59,7 +59,7 @@ def voxelized(scene: Scene) -> VoxelizedScene:
 
 
 def _grid(bounds: np.ndarray, area: float) -> tuple[np.ndarray, float, tuple[int, int, int]]:
-    """Lower corner, voxel size and shape of a grid around the bounds, with a voxel to spare on every side."""
+    """Return lower corner, voxel size and shape of a grid around the bounds, with one spare voxel on each side."""
     extent = bounds[1] - bounds[0]
     voxel_size = VOXEL_SIZE
     while (
@@ -73,15 +73,15 @@ def _grid(bounds: np.ndarray, area: float) -> tuple[np.ndarray, float, tuple[int
 
 
 def enclosed_share(occupied: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [X, Y, Z] float32
-    """Share of directions in which a voxel of the grid is occupied, for every voxel.
+    """Return the fraction of directions in which a voxel of the grid is occupied, for every voxel.
 
-    One sweep per direction over the layers of the grid: a voxel sees a surface where the next voxel along the
-    direction is occupied or sees one itself. Far cheaper than rays, and a direction is all that is asked for.
+    One sweep over the grid's layers per direction: a voxel sees a surface if the next voxel along the direction is
+    occupied or sees one itself. This is much cheaper than casting rays.
     """
     seen = np.zeros(occupied.shape, dtype=np.uint8)
     for direction in fibonacci_directions(_DIRECTIONS):
         axis = int(np.abs(direction).argmax())
-        # Views with the sweep axis first and the direction ascending along it; writing to them writes to `seen`.
+        # Views with the sweep axis first, ascending along the direction; writing to them writes to `seen`.
         layers, counts = np.moveaxis(occupied, axis, 0), np.moveaxis(seen, axis, 0)
         if direction[axis] < 0:
             layers, counts = layers[::-1], counts[::-1]
@@ -96,7 +96,7 @@ def enclosed_share(occupied: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [X,
 
 
 def _shifted(layer: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """``result[x] = layer[x + step]``, False beyond the border."""
+    """Return ``result[x] = layer[x + step]``, False outside."""
     if not step.any():
         return layer
     result = np.zeros_like(layer)
@@ -109,10 +109,10 @@ def _shifted(layer: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def _clearance(candidates: np.ndarray, surface: np.ndarray, origin: np.ndarray, voxel_size: float) -> np.ndarray:
-    """Distance from the centres of the candidates to the surface, 0 elsewhere. [X, Y, Z] float32
+    """Return the distance [X, Y, Z] from the candidates' centres to the surface, 0 elsewhere.
 
-    Near the surface, where it decides what a body can do, from the nearest sample; farther away from the mean of the
-    samples in the nearest occupied voxel (at most 0.12 m too much, 1 to 3 mm in the median), which is 5 times faster.
+    Near the surface it is the distance to the nearest sample. Farther away it is that to the mean of the samples in the
+    nearest occupied voxel, which is 5 times faster (median error 1 to 3 mm, at most 0.12 m too large).
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.spatial import cKDTree
@@ -129,7 +129,7 @@ def _clearance(candidates: np.ndarray, surface: np.ndarray, origin: np.ndarray, 
     centers = origin + (np.argwhere(candidates) + 0.5) * voxel_size
     distance = np.linalg.norm(centers - means[np.ravel_multi_index(tuple(nearest), candidates.shape)], axis=1)
     near = distance < _EXACT_BELOW
-    # Unbalanced, uncompacted trees build three times faster and answer alike on points this regular.
+    # Unbalanced, uncompacted trees build three times faster, with equal query time on such regular points.
     tree = cKDTree(surface, balanced_tree=False, compact_nodes=False)
     exact = tree.query(centers[near], distance_upper_bound=_EXACT_BELOW + voxel_size, workers=2)[0]
     distance[near] = np.minimum(exact, _EXACT_BELOW + voxel_size)

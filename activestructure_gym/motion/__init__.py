@@ -1,4 +1,4 @@
-"""Motion from view to view: reachability, paths, and the frames along them."""
+"""Plan motion between views: reachability, paths, and the frames along them."""
 
 from activestructure_gym.motion.clearance import SAMPLING_DIP, first_blocked_edge
 from activestructure_gym.motion.legs import Leg, recorded_legs, regular_legs

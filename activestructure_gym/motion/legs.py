@@ -1,4 +1,4 @@
-"""The way from one decision to the next, as it was executed, so that it can be followed again frame by frame."""
+"""Represent the executed frames between two decisions, so that they can be replayed frame by frame."""
 
 from __future__ import annotations
 
@@ -7,24 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Keyframes between two decisions of a trajectory that has none: at every decision it is measured anew how well
-# keyframes are mapped, which the mapper goes by (own choice).
+# Keyframes per decision for a trajectory without decisions. The PSNR of the keyframes, which the mapper uses, is
+# measured again at every decision (own choice).
 KEYFRAMES_PER_LEG = 4
 
 
 @dataclass(frozen=True)
 class Leg:
-    """What happens between two decisions."""
+    """Hold the frames between two decisions."""
 
-    poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame, without the one before
-    rounds: tuple[int, ...]  # [T] times the mapper's iterations with which the frame is mapped; 0 = no keyframe
-    lost: int = 0  # frames paid without a pose: a view that no way leads to, a row that is none
-    stays: int = 0  # frames spent in place to optimise; then there are no poses
+    poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame, without the start pose
+    rounds: tuple[int, ...]  # [T] iteration factor of the mapper at each frame; 0 = no keyframe
+    lost: int = 0  # frames used without a pose: an unreachable view, or an invalid row
+    stays: int = 0  # frames spent optimising in place; then there are no poses
 
 
 def regular_legs(poses: np.ndarray, keyframe_every: int) -> list[Leg]:
-    """A trajectory [T, 4, 4] whose keyframes are every n-th frame and the last; its first pose is where it starts."""
-    frames = np.arange(2, len(poses) + 1)  # paid when each pose behind the first is reached
+    """Split a trajectory [T, 4, 4] into legs; its first pose is the start.
+
+    Every ``keyframe_every``-th frame and the last one are keyframes.
+    """
+    frames = np.arange(2, len(poses) + 1)  # number of frames used when each pose after the first is reached
     mapped = (frames % keyframe_every == 0) | (frames == len(poses))
     ends = np.flatnonzero(mapped)[KEYFRAMES_PER_LEG - 1 :: KEYFRAMES_PER_LEG] + 1
     legs = []
@@ -35,16 +38,16 @@ def regular_legs(poses: np.ndarray, keyframe_every: int) -> list[Leg]:
 
 
 def recorded_legs(arrays: Mapping[str, np.ndarray]) -> list[Leg]:
-    """The legs of a run's ``trajectory.npz``; ValueError where its arrays do not fit together.
+    """Return the legs of a run's ``trajectory.npz``; raise ValueError if its arrays are inconsistent.
 
-    ``legs`` [D, 3] has poses executed and frames paid by the end of each decision, and 1 where they were spent in
-    place to optimise; ``keyframe_rounds`` [K] the rounds of each of ``keyframes``.
+    ``legs`` [D, 3] holds, at the end of each decision, the poses executed, the frames used, and 1 if they were spent
+    optimising in place. ``keyframe_rounds`` [K] holds the iteration factor of each of ``keyframes``.
     """
     poses, table = arrays["world_from_camera"], np.asarray(arrays["legs"])
     keyframes, rounds = np.asarray(arrays["keyframes"]), np.asarray(arrays["keyframe_rounds"])
     if table.ndim != 2 or table.shape[1] != 3 or table.dtype.kind not in "iu" or rounds.dtype.kind not in "iu":
         raise ValueError(f"legs must be whole numbers [D, 3], got {table.dtype} {table.shape}")
-    table = table.astype(np.int64)  # unsigned ones would become fractions below
+    table = table.astype(np.int64)  # signed, since unsigned differences would wrap or become floats
     if keyframes.ndim != 1 or keyframes.dtype.kind not in "iu" or (keyframes < 0).any():
         raise ValueError(f"keyframes must be whole numbers [K] from 0 on, got {keyframes.dtype} {keyframes.shape}")
     if rounds.shape != keyframes.shape or (rounds < 0).any() or (rounds > 1000).any():

@@ -1,6 +1,6 @@
-"""The Voronoi graph of a floor plan: places at the largest distance from all walls, and their connections.
+"""Compute the Voronoi graph of a floor plan: positions of maximal distance to walls, and their connections.
 
-ActiveSplat and ANM-S choose among these nodes ([activesplat, code], [anm_s, code]).
+ActiveSplat and ANM-S choose among its nodes ([activesplat, code], [anm_s, code]).
 """
 
 from __future__ import annotations
@@ -14,30 +14,31 @@ from scipy.spatial import QhullError, Voronoi
 
 from activestructure_gym.volume import FREE, OCCUPIED, VoxelVolume
 
-SIMPLIFIED_M = 0.225  # metres that the outline may be off where it is simplified (ActiveSplat's)
-SPACING_M = 0.2  # metres between the points of the outline
-MERGED_M = 0.5  # metres of way below which two nodes are one
-_DETOUR = 1.2  # ways along the outline this much longer than the straight line lead around a corner
-_SPECK = 4  # cells: unknown islands up to this size are taken for free
+SIMPLIFIED_M = 0.225  # metres: tolerance of the outline's simplification (ActiveSplat's)
+SPACING_M = 0.2  # metres between points on the outline
+MERGED_M = 0.5  # metres: nodes closer than this along the graph are merged
+# two outline points lie on different parts if the outline between them is longer than the straight line by this factor
+_DETOUR = 1.2
+_SPECK = 4  # cells: unknown islands up to this size count as free
 
 
 @dataclass(frozen=True)
 class VoronoiGraph:
-    """Nodes are the vertices of degree 3 or more; chains that end in a corner or a dead end are cut off."""
+    """Hold the graph. Nodes are vertices of degree 3 or more; chains to corners and dead ends are removed."""
 
-    nodes: np.ndarray  # [N, 2] metres, world, in the order of their coordinates
+    nodes: np.ndarray  # [N, 2] metres, world, sorted by coordinates
     clearance: np.ndarray  # [N] metres to the outline
-    edges: np.ndarray  # [E, 2] int64 indices of nodes, the smaller one first
+    edges: np.ndarray  # [E, 2] int64 indices of nodes, the smaller first
     lengths: np.ndarray  # [E] metres along the graph
-    chain_ends: np.ndarray  # [C, 2] metres: where the chains that were cut off end
-    chain_nodes: np.ndarray  # [C] int64, the node each of them hung from
+    chain_ends: np.ndarray  # [C, 2] metres: ends of the removed chains
+    chain_nodes: np.ndarray  # [C] int64, node to which each chain was attached
 
     def __len__(self) -> int:
         return len(self.nodes)
 
     @property
-    def distances(self) -> np.ndarray:  # [N, N] metres along the graph, inf where no way leads
-        """Lengths of the shortest ways between the nodes."""
+    def distances(self) -> np.ndarray:  # [N, N] metres along the graph, inf if not connected
+        """Return the shortest path lengths between all nodes."""
         graph = nx.Graph()
         graph.add_nodes_from(range(len(self)))
         graph.add_weighted_edges_from((int(a), int(b), float(d)) for (a, b), d in zip(self.edges, self.lengths))
@@ -49,19 +50,19 @@ class VoronoiGraph:
 
 def planar_graph(
     volume: VoxelVolume,
-    position: np.ndarray,  # [3] metres, world: the height of the plan, and a place within it
+    position: np.ndarray,  # [3] metres, world: height of the plan and a position within it
     *,
-    radius: float = 0.2,  # metres that nodes and edges keep from the outline
+    radius: float = 0.2,  # metres between the outline and nodes or edges
 ) -> VoronoiGraph:
-    """The Voronoi graph of the floor plan that the volume knows at this height, around this place."""
+    """Return the Voronoi graph of the volume's free plan at this height, around this position."""
     free = free_plan(volume, position)
     return voronoi_graph(free, volume.origin[:2], volume.voxel_size, radius=radius)
 
 
 def free_plan(volume: VoxelVolume, position: np.ndarray) -> np.ndarray:  # [X, Y] bool
-    """The free cells at the height of ``position`` [3] that hang together with it; all False in a place not free.
+    """Return the free cells at the height of ``position`` [3] that are connected to it; all False if it is not free.
 
-    Single unknown cells amid free ones are what no ray happened to go through; they count as free.
+    Small unknown islands within free space, missed by all rays, count as free.
     """
     i, j, k = volume.voxel_of(position)
     plan = np.zeros(volume.shape[:2], dtype=bool)
@@ -83,17 +84,17 @@ def voronoi_graph(
     *,
     radius: float,  # metres
 ) -> VoronoiGraph:
-    """Nodes and edges that keep ``radius`` from the outline of ``free``; a single node where nothing branches.
+    """Return nodes and edges at least ``radius`` from the outline of ``free``; a single node if nothing branches.
 
-    The outline is simplified and set with points; of their Voronoi diagram those edges remain that run between
-    different parts of the outline. The outline runs through the centres of the outermost free cells, so clearances are
-    half a cell short. Empty if no free cell has the clearance.
+    The outline is simplified and sampled. Of the points' Voronoi diagram, the edges between different parts of the
+    outline are kept. The outline runs through the centres of the outermost free cells, so clearances are half a cell
+    too small. Empty if no free cell has the clearance.
     """
     graph = _skeleton(free, cell, radius)
     if not len(graph):
         return _lonely(free, origin, cell, radius)
     junctions = {v for v, degree in graph.degree if degree >= 3}
-    if not junctions:  # a path or a ring: its widest place
+    if not junctions:  # a path or a ring: use its widest position
         widest = max(graph, key=lambda v: (graph.nodes[v]["clearance"], v))
         at = np.asarray(origin) + graph.nodes[widest]["at"]
         return _assembled(at[None], np.array([graph.nodes[widest]["clearance"]]), {}, [])
@@ -116,18 +117,18 @@ def voronoi_graph(
 
 
 def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
-    """Voronoi vertices in the free cells and the ridges between them; metres from the corner of cell (0, 0)."""
+    """Return the Voronoi vertices in free cells and the ridges between them; metres from the corner of cell (0, 0)."""
     points, contour, along, whole = _outline(free, cell)
     graph = nx.Graph()
     if len(points) < 4:
         return graph
     try:
         diagram = Voronoi(points)
-    except QhullError:  # all points on a line
+    except QhullError:  # collinear points
         return graph
     ridges, pairs = np.array(diagram.ridge_vertices), diagram.ridge_points
     gap = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
-    around = np.minimum(gap, whole[contour[pairs[:, 0]]] - gap)  # the shorter way along a closed outline
+    around = np.minimum(gap, whole[contour[pairs[:, 0]]] - gap)  # the shorter way around a closed outline
     straight = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
     branches = (contour[pairs[:, 0]] != contour[pairs[:, 1]]) | (around > _DETOUR * straight)
     vertices = diagram.vertices
@@ -135,7 +136,7 @@ def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
     for end in (0, 1):
         distance = np.linalg.norm(vertices[ridges[:, end]] - points[pairs[:, 0]], axis=1)
         np.minimum.at(clearance, ridges[:, end], distance)
-    # A ridge is nearest to its two points between its ends where it passes between them, as in a door.
+    # A ridge that passes between its two points, as in a door, is nearest to them between its ends.
     begin, way = vertices[ridges[:, 0]], vertices[ridges[:, 1]] - vertices[ridges[:, 0]]
     share = ((points[pairs[:, 0]] - begin) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12)
     closest = begin + np.clip(share, 0.0, 1.0)[:, None] * way
@@ -153,13 +154,16 @@ def _skeleton(free: np.ndarray, cell: float, radius: float) -> nx.Graph:
 
 
 def _outline(free: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points on the simplified outlines [P, 2] metres, the outline of each [P], its place along it [P] metres, and
-    the length of every outline [outlines] metres."""
+    """Sample the simplified outlines.
+
+    Returns points [P, 2] in metres, the outline index of each [P], its position along the outline [P] in metres, and
+    the length of each outline in metres.
+    """
     found, _ = cv2.findContours(np.pad(free, 1).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     points, contour, along, whole = [np.zeros((0, 2))], [], [], []
     for number, chain in enumerate(found):
         corners = cv2.approxPolyDP(chain, SIMPLIFIED_M / cell, closed=True).reshape(-1, 2)[:, ::-1]
-        corners = (corners - 0.5) * cell  # rows of the picture are x; the padding is one cell, centres are at halves
+        corners = (corners - 0.5) * cell  # image rows are x; the padding is one cell, centres are at halves
         sides = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(sides, axis=1)
         starts = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -177,7 +181,7 @@ def _outline(free: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.
 def _contracted(
     graph: nx.Graph, junctions: set[int]
 ) -> tuple[list[tuple[int, int, float]], list[tuple[int, int]]]:  # (junction, junction, metres), (junction, end)
-    """The ways from junction to junction and the chains that end somewhere else."""
+    """Return the paths between junctions, and the chains that end elsewhere."""
     ways, chains = [], []
     for start in sorted(junctions):
         for step in sorted(graph[start]):
@@ -194,7 +198,7 @@ def _contracted(
 
 
 def _merged(graph: nx.Graph, junctions: set[int], ways: list[tuple[int, int, float]]) -> dict[int, int]:
-    """The junction that stands for each: the widest of those that short ways connect."""
+    """Map each junction to the widest one among those connected by short paths."""
     near = nx.Graph()
     near.add_nodes_from(sorted(junctions))
     near.add_edges_from((a, b) for a, b, length in ways if length < MERGED_M)
@@ -206,7 +210,7 @@ def _merged(graph: nx.Graph, junctions: set[int], ways: list[tuple[int, int, flo
 
 
 def _lonely(free: np.ndarray, origin: np.ndarray, cell: float, radius: float) -> VoronoiGraph:
-    """The graph of the one cell with the largest clearance; empty if that is at most ``radius``."""
+    """Return a graph of the single cell with the largest clearance; empty if that is at most ``radius``."""
     distance = cv2.distanceTransform(np.pad(free, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     best = np.unravel_index(int(np.argmax(distance)), distance.shape)
     clearance = float(distance[best] - 0.5) * cell

@@ -1,4 +1,4 @@
-"""The way to a view before it is chosen: how many frames it costs and where its keyframes would be taken."""
+"""Predict the path to a view before it is chosen: its cost in frames and its keyframes."""
 
 from __future__ import annotations
 
@@ -18,51 +18,51 @@ from activestructure_gym.volume import VoxelVolume
 def least_frames(
     pose: np.ndarray,  # [4, 4] world_from_camera
     goals: np.ndarray,  # [n, 4, 4]
-    lengths: np.ndarray,  # [n] metres of the ways there
+    lengths: np.ndarray,  # [n] path lengths in metres
     motion: MotionConfig,
 ) -> np.ndarray:  # [n]
-    """Frames it takes to reach each goal: its steps or its turns, whichever are more, and at least one."""
+    """Return the frames needed to reach each goal: the larger of steps and turns, at least one."""
     turns = np.degrees(rotation_angle(goals, pose)) / motion.max_turn_deg
     return np.maximum(np.ceil(np.maximum(lengths / motion.max_step_m, turns) - 1e-6), 1)
 
 
 @dataclass(frozen=True)
 class Way:
-    """The way to one view, as far as the budget reaches."""
+    """Hold the path to one view, cut at the end of the budget."""
 
-    frames: int  # paid
-    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of those taken on it, its end among them
+    frames: int  # frames used
+    keyframes: np.ndarray  # [K, 4, 4] world_from_camera of the keyframes along it, including its end
 
 
 @dataclass(frozen=True)
 class Agent:
-    """Where the agent stands, and how it gets to a view: everything that decides a way besides the volume."""
+    """Hold the agent's pose, budget and motion limits: everything that determines a path besides the volume."""
 
     pose: np.ndarray  # [4, 4] world_from_camera
-    frames: int  # paid so far
+    frames: int  # frames used so far
     frame_budget: int
     keyframe_every: int  # frames
     motion: MotionConfig
-    distances: DistanceMap  # from where it stands
-    rng: np.random.Generator  # of the planner of paths; copied before use, so that nothing is drawn from it
-    stops: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # [D, 4, 4] where each decision has ended
+    distances: DistanceMap  # from the current position
+    rng: np.random.Generator  # of the path planner; copied before use, so that its state does not change
+    stops: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))  # [D, 4, 4] final pose of each decision
 
     def least_frames(self, goals: np.ndarray) -> np.ndarray:  # [n, 4, 4] -> [n]
-        """Frames it takes to reach each goal by the way on the grid; inf where there is none."""
+        """Return the frames needed to reach each goal along the grid path; inf if unreachable."""
         return least_frames(self.pose, goals, self.distances.at(goals[:, :3, 3]), self.motion)
 
     def along(self, poses: np.ndarray) -> Way:  # [T, 4, 4]
-        """The frames of ``poses`` that an episode would pay, and the keyframes it would take of them."""
+        """Return the frames of ``poses`` within the budget, and the keyframes among them."""
         frames = min(len(poses), self.frame_budget - self.frames)
         number = np.arange(1, frames + 1)
         taken = ((self.frames + number) % self.keyframe_every == 0) | (number == frames)
         return Way(frames, poses[:frames][taken])
 
     def ways(self, volume: VoxelVolume, goals: Iterable[np.ndarray]) -> list[Way | None]:  # goals of [4, 4]
-        """The way to every goal through what is known to be free; None where there is none.
+        """Return the path to every goal through known free space; None if there is none.
 
-        A path to a place is planned once, so nothing changes by asking; the episode may find another one. That what is
-        seen on the way may block it is not foreseen.
+        Each position is planned once with a copy of the generator, so the call changes no state; the executed path may
+        differ. Obstacles first observed along the path are not predicted.
         """
         paths: dict[bytes, np.ndarray | None] = {}
         found: list[Way | None] = []

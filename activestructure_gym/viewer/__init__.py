@@ -1,8 +1,8 @@
-"""To be looked at: an episode as it happens or as it was, in a page of its own.
+"""View an episode in a web page, live or recorded.
 
-`Recorder` keeps what can be watched of an episode, `packing` makes bytes of it that a browser unpacks, `viewer_page` is
-the page that draws them, and `LiveView` serves it while an episode goes on. What is shown is what the agent has: the
-map, the planes, the candidates, its own images. No ground truth is in here.
+`Recorder` records what a viewer shows of an episode. `packing` converts it to bytes for the browser, `viewer_page`
+makes the page that draws it, and `LiveView` serves the page during an episode. Shown are the agent's map, planes,
+candidates and images; no ground truth.
 """
 
 from activestructure_gym.viewer.live import LiveView

@@ -1,4 +1,4 @@
-"""An episode as it happens, served to a browser on this machine, which may pause it and say where to go next."""
+"""Serve a running episode to a browser, which can pause it and choose the next candidate."""
 
 from __future__ import annotations
 
@@ -31,36 +31,39 @@ if TYPE_CHECKING:
     from activestructure_gym.reconstruction import Reconstruction
 
 LOOPBACK = "127.0.0.1"
-_PATIENCE_S = 15.0  # a question for news waits so long before it is answered that there is none
-_LONGEST = 1000  # bytes of a command
-_MOST_STRANGERS = 64  # connections that have not shown the key; the oldest makes room for the next
-PACES = (0.0, 1.0, 3.0)  # seconds between two decisions that can be chosen
-_ZLIB_LEVEL = 1  # it is the same machine
+_PATIENCE_S = 15.0  # seconds that a request for news is held open before an empty answer
+_LONGEST = 1000  # maximum bytes of a command
+_MOST_STRANGERS = 64  # maximum connections that have not sent the key; the oldest is closed for a new one
+PACES = (0.0, 1.0, 3.0)  # selectable seconds between two decisions
+_ZLIB_LEVEL = 1  # low: server and browser run on the same machine
 
 
 class LiveView:
-    """A page that shows an episode while it is played.
+    """Serve a page that shows an episode while it is played.
 
-    Whoever plays calls `begin` once per episode, `show` before every decision, and `wait`, which returns when the
-    episode may go on, with the row that was clicked, if one was. The page is served at ``url``, which holds a key: who
-    does not know it can neither look nor steer.
+    The caller calls `begin` once per episode, `show` before every decision, and then `wait`. `wait` returns when the
+    episode may continue, with the clicked row, if any. The page's address ``url`` contains a key; viewing and commands
+    need it.
 
     Parameters
     ----------
     title
-        What stands above the picture.
+        Heading of the page.
     address
-        Where it is served; 127.0.0.1 is this machine alone.
+        Address to serve at; 127.0.0.1 is reachable from this machine only.
     port
-        0 is a free one.
+        Port to serve at; 0 selects a free one.
     chooses
-        Whether a candidate can be clicked: `wait` then returns rows.
+        Whether candidates can be clicked: `wait` then returns rows.
     asks
-        Whether nothing happens until one is clicked.
+        Whether `wait` waits for a click.
     paused
-        Whether it begins paused.
+        Whether the episode starts paused.
 
-    Raises `InputError` where it cannot be served there.
+    Raises
+    ------
+    InputError
+        If the address or port cannot be used.
     """
 
     def __init__(
@@ -75,17 +78,17 @@ class LiveView:
     ) -> None:
         self.title, self.chooses, self.asks = title, chooses or asks, asks
         self._key = secrets.token_urlsafe(16)
-        self._news = threading.Condition()  # guards all below
-        self._version = 0  # grows with everything that can be seen
+        self._news = threading.Condition()  # guards all attributes below
+        self._version = 0  # increases with every visible change
         self._episode = 0
         self._recorder: Recorder | None = None
         self._told: dict[str, Any] = {}
         self._state = "exploring"
         self._paused, self._ended, self._closed = paused, False, False
-        self._steps = 0  # decisions that may be made although it is paused
+        self._steps = 0  # decisions allowed while paused
         self._pace = 0.0  # seconds between decisions
-        self._open = False  # whether the last decision can still be made by a click
-        self._row: int | None = None  # that was clicked
+        self._open = False  # whether a click can still make the current decision
+        self._row: int | None = None  # the clicked row
         try:
             ip_address(address)
             self._server = _Server((address, port), self)
@@ -96,15 +99,16 @@ class LiveView:
             ) from None
         host, port = str(self._server.server_address[0]), self._server.server_address[1]
         host = f"[{host}]" if ":" in host else host
-        # Browsers leave the port away where it is HTTP's own.
+        # Browsers omit HTTP's default port.
         names = {f"{name}{end}" for name in (host, "localhost") for end in (f":{port}", *[""] * (port == 80))}
         self.hosts = names if ip_address(address).is_loopback else None
         self.url = f"http://{host}:{port}/?key={self._key}"
-        serve = partial(self._server.serve_forever, poll_interval=0.02)  # seconds that closing waits
+        # poll interval in seconds; close() waits this long
+        serve = partial(self._server.serve_forever, poll_interval=0.02)
         threading.Thread(target=serve, name="live view", daemon=True).start()
 
     def begin(self, episode: Reconstruction, worth: str = "") -> None:
-        """An episode has begun; ``worth`` is the name of the feature that candidates are coloured by."""
+        """Start showing an episode; ``worth`` names the feature that colours the candidates."""
         recorder = Recorder(episode)
         with self._news:
             self._recorder, self._episode, self._ended = recorder, self._episode + 1, False
@@ -113,7 +117,7 @@ class LiveView:
         self._reconstruction = episode
 
     def show(self, phase: str | None = None) -> None:
-        """There is something new: a decision is to be made, or the episode has ended."""
+        """Show the current state: a decision is due, or the episode has ended."""
         episode = self._reconstruction
         assert self._recorder is not None, "begin() comes first"
         point = {"frames": episode.frames, "known": known_share(episode), "fidelity": fidelity(episode)}
@@ -125,16 +129,16 @@ class LiveView:
             self._changed("exploring")
 
     def chosen(self, row: int) -> None:
-        """This candidate was chosen."""
+        """Show that candidate ``row`` was chosen."""
         with self._news:
             if self._recorder is not None and self._recorder.moments:
                 self._recorder.choose(row)
                 self._changed("walking" if self.asks else "exploring")
 
     def wait(self) -> int | None:
-        """Until the episode may go on; the row that was clicked, or None.
+        """Wait until the episode may continue; return the clicked row, or None.
 
-        From then on until the next `show` nothing can be clicked: rows are of one decision.
+        Clicks are accepted only during the wait, since rows belong to one decision.
         """
         with self._news:
             self._open = not self._ended
@@ -144,7 +148,7 @@ class LiveView:
                 self._open = False
 
     def _waited(self) -> int | None:
-        """See `wait`; with the condition held."""
+        """Implement `wait`; the caller holds the condition."""
         due = time.monotonic() + self._pace
         while not self._closed:
             if self._row is not None:
@@ -156,19 +160,19 @@ class LiveView:
                 self._set("paused")
             elif time.monotonic() >= due:
                 break
-            # A bounded wait, so that Ctrl+C is heard.
+            # Bounded, so that Ctrl+C interrupts it.
             self._news.wait(0.5 if self._paused or self.asks else max(due - time.monotonic(), 0.001))
         self._steps = max(self._steps - 1, 0)
         return None
 
     def end(self, state: str = "ended") -> None:
-        """The episode is over; the page stays as it is."""
+        """Mark the episode as ended; the page stays."""
         with self._news:
             self._ended, self._open = True, False
             self._changed(state)
 
     def close(self) -> None:
-        """Serve no more; calling it twice does no harm."""
+        """Stop serving; may be called twice."""
         with self._news:
             if self._closed:
                 return
@@ -189,20 +193,20 @@ class LiveView:
     # -- what the page asks ----------------------------------------------------------------------------------------
 
     def page(self) -> str:
-        """The page itself."""
+        """Return the page's HTML."""
         return viewer_page(self.title, live=True)
 
     @property
     def closed(self) -> bool:
-        """Whether nothing is served any more."""
+        """Return whether the server is closed."""
         return self._closed
 
     def knows(self, key: str) -> bool:
-        """Whether this is the key."""
+        """Return whether ``key`` is the server's key."""
         return secrets.compare_digest(key.encode(), self._key.encode())
 
     def news(self, episode: int, moments: int, version: int) -> bytes | None:
-        """What the page does not have yet, deflated; None if nothing comes for a while."""
+        """Return the data that the page does not have yet, deflated; None if there are none for a while."""
         with self._news:
             self._news.wait_for(lambda: self._closed or self._is_news(version), _PATIENCE_S)
             recorder = self._recorder
@@ -233,7 +237,7 @@ class LiveView:
         return self._version != version and self._recorder is not None and bool(self._recorder.moments)
 
     def obey(self, command: dict[str, Any]) -> str:
-        """Do what the page asks for; what is wrong with it, or nothing."""
+        """Execute a command of the page; return an error message, or ""."""
         with self._news:
             kind, recorder = command.get("do"), self._recorder
             if kind == "pause":
@@ -260,42 +264,42 @@ class LiveView:
 
 
 def known_share(episode: Reconstruction) -> float:
-    """Percent of the workspace's voxels that are known to be free or occupied."""
+    """Return the percentage of the workspace's voxels known to be free or occupied."""
     return round(100.0 * float(1.0 - episode.volume.unobserved[1:-1, 1:-1, 1:-1].mean()), 2)
 
 
 def fidelity(episode: Reconstruction) -> float:
-    """Median PSNR over the keyframes, each as it was measured last, in decibel."""
+    """Return the median PSNR in dB over the keyframes, each from its last measurement."""
     return round(float(np.median(episode.mapper.keyframe_psnr(renders=0))), 2)
 
 
 class _Server(ThreadingHTTPServer):
-    """Many pages may ask at once, and none of them keeps the program alive."""
+    """Answer requests in parallel threads, which end with the program."""
 
     daemon_threads = True
-    request_queue_size = 128  # connections that wait to be accepted
-    allow_reuse_address = os.name != "nt"  # Windows would let a second program serve at a port that is taken
+    request_queue_size = 128  # connections waiting to be accepted
+    allow_reuse_address = os.name != "nt"  # on Windows it would let a second program use a port already in use
 
     def __init__(self, place: tuple[str, int], view: LiveView) -> None:
         self.address_family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
         self.view = view
-        self._strangers: dict[Any, None] = {}  # connections that have not shown the key, the oldest first
+        self._strangers: dict[Any, None] = {}  # connections that have not sent the key, oldest first
         self._counting = threading.Lock()
         super().__init__(place, _Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer on a thread; where too many connections have not shown the key, close the oldest of them."""
+        """Answer on a thread; close the oldest connection without the key if there are too many."""
         with self._counting:
             self._strangers[request] = None
             oldest = next(iter(self._strangers)) if len(self._strangers) > _MOST_STRANGERS else None
         if oldest is not None:
             self.admit(oldest)
             with suppress(OSError):
-                oldest.shutdown(socket.SHUT_RDWR)  # its thread reads the end
+                oldest.shutdown(socket.SHUT_RDWR)  # ends the read of its thread
         super().process_request(request, client_address)
 
     def admit(self, request: Any) -> None:
-        """Count a connection no more among those that have not shown the key."""
+        """Remove a connection from those that have not sent the key."""
         with self._counting:
             self._strangers.pop(request, None)
 
@@ -305,12 +309,12 @@ class _Server(ThreadingHTTPServer):
         super().close_request(request)
 
     def server_bind(self) -> None:
-        """Without asking the network for this machine's name, which can take long and is not needed."""
+        """Bind without a name lookup of this machine, which can be slow and is not needed."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A page that was closed while it was answered is no error."""
+        """Ignore pages closed during an answer; report other errors."""
         if not isinstance(sys.exc_info()[1], ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -318,10 +322,10 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: _Server
-    timeout = 15  # seconds without a request after which a connection is let go
+    timeout = 15  # seconds without a request before a connection is closed
 
     def do_GET(self) -> None:
-        """The page, and what is new."""
+        """Answer with the page or with new data."""
         path, asked = self._asked()
         if not self._admitted(asked):
             return
@@ -339,7 +343,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.NOT_FOUND, b"there is nothing here")
 
     def do_POST(self) -> None:
-        """A command."""
+        """Execute a command."""
         path, asked = self._asked()
         length = self.headers.get("Content-Length", "")
         if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _LONGEST:
@@ -358,7 +362,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(HTTPStatus.CONFLICT if wrong else HTTPStatus.OK, wrong.encode())
 
     def _asked(self) -> tuple[str, dict[str, str]]:
-        """The path and what stands behind the question mark; nothing of an address that is none."""
+        """Return the path and the query; both empty for an invalid address."""
         try:
             place = urlsplit(self.path)
         except ValueError:
@@ -366,9 +370,9 @@ class _Handler(BaseHTTPRequestHandler):
         return place.path, {name: values[-1] for name, values in parse_qs(place.query).items()}
 
     def _admitted(self, asked: dict[str, str]) -> bool:
-        """Whether who asks knows the key and asks for this server by its own name.
+        """Return whether a request has the key and addresses this server by its own host name.
 
-        A page from elsewhere that a name was rebound for would ask for another host.
+        The host check refuses pages from elsewhere whose name was rebound to this machine.
         """
         view, host, origin = self.server.view, self.headers.get("Host", ""), self.headers.get("Origin")
         known = view.hosts is None or host in view.hosts
@@ -385,14 +389,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("Referrer-Policy", "no-referrer")  # the address holds the key
         self.send_header("X-Content-Type-Options", "nosniff")
-        if self.server.view.closed:  # or a page would go on asking, at once, for as long as the program lives
+        if self.server.view.closed:  # otherwise the page would keep sending requests while the program runs
             self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
 
     def version_string(self) -> str:
-        """Name the program, and no version: also who has no key is answered."""
+        """Return the program's name without a version, since requests without the key are answered too."""
         return "asg"
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nobody reads it."""
+        """Write no log."""

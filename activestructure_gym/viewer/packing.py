@@ -1,7 +1,7 @@
-"""A film as bytes that a browser unpacks in a moment: whole numbers of few bits.
+"""Pack a film into bytes that a browser unpacks quickly: integers of few bits.
 
-The layout: four bytes with the length of a JSON text (little endian), the text, then the arrays, each from a multiple
-of four bytes on. The text names every array with its type, shape and place, and holds all that is no array.
+Layout: four bytes with the length of a JSON text (little endian), the text, then the arrays, each aligned to four
+bytes. The text gives each array's type, shape and offset, and holds all other data.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from activestructure_gym.mapping.gaussian_map import COLOR, LOG_SCALE, MEAN, OPA
 from activestructure_gym.viewer.recorder import Film, Moment
 
 _TYPES = {"uint8": "u1", "uint16": "u2", "int8": "i1", "float32": "f4", "int32": "i4"}
-_STEPS = 65535  # of a position along each side of the box around all Gaussians; of frames where they are fewer
-_MOST_GAUSSIANS = 4_000_000  # of a page; of more, an even choice
-_LEAST_LOG, _LOG_STEP = -9.0, 0.05  # of a standard deviation: 0.1 mm to 40 m in steps of 5 %
+_STEPS = 65535  # steps of a position along each side of the Gaussians' bounding box; frame limit of uint16
+_MOST_GAUSSIANS = 4_000_000  # maximum per page; larger maps are subsampled evenly
+_LEAST_LOG, _LOG_STEP = -9.0, 0.05  # log standard deviation: 0.1 mm to 40 m in steps of 5 %
 
 
 def packed(parts: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
-    """Arrays by name and all else, in the layout of this module."""
+    """Pack named arrays and other data in the layout of this module."""
     places: dict[str, Any] = {}
     body = bytearray()
     for name, array in parts.items():
@@ -36,7 +36,7 @@ def packed(parts: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
 
 
 def film_parts(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The arrays of a film, and what the page must know to read them."""
+    """Return the arrays of a film, and the data that the page needs to decode them."""
     arrays, told = _gaussians(film)
     told |= {"bounds": film.bounds.tolist(), "camera": list(film.camera)}
     return {**arrays, **_moments(film.moments, film.poses)}, told
@@ -51,7 +51,7 @@ def _gaussians(film: Film) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     length = np.maximum(np.linalg.norm(live[QUATERNION], axis=0), 1e-12)
     short = not film.moments or film.moments[-1].frame < _STEPS
     frames = np.uint16 if short else np.int32
-    last = np.iinfo(frames).max  # died with this one: stayed
+    last = np.iinfo(frames).max  # this value marks Gaussians that were never removed
     arrays = {
         "means": np.round((means - low) / side * _STEPS).astype(np.uint16),
         "scales": np.clip(np.round((live[LOG_SCALE].T - _LEAST_LOG) / _LOG_STEP), 0, 255).astype(np.uint8),
@@ -91,7 +91,7 @@ def _moments(moments: Sequence[Moment], poses: np.ndarray) -> dict[str, np.ndarr
 
 
 def _shade(worth: np.ndarray) -> np.ndarray:  # [K] -> [K] uint8
-    """Share of the best of this decision in 254 steps; 255 where nothing is known."""
+    """Return utilities relative to the decision's best in 254 steps; 255 if unknown."""
     if not len(worth) or np.isnan(worth).any():
         return np.full(len(worth), 255, np.uint8)
     low, high = min(float(worth.min()), 0.0), float(worth.max())

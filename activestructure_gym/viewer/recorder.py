@@ -1,4 +1,4 @@
-"""What can be watched of an episode, kept while it is played: every decision, every pose, who came and who went."""
+"""Record a running episode for viewing: decisions, poses, and the frames at which Gaussians are added and removed."""
 
 from __future__ import annotations
 
@@ -20,60 +20,60 @@ if TYPE_CHECKING:
 
 _JPEG_QUALITY = 82
 _FIELDS = 14  # rows of the map's parameters
-_CELL = 0.05  # metres: where a map that is made anew has been so near before, nothing is new
+_CELL = 0.05  # metres: cell size for matching Gaussians of a map that is rebuilt at every keyframe
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What there is to see before one decision; the last one of an episode has no candidates."""
+    """Hold what is visible before one decision; the last one of an episode has no candidates."""
 
-    frame: int  # frames paid
-    poses: int  # poses taken: fewer than frames where one was paid for standing still
-    row: int  # the candidate that is chosen, -1 at the end or while nobody has chosen
-    candidates: np.ndarray  # [K, 6] metres and unit vector: position and look
-    worth: np.ndarray  # [K] the first feature that the policy asks for; NaN where it asks for none
-    planes: np.ndarray  # [P, 4, 3] metres, corners of the seen part of each plane
+    frame: int  # frames used
+    poses: int  # number of poses; fewer than frames if some frames were spent in place
+    row: int  # the chosen candidate, -1 at the end or before the choice
+    candidates: np.ndarray  # [K, 6] position in metres and unit view direction
+    worth: np.ndarray  # [K] first feature of the configuration; NaN if there is none
+    planes: np.ndarray  # [P, 4, 3] metres, corners of the observed part of each plane
     structural: np.ndarray  # [P] bool
-    tree: np.ndarray  # [E, 2] rows of planes that the spanning forest joins
+    tree: np.ndarray  # [E, 2] plane rows joined by the spanning forest
     centroids: np.ndarray  # [P, 3] metres
     true: bytes  # JPEG of the last keyframe
-    rendered: bytes  # JPEG of the map from its pose
-    decision: int = 0  # number of the decision, from 0 on
+    rendered: bytes  # JPEG of the map rendered at its pose
+    decision: int = 0  # number of the decision, from 0
 
     @property
     def size(self) -> int:
-        """Bytes, about, in what a page is sent."""
+        """Return the approximate bytes sent to a page."""
         arrays = self.candidates.size + self.planes.size + self.centroids.size + self.tree.size
         return len(self.true) + len(self.rendered) + 4 * arrays
 
 
 @dataclass(frozen=True)
 class Film:
-    """An episode, or its beginning, as it can be watched."""
+    """Hold an episode, or its beginning, for viewing."""
 
     moments: list[Moment]
     poses: np.ndarray  # [T, 4, 4] world_from_camera, one per frame
-    gaussians: np.ndarray  # [14, N] float32 parameters of all that ever were, as they were last
-    born: np.ndarray  # [N] int32 frame with which each came
-    died: np.ndarray  # [N] int32 frame with which it went; beyond the last one for those that stayed
+    gaussians: np.ndarray  # [14, N] float32 last parameters of all Gaussians that ever existed
+    born: np.ndarray  # [N] int32 frame at which each was added
+    died: np.ndarray  # [N] int32 frame at which it was removed; above the last frame if never
     bounds: np.ndarray  # [2, 3] metres, the workspace
     camera: tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
 
 
 @dataclass
 class _Lives:
-    """Who came and went, by the ids of the Gaussians."""
+    """Record when Gaussians are added and removed, by their ids."""
 
-    frame_of: list[tuple[int, int]] = field(default_factory=list)  # (ids below this were there, frame)
+    frame_of: list[tuple[int, int]] = field(default_factory=list)  # (number of ids assigned so far, frame)
     gone: list[tuple[np.ndarray, np.ndarray, int]] = field(default_factory=list)  # parameters, ids, frame
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     parameters: np.ndarray = field(default_factory=lambda: np.zeros((_FIELDS, 0), np.float32))
-    # Of a map that is made anew as a whole, in which nobody lives on: its cells, and when there was something first.
+    # For a map that is rebuilt as a whole, without persistent ids: its cells, and the first frame of each.
     cells: np.ndarray | None = None  # [M] int64
     cell_frames: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # [M]
 
     def note(self, gaussians: GaussianMap, frame: int) -> None:
-        """Remember the map as it is; called after every keyframe."""
+        """Record the current map; called after every keyframe."""
         ids = gaussians.ids[: gaussians.count].copy()
         left = ~np.isin(self.ids, ids)
         if len(ids) and len(left) and left.all() and self.cells is None:
@@ -94,7 +94,7 @@ class _Lives:
         self.cell_frames = np.concatenate([self.cell_frames, np.full(len(new), frame)])
 
     def all(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # [14, N], [N] born, [N] died
-        """Everybody, those who came first in front."""
+        """Return all Gaussians and their frames of addition and removal, sorted by addition."""
         last = np.iinfo(np.int32).max
         parameters = np.concatenate([self.parameters, *(block for block, _, _ in self.gone)], axis=1)
         ids = np.concatenate([self.ids, *(ids for _, ids, _ in self.gone)])
@@ -112,17 +112,16 @@ class _Lives:
 
 
 def _cells_of(parameters: np.ndarray) -> np.ndarray:  # [14, N] -> [N] int64
-    """One number for each cell of `_CELL` that a Gaussian's mean may stand in."""
+    """Return an integer for the grid cell (size `_CELL`) of each Gaussian's mean."""
     x, y, z = np.floor(parameters[MEAN].astype(np.float64) / _CELL).astype(np.int64) + (1 << 20)
     return (x << 42) + (y << 21) + z
 
 
 class Recorder:
-    """Keeps an episode that has begun; it changes nothing of it.
+    """Record a running episode without changing it.
 
-    ``most_bytes`` bounds the moments that are kept, evenly chosen, by what a page is sent; without it all are.
-
-    Raises `InputError` for a mapper without Gaussians.
+    ``most_bytes`` limits the moments kept, evenly chosen, by the bytes sent to a page; None keeps all. Raises
+    `InputError` for a mapper without Gaussians.
     """
 
     def __init__(self, episode: Reconstruction, *, most_bytes: int | None = None) -> None:
@@ -130,10 +129,10 @@ class Recorder:
             raise InputError("the map of this mapper is not made of Gaussians: there is nothing to watch it grow by")
         self.moments: list[Moment] = []
         self._most_bytes, self._bytes = most_bytes, 0
-        self._noted, self.every = 0, 1  # moments so far, of which one of so many is kept
+        self._noted, self.every = 0, 1  # number of moments so far, and the interval at which they are kept
         self._episode, self._lives = episode, _Lives()
-        self._poses = episode.trajectory  # of this episode, whatever begins after it
-        self._lock = threading.Lock()  # films are asked for while the episode is played
+        self._poses = episode.trajectory  # of this episode, even if the environment starts another one
+        self._lock = threading.Lock()  # films are requested while the episode is played
         self._lives.note(episode.mapper.map, episode.frames)
         after_keyframes(episode, self._keep)
 
@@ -142,7 +141,7 @@ class Recorder:
             self._lives.note(self._episode.mapper.map, self._episode.frames)
 
     def note(self, row: int = -1, *, end: bool = False) -> None:
-        """Keep what there is to see now, and the row that is chosen next if it is known; the end is kept always."""
+        """Record the current state, and the row chosen next if known; the end is always kept."""
         with self._lock:
             self._lives.note(self._episode.mapper.map, self._episode.frames)
             number, self._noted = self._noted, self._noted + 1
@@ -156,13 +155,11 @@ class Recorder:
                 self._bytes = sum(moment.size for moment in self.moments)
 
     def choose(self, row: int) -> None:
-        """The row that was chosen at the last moment."""
+        """Record the row chosen at the last moment."""
         self.moments[-1] = replace(self.moments[-1], row=row)
 
     def film(self, first: int = 0) -> Film:
-        """What was kept: all Gaussians, the moments from ``first`` on, and the poses that were taken since the one
-        before.
-        """
+        """Return the recording: all Gaussians, the moments from ``first`` on, and the poses since the moment before."""
         episode, camera = self._episode, self._episode.config.sensor.camera
         with self._lock:
             gaussians, born, died = self._lives.all()
@@ -179,11 +176,11 @@ class Recorder:
 
 
 def after_keyframes(episode: Reconstruction, act: Callable[[], None]) -> None:
-    """From now on ``act`` is called after every keyframe of this episode has been mapped."""
+    """Call ``act`` after each keyframe of this episode has been mapped, from now on."""
     observe = episode.mapper.observe
 
     def watched(*given: Any, **options: Any) -> Any:
-        """Map the keyframe, then act."""
+        """Map the keyframe, then call ``act``."""
         report = observe(*given, **options)
         act()
         return report
@@ -192,7 +189,7 @@ def after_keyframes(episode: Reconstruction, act: Callable[[], None]) -> None:
 
 
 def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
-    """What there is to see of an episode now."""
+    """Return the moment that shows an episode's current state."""
     graph, frame = graph_arrays(episode.planes), episode.mapper.keyframes[-1]
     poses = episode.candidates.world_from_camera[: episode.candidates.views]
     worth = np.full(len(poses), np.nan)
@@ -215,12 +212,15 @@ def moment_of(episode: Reconstruction, row: int = -1) -> Moment:
 
 
 def plane_rectangles(graph: GraphArrays) -> np.ndarray:  # [P, 4, 3] metres
-    """Corners in turn of the smallest rectangle around what was seen of every plane; its centroid for nothing."""
+    """Return the corners of the smallest rectangle around the observed part of each plane, in order.
+
+    A plane without observed cells has its centroid four times.
+    """
     found = np.repeat(np.asarray(graph["centroids"], float).reshape(-1, 1, 3), 4, axis=1)
     for k in range(len(found)):
         cells = np.argwhere(seen_cells(graph, k))
         if len(cells):
-            # All four corners of each cell, so that a row of cells has a width.
+            # All four corners of each cell, so that a single row of cells has a width.
             corners = np.concatenate([cells + offset for offset in ((0, 0), (0, 1), (1, 0), (1, 1))])
             box = cv2.boxPoints(cv2.minAreaRect(corners.astype(np.float32)))
             found[k] = graph["patch_corners"][k] + graph["cell"] * (box @ graph["patch_axes"][k])

@@ -120,22 +120,12 @@ def _read(file: Path) -> dict[str, np.ndarray] | None:
         with open_own(file) as stream, zipfile.ZipFile(stream) as archive:
             if fcntl is not None:
                 fcntl.flock(stream, fcntl.LOCK_SH)  # see `clear_cache`
-            packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist())
-            members = _unpacked(archive) if packed else _members(stream, archive)
-            arrays = {name.removesuffix(".npy"): array for name, array in members}
+            arrays = {name.removesuffix(".npy"): array for name, array in _members(stream, archive)}
             with suppress(OSError):
                 os.utime(file)  # last use; few file systems record the access time
     except Exception:  # missing or damaged: zipfile and numpy's header parser raise many types
         return None  # computed again and overwritten
-    if packed:
-        _write(file, arrays)  # stored by an older version
     return arrays
-
-
-def _unpacked(archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:
-    for entry in archive.infolist():
-        with archive.open(entry) as packed:
-            yield entry.filename, read_npy(packed, entry.filename, entry.file_size)
 
 
 def _members(stream: IO[bytes], archive: zipfile.ZipFile) -> Iterator[tuple[str, np.ndarray]]:

@@ -21,8 +21,7 @@ def check_counts(
 ) -> None:
     """Raise `Mismatch` unless ``metrics.json``, ``timing.json``, the steps and the path are of one episode.
 
-    ``results`` is the content of ``metrics.json``, ``decisions`` the seconds at the end of each decision. What earlier
-    versions did not store is not asked for.
+    ``results`` is the content of ``metrics.json``, ``decisions`` the seconds at the end of each decision.
     """
     metrics, curve = results["metrics"], results["curve"]
     count = len(steps)
@@ -45,7 +44,7 @@ def check_counts(
 def _check_curve(curve: Sequence[Mapping[str, Any]], steps: Sequence[Mapping[str, Any]]) -> None:
     """Every point of the curve but the first is that of the step at whose end it was taken."""
     taken = [(number, step) for number, step in enumerate(steps, start=1) if step.get("checkpoint") is not None]
-    if not taken:  # as of earlier versions, or of an episode without a decision
+    if not taken:  # of an episode without a decision
         return
     _agree("points of the curve", {"metrics.json": len(curve), "steps.jsonl": 1 + len(taken)})
     for (number, step), point in zip(taken, curve[1:]):

@@ -88,7 +88,7 @@ class Job:
         content["overrides"] = dict(self.overrides)
         content["protocol"] = self.protocol.parameters()
         content["also"] = [get_protocol(name).parameters() for name in self.also]
-        if self.terms == "shared":  # as runs said nothing of terms when there were no others
+        if self.terms == "shared":  # the default is left out
             del content["terms"]
         return content
 

@@ -188,7 +188,7 @@ _GRAPH = {
 
 def check_trajectory(arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `Mismatch` unless poses are rigid, keyframes index them, and the camera is plausible."""
-    legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # of later runs, and of no other path
+    legs = _LEGS if _LEGS.keys() & arrays.keys() else {}  # of played runs; a path of another program has none
     sizes = check_arrays(arrays, TRAJECTORY | (_RANGE if "max_range" in arrays else {}) | legs)
     if sizes["T"] > MOST_FRAMES:
         raise Mismatch(f"it holds {sizes['T']} poses, at most {MOST_FRAMES} are read")

@@ -25,7 +25,6 @@ A comparison's directory::
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import math
@@ -44,7 +43,6 @@ import numpy as np
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import agreement, run_files, schema
 from activestructure_gym.evaluation.archive.jobs import Job, policy_label, scene_label
-from activestructure_gym.evaluation.archive.old_names import current_name
 from activestructure_gym.evaluation.archive.temporary import part_of, refuse_links, writing
 from activestructure_gym.files import replaced
 from activestructure_gym.npz import read_npz
@@ -56,7 +54,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FORMAT_VERSION = 3
-_READABLE = (2, FORMAT_VERSION)  # of 2 some policies had other names, see `old_names`
 DONE = ".done"
 PLAYED = ".played"  # in place of `DONE` until the episode is measured, see `played`
 WITHDRAWN = ".withdrawn"  # what `DONE` was, of a run that another text of own code played
@@ -87,17 +84,8 @@ class Run:
 
     @cached_property
     def policy(self) -> str:
-        """Short name of the policy as it is called now; a checkpoint's is without its folders."""
-        return policy_label(self._policy_now)
-
-    @cached_property
-    def key(self) -> str:
-        """Hash of the job with its policy called as it is now: one for the same job in runs of any format."""
-        return dataclasses.replace(self.job, policy=self._policy_now).hash
-
-    @property
-    def _policy_now(self) -> str:
-        return current_name(self.job.policy, int(self.config.get("format", FORMAT_VERSION)))
+        """Short name of the policy; a checkpoint's is without its folders."""
+        return policy_label(self.job.policy)
 
     @cached_property
     def protocols(self) -> dict[str, dict[str, Any]]:
@@ -184,8 +172,6 @@ def damage_of(directory: Path, job: Job) -> str | None:
         run = read_done(directory, job)
         if run is None:
             return f"'{directory}' is not a finished run: it has no {DONE} file"
-        if run.policy != policy_label(job.policy):
-            return f"'{directory}' is of '{run.policy}', which was called '{job.policy}' when it was made"
         read_all(run)
     except InputError as error:
         return str(error)
@@ -304,12 +290,12 @@ def open_run(directory: Path, scene: str | None = None) -> Run:
     found = {}
     checks = {"config": run_files.check_config, "metrics": run_files.METRICS, "timing": run_files.TIMING}
     for name, check in checks.items():
-        # The format first: another one may have other names.
+        # The format first: files of another one are not read.
         content = found[name] = _read(directory, f"{name}.json", sums, schema.read_checked_json)
         version = content.get("format", FORMAT_VERSION) if isinstance(content, dict) else FORMAT_VERSION
-        if version not in _READABLE:
-            known = " and ".join(map(str, _READABLE))
-            raise InputError(f"'{directory}' has the run format {version}, this version reads {known}; run it again")
+        if version != FORMAT_VERSION:
+            have = f"'{directory}' has the run format {version}, this version reads {FORMAT_VERSION}"
+            raise InputError(f"{have}; run it again")
         _read(directory, f"{name}.json", {}, lambda path: check(content, ""))  # noqa: B023
     config = found["config"]
     if mark and config.get("hash", mark) != mark:

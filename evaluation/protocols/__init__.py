@@ -8,20 +8,12 @@ from typing import Any
 from activestructure_gym.errors import InputError, unknown_name
 from activestructure_gym.evaluation.protocols.activegamer import ActiveGamerProtocol
 from activestructure_gym.evaluation.protocols.base import CameraPath, EvaluationProtocol
-from activestructure_gym.evaluation.protocols.standard import (
-    StandardProtocol,
-    StandardProtocol2,
-    StandardProtocol3,
-    StandardProtocol4,
-    Truth,
-)
+from activestructure_gym.evaluation.protocols.standard import StandardProtocol, Truth
 
 # By name; the first is the one every run is measured by, others come on top of it.
 PROTOCOLS: dict[str, type[StandardProtocol] | type[ActiveGamerProtocol]] = {
     protocol.name: protocol for protocol in (StandardProtocol, ActiveGamerProtocol)
 }
-# Versions that runs on disk may name and no new run is measured by.
-_EARLIER: tuple[type[StandardProtocol], ...] = (StandardProtocol4, StandardProtocol3, StandardProtocol2)
 
 
 def get_protocol(name: str) -> EvaluationProtocol:
@@ -53,16 +45,12 @@ def get_protocol(name: str) -> EvaluationProtocol:
 
 
 def protocol_from(parameters: Mapping[str, Any]) -> EvaluationProtocol:
-    """The protocol that `parameters()` described, `InputError` if there is none that measures it.
-
-    Earlier versions of `standard` are read too; they measure as they did.
-    """
+    """Return the protocol that `parameters()` described; raises `InputError` if no protocol here measures it."""
     values: dict[str, Any] = dict(parameters)
     name, version = values.pop("name", None), values.pop("version", None)
-    entries = (*PROTOCOLS.values(), *_EARLIER)
-    known = next((entry for entry in entries if (entry.name, entry.version) == (name, version)), None)
+    known = next((entry for entry in PROTOCOLS.values() if (entry.name, entry.version) == (name, version)), None)
     if known is None:
-        have = ", ".join(f"'{entry.name}' version {entry.version}" for entry in entries)
+        have = ", ".join(f"'{entry.name}' version {entry.version}" for entry in PROTOCOLS.values())
         raise InputError(
             f"the run was made with protocol '{name}' version {version}, this version knows {have}; run it again"
         )

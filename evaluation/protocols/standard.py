@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
@@ -74,8 +74,6 @@ class StandardProtocol:
 
     name: ClassVar[str] = "standard"
     version: ClassVar[int] = 5  # moves whenever the same map would get another number
-    _centre_depth: ClassVar[bool] = False
-    _blur: ClassVar[Mapping[str, Any]] = {}  # of the rasteriser, if not its own
 
     opacity_threshold: float = 0.5  # a Gaussian is a reconstructed point (its mean) from this opacity on
     threshold_m: float = 0.05  # metres; C.R., precision and F-score count distances strictly below it
@@ -148,7 +146,7 @@ class StandardProtocol:
         return {
             **dataclasses.asdict(means),
             **fused,
-            **self._observed_score(truth, path, notes),
+            "observed": self._observed(truth, path, notes),
             "true_area_m2": truth.surface.area,
             "true_samples": len(truth.surface.points),
             **{name: mean_of_known(view[name] for view in views) for name in ("psnr", "ssim", "ms_ssim", "lpips")},
@@ -159,12 +157,12 @@ class StandardProtocol:
             "notes": notes,
         }
 
-    def _observed_score(self, truth: Truth, path: CameraPath | None, notes: dict[str, str]) -> dict[str, float | None]:
+    def _observed(self, truth: Truth, path: CameraPath | None, notes: dict[str, str]) -> float | None:
         share = self.observed(truth, path)
         if share is None:
             missing = "poses of keyframes" if path is None else "mesh"
             notes["observed"] = f"no {missing} came with the {'map' if path is None else 'truth'}"
-        return {"observed": share}
+        return share
 
     def observed(self, truth: Truth, path: CameraPath | None) -> float | None:
         """The share of the surface that any keyframe saw, %; None without poses or without a mesh."""
@@ -211,7 +209,7 @@ class StandardProtocol:
         """Depth of what the map shows, 0 where it shows nothing: [K, H, W] metres."""
         from activestructure_gym.splatting.surface_depth import surface_depth
 
-        return surface_depth(gaussians.parameters, gaussians.count, camera, poses, **self._blur)
+        return surface_depth(gaussians.parameters, gaussians.count, camera, poses)
 
     def on_surface(self, triangles: Callable[[], Iterable[np.ndarray]]) -> SurfacePoints:
         """Points on the triangles, uniform by area, the same ones for the same triangles.
@@ -291,10 +289,7 @@ class StandardProtocol:
         from activestructure_gym.splatting import cpu
 
         pose = truth.views.world_from_camera[index]
-        return cpu.render(
-            gaussians.parameters, gaussians.count, truth.views.camera, pose, centre_depth=self._centre_depth,
-            **self._blur, threads=threads,
-        )  # fmt: skip
+        return cpu.render(gaussians.parameters, gaussians.count, truth.views.camera, pose, threads=threads)
 
     def _view(
         self, gaussians: GaussianMap, truth: Truth, index: int, distance: Distance | None
@@ -316,68 +311,6 @@ class StandardProtocol:
         depth = np.where(covered, rendering.depth / np.where(covered, rendering.alpha, 1.0), 0.0)
         error = depth_l1(depth, truth.views.depth[index])
         return None if error is None else 100.0 * error
-
-
-class StandardProtocol4(StandardProtocol):
-    """Version 4, so that what was measured by it can be read and measured again.
-
-    Pictures and depth were blurred as by 3D Gaussian splatting.
-    """
-
-    version: ClassVar[int] = 4
-    _blur: ClassVar[Mapping[str, Any]] = {"blur_variance": 0.3}  # px^2
-
-
-@dataclass(frozen=True)
-class StandardProtocol3(StandardProtocol4):
-    """Version 3, so that what was measured by it can be read and measured again.
-
-    The depth of held-out views was drawn with every Gaussian at the depth of its centre, and the TSDF surface had as
-    many samples whatever its area: in a large scene some of it lay further from all of them than the threshold.
-    """
-
-    version: ClassVar[int] = 3
-    _centre_depth: ClassVar[bool] = True
-
-    tsdf_samples_per_m2: float = 0.0
-
-    def parameters(self) -> dict[str, Any]:
-        """Name, version and every constant that version had."""
-        return {name: value for name, value in super().parameters().items() if name != "tsdf_samples_per_m2"}
-
-
-class StandardProtocol2(StandardProtocol3):
-    """Version 2, so that what was measured by it can be read and measured again.
-
-    Without ``observed``, and with a coarser surface, fused of the mean depth along every ray.
-    """
-
-    version: ClassVar[int] = 2
-
-    tsdf_voxel_m: float = 0.03  # metres
-    tsdf_truncation_m: float = 0.1  # metres
-
-    def parameters(self) -> dict[str, Any]:
-        """Name, version and every constant that version had."""
-        return {name: value for name, value in super().parameters().items() if name != "sight_margin_m"}
-
-    def observed(self, truth: Truth, path: CameraPath | None) -> float | None:
-        """None: nobody asked."""
-        return None
-
-    def _observed_score(self, truth: Truth, path: CameraPath | None, notes: dict[str, str]) -> dict[str, float | None]:
-        return {}
-
-    def _surface_depth(self, gaussians: GaussianMap, camera: PinholeCamera, poses: np.ndarray) -> np.ndarray:
-        from activestructure_gym.splatting import cpu
-
-        depth, alpha = cpu.render_depth_alpha(
-            gaussians.parameters, gaussians.count, camera, poses, centre_depth=True, **self._blur
-        )
-        covered = alpha > self.coverage_alpha
-        np.divide(depth, alpha, out=depth, where=covered)
-        depth[~covered] = 0.0
-        return depth
 
 
 def _unit(rgb: np.ndarray) -> np.ndarray:

@@ -248,7 +248,7 @@ def gather(directories: Sequence[Path], baseline: str | None = None) -> Results:
             raise InputError(f"'{directory}' is neither a comparison ({store.COMPARISON}) nor a finished run")
         reasons += damaged.values()
         for run in found:
-            runs.setdefault(run.key, run)
+            runs.setdefault(run.job.hash, run)
     if not runs and reasons:
         more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
         raise InputError(f"no run can be reported: {reasons[0]}{more}")

@@ -33,7 +33,7 @@ def run_trace(run: Run, directory: Path | None = None) -> tuple[str, Markup]:
         timeline=timeline(run),
         history=history_chart(drawn_steps(run.steps)),
         table=html_table(trace_table(run), exact=False),
-        job=run.key,
+        job=run.job.hash,
         directory=run.directory.name,
         links=run_links(run, directory),
     )

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from activestructure_gym.errors import InputError, InputWarning
 from activestructure_gym.evaluation.archive.jobs import Job, split_spec
@@ -26,12 +26,10 @@ def load_job_scene(job: Job) -> Scene:
 def scene_as_recorded(spec: str, content_hash: str) -> Scene:
     """The scene of a record, known by its content; an empty hash is that of any.
 
-    A record may name a mesh without the axis that was up then. Where the file turned to that axis is the scene of the
-    record to the last bit, it is used, and said. So is a file of the same name and content in the working directory or
-    a folder of ``ASG_SCENES``, where the record's own is not there. Raises `InputError` for every other content.
+    Where the record's own file is gone, a file of the same name and content in the working directory or a folder of
+    ``ASG_SCENES`` is used, with a warning. Raises `InputError` for every other content.
     """
     from activestructure_gym.scenes import load_scene
-    from activestructure_gym.scenes.loaders.upright import UP_AXES
 
     if not content_hash:
         return load_scene(spec)
@@ -45,15 +43,6 @@ def scene_as_recorded(spec: str, content_hash: str) -> Scene:
             return scene
     except InputError as error:
         refusal = error
-    for up in UP_AXES:
-        try:
-            turned = _quietly(load_scene, spec, up=up)
-        except InputError:  # no mesh file
-            break
-        if turned.content_hash == content_hash:
-            told = f"scene '{spec}': this record was made with {up} up, and is gone on with so; name it with up={up}"
-            warnings.warn(told, InputWarning, stacklevel=2)
-            return turned
     for other in _moved_specs(spec):
         with suppress(InputError):
             found = scene_as_recorded(other, content_hash)
@@ -87,8 +76,8 @@ def _is_gone(spec: str) -> bool:
     return os.path.isabs(path) and not os.path.exists(path)
 
 
-def _quietly(load: Callable[..., Scene], spec: str, **options: Any) -> Scene:
+def _quietly(load: Callable[[str], Scene], spec: str) -> Scene:
     """``load(spec)`` without its `InputWarning`s: they were given when the scene was chosen."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
-        return load(spec, **options)
+        return load(spec)

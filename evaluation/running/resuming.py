@@ -19,7 +19,6 @@ from activestructure_gym.evaluation.archive import plugin_code, store
 from activestructure_gym.evaluation.archive.brought import changed_schedule
 from activestructure_gym.evaluation.archive.comparison import jobs_of, read_record, run_directory
 from activestructure_gym.evaluation.archive.jobs import Job, one_spec_each, policy_label
-from activestructure_gym.evaluation.archive.old_names import renamed_among
 
 # What tells the cells of one grid apart; whatever else a job has is the same for all of them.
 _CELL = ("scene", "scene_hash", "policy", "seed")
@@ -31,13 +30,6 @@ def recorded_jobs(directory: Path) -> list[Job]:
     if record is None:
         return []
     jobs = jobs_of(record, directory)
-    renamed = renamed_among((job.policy for job in jobs), record.get("format", store.FORMAT_VERSION))
-    if renamed:
-        old, new = next(iter(renamed.items()))
-        raise InputError(
-            f"'{directory}' was begun when '{old}' was the name of what is '{new}' now: its finished runs can be read "
-            "(asg report), and what is added goes into a new comparison, another --out"
-        )
     if [job.name for job in jobs] != list(record["jobs"]):
         versions = record.get("versions") or {}
         raise InputError(

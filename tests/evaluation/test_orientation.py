@@ -1,4 +1,4 @@
-"""Which way is up, from outside: what the terminal says, and what old records are taken for."""
+"""Which way is up, from outside: what the terminal says, and where a recorded mesh is found."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ import warnings
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 import pytest
 import trimesh
 
 from activestructure_gym.errors import InputError, InputWarning
-from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.running.comparison import Comparison
-from activestructure_gym.evaluation.running.recorded_scene import load_job_scene, scene_as_recorded
+from activestructure_gym.evaluation.running.recorded_scene import scene_as_recorded
 from activestructure_gym.scenes import load_scene
 
 WHY = "floor and ceiling lie 2.45 m apart along z, the shortest side"
@@ -56,24 +53,6 @@ def test_compare_scenes_and_the_environment_say_the_same(rooms, capsys):
         env.reset(seed=1)
     env.close()
     assert [str(one.message) for one in said if one.category is InputWarning] == [f"room.glb: {note}"]
-
-
-@pytest.mark.parametrize("name", ["room", "box"])
-def test_a_record_without_its_axis_is_measured_as_it_was_made(rooms, name):
-    """Without `up` the room is refused and the box lies on its side; both records were made with z up."""
-    spec = f"{rooms}/{name}.glb"
-    expected = load_scene(spec, up="z")
-    with pytest.warns(InputWarning, match=rf"{name}.glb': this record was made with z up, .* name it with up=z"):
-        scene = load_job_scene(Job(spec, "random", 0, scene_hash=expected.content_hash))
-    np.testing.assert_array_equal(scene.mesh.vertices, expected.mesh.vertices)
-
-
-@pytest.mark.slow
-def test_a_comparison_without_its_axis_is_gone_on_with(rooms):
-    spec = f"{rooms}/box.glb"
-    job = Job(spec, "random", 0, scene_hash=load_scene(spec, up="z").content_hash, preset="fast")
-    with pytest.warns(InputWarning, match="made with z up"):
-        assert Comparison.of([job]).prepare() == [job]
 
 
 def test_a_record_of_another_mesh_is_refused(rooms):

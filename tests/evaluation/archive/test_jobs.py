@@ -54,13 +54,7 @@ def test_the_hash_is_the_same_in_every_process_and_release(monkeypatch):
     monkeypatch.setattr(jobs, "__version__", "test")
     job = Job("box", "random", 0, scene_hash="0" * 64)
     assert job.hash == "51f1161c8d81"
-    # A run that was measured by version 2 of the protocol keeps its name and reads back as itself.
-    later = ("sight_margin_m", "tsdf_samples_per_m2")
-    second = {k: v for k, v in job.protocol.parameters().items() if k not in later}
-    second |= {"version": 2, "tsdf_voxel_m": 0.03, "tsdf_truncation_m": 0.1}
-    earlier = Job.from_dict(job.as_dict() | {"protocol": second})
-    assert earlier.hash == "c18cfef47063" and earlier.protocol.version == 2
-    assert Job.from_dict(earlier.as_dict()) == earlier != job
+    assert Job.from_dict(job.as_dict()) == job
 
 
 def test_wrong_numbers_are_refused():

@@ -322,7 +322,7 @@ def test_decisions_are_unpacked_where_they_are_opened(path, results, browser):
     )
     run = results.of(HOSTILE, SCENE)[0]
     assert rows[0] == ["10", "20", "30", "40", "50", "60"] and rows[1].startswith(f"{HOSTILE}, seed 0")
-    assert run.key in rows[2]
+    assert run.job.hash in rows[2]
     sort = "document.querySelectorAll('.trace thead button')[1]"
     assert browser.ask(f"{sort}.click(); {sort}.closest('th').getAttribute('aria-sort')") == "ascending"
     assert browser.complaints() == []

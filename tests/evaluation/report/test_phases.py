@@ -32,7 +32,7 @@ def test_what_follows_once_nothing_is_left_to_do_is_a_band_of_its_own(steps):
         Band("III post-refinement", 30, 40),
         Band("settled", 40, 60, "no keyframe left to revisit"),
     ]
-    steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = True  # of a run before reasons were told
+    steps[4]["trace"]["settled"] = steps[5]["trace"]["settled"] = True  # without a reason
     assert bands(steps)[-1] == Band("settled", 40, 60)
 
 

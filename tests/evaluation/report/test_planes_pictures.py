@@ -133,8 +133,8 @@ def test_the_panels_of_a_stored_page_are_the_drawings(wall_and_floor, make_run, 
         save_with_panels(page[0], tmp_path / "page.png", page[1])
         for stored, panel in zip(stored_panels(tmp_path / "page.png"), drawn, strict=True):
             np.testing.assert_array_equal(np.asarray(stored), np.asarray(panel))
-    page[0].save(tmp_path / "of-an-older-version.png")
-    assert stored_panels(tmp_path / "of-an-older-version.png") is None
+    page[0].save(tmp_path / "without-panels.png")
+    assert stored_panels(tmp_path / "without-panels.png") is None
     assert stored_panels(tmp_path / "missing.png") is None
 
 

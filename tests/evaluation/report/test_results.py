@@ -5,7 +5,7 @@ import pytest
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import store
 from activestructure_gym.evaluation.archive.jobs import Job
-from activestructure_gym.evaluation.protocols import protocol_from
+from activestructure_gym.evaluation.protocols import StandardProtocol
 from activestructure_gym.evaluation.report.columns import aspects, ratios_text
 from activestructure_gym.evaluation.report.page import html_page
 from activestructure_gym.evaluation.report.results import Results, gather, once, opened, source_of
@@ -111,20 +111,18 @@ def test_what_failed_and_was_finished_later_is_not_missing(make_run, tmp_path):
     assert source_of(tmp_path, record, [run]).missing == {lost.title: "MemoryError: elsewhere"}
 
 
-def test_runs_of_two_versions_of_the_protocol_are_not_mixed_and_each_is_reported(make_run):
+def test_runs_of_two_protocols_are_not_mixed_and_each_is_reported(make_run):
     new = make_run(policy="b", tsdf_completion_ratio=85.0, observed=91.25)
-    old = make_run()
-    later = ("sight_margin_m", "tsdf_samples_per_m2")
-    second = {k: v for k, v in old.job.protocol.parameters().items() if k not in later} | {"version": 2}
-    old.__dict__["job"] = dataclasses.replace(old.job, protocol=protocol_from(second))
-    with pytest.raises(InputError, match="protocol version: 5, 2"):
-        Results([new, old], [])
+    other = make_run()
+    other.__dict__["job"] = dataclasses.replace(other.job, protocol=StandardProtocol(views=3))
+    with pytest.raises(InputError, match="protocol views: 64, 3"):
+        Results([new, other], [])
     assert ratios_text(new) == "C.R. 80.0 %, of the surface 85.0 %, observed 91.2 %"
-    assert ratios_text(old) == "C.R. 80.0 %, of the surface –, observed –"
-    shown = {run.policy: [column.header for column in aspects([run])[0].columns] for run in (new, old)}
+    assert ratios_text(other) == "C.R. 80.0 %, of the surface –, observed –"
+    shown = {run.policy: [column.header for column in aspects([run])[0].columns] for run in (new, other)}
     assert shown["b"][2:5] == ["C.R.", "C.R. surface", "observed"]
     assert shown["random"][2:4] == ["C.R.", "Prec."]
-    for run in (new, old):
+    for run in (new, other):
         page = html_page(Results([run], []))
         assert ratios_text(run) in page and (">C.R. surface (%)" in page) == (run is new)
 
